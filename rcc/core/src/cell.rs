@@ -1,4 +1,4 @@
-//! `cell.toml`: what a controller is made of. It starts nothing.
+//! `cell.toml`: the configuration of a controller. It starts nothing.
 //!
 //! ```toml
 //! [controller]
@@ -108,37 +108,37 @@ pub struct ControllerConfig {
     pub socket_group: Option<String>,
     /// File with the token that clients must give; needed beyond loopback.
     pub token_file: Option<PathBuf>,
-    /// What clients on loopback need; `None` for the token if `token_file` is named, else nothing.
+    /// Requirement for clients on loopback; `None`: the token if `token_file` is set, else nothing.
     pub loopback: Option<Loopback>,
     /// Names of this host, with or without a port, that requests without a token may be addressed to, beside
     /// `localhost` and addresses of loopback.
     pub hosts: Vec<String>,
     /// Origins of web pages of other servers that may send requests, such as `http://localhost:3000`.
     pub origins: Vec<String>,
-    /// Device whose clock the net threads keep phase with; `None` for the host's own clock.
+    /// Device whose clock the net threads follow; `None` for the host's own clock.
     pub follow: Option<String>,
-    /// How long after the instants of that clock a cycle begins, less than its period; `None` for 0.
+    /// Phase of a cycle relative to that clock, less than its period; `None` for 0.
     /// For an LWR these instants are those of its measurements.
     #[serde(deserialize_with = "span::text::deserialize_some")]
     pub phase: Option<Duration>,
     /// Whether all devices stop while no `EStop` primitive was evaluated for 20 ms.
     pub need_estop: bool,
-    /// What becomes of the nets of a session whose client is lost, unless the session says otherwise. `None`:
-    /// they end, but for clients whose WebSocket handshake has no version, which rely on their being kept.
+    /// What happens to the nets of a session whose client is lost, unless the session sets it. `None`:
+    /// they end, except for clients whose WebSocket handshake has no version, which rely on keeping them.
     pub on_loss: Option<OnLoss>,
     /// Net threads beside the first, each with a period of its own.
     #[serde(rename = "thread")]
     pub threads: Vec<NetThreadSettings>,
-    /// What is logged, such as `info` or `warn,takt_core=debug`; `None` for `info`.
+    /// Log filter, such as `info` or `warn,takt_core=debug`; `None` for `info`.
     pub log: Option<String>,
-    /// File with what primitives cost on this host, from the folder of the cell's own file; `None`
-    /// for what they declare.
+    /// Cost table of this host, relative to the directory of the cell file; `None`
+    /// for declared costs.
     pub costs: Option<PathBuf>,
-    /// Memory that all nets take together, MiB, 1 to 65536; their texts take a sixteenth of it beside.
+    /// Memory quota of all nets together, MiB, 1 to 65536; their texts may take another sixteenth.
     pub nets_memory_mib: u32,
 }
 
-/// Ports that the stop channel's is above that of HTTP, unless the cell says another.
+/// Default distance of the stop channel's port above that of HTTP.
 const STOP_PORTS_ABOVE: u16 = 2;
 
 impl ControllerConfig {
@@ -229,7 +229,7 @@ impl CellConfig {
     /// Reads a file.
     ///
     /// # Errors
-    /// If it cannot be read, is no TOML, names what does not exist, or a value is out of range.
+    /// If it cannot be read, is not TOML, has unknown names, or a value is out of range.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = files::read_text(path, files::TEXT_BYTES_MAX).map_err(|source| Error::File {
             path: path.to_owned(),
@@ -245,10 +245,10 @@ impl CellConfig {
         Ok(cell)
     }
 
-    /// Reads what such a file holds.
+    /// Parses the text of such a file.
     ///
     /// # Errors
-    /// If it is no TOML, names what does not exist, or a value is out of range.
+    /// If it is not TOML, has unknown names, or a value is out of range.
     pub fn parse(text: &str) -> Result<Self, Error> {
         Self::of_text(text).map_err(Error::Cell)
     }
@@ -273,7 +273,7 @@ impl CellConfig {
         [first].into_iter().chain(others)
     }
 
-    /// Whether there is a clock to follow, and phases are phases.
+    /// Checks that the followed clock exists and that phases are below the periods.
     fn check_clock(&self) -> Result<(), String> {
         let threads = &self.controller.threads;
         let Some(device) = &self.controller.follow else {
@@ -300,7 +300,7 @@ impl CellConfig {
         }
     }
 
-    /// What has a clock that can be followed.
+    /// Names of devices and buses whose clock can be followed.
     fn clocks(&self) -> impl Iterator<Item = &str> {
         let segments = self.ethercat.iter().map(|segment| segment.name.as_str());
         let networks = self.canopen.iter().map(|network| network.name.as_str());
@@ -359,7 +359,7 @@ impl CellConfig {
         Ok(())
     }
 
-    /// Whether it makes sense; the first thing that does not.
+    /// Checks the configuration; returns the first fault.
     pub(crate) fn check(&self) -> Result<(), String> {
         access::check(&self.controller)?;
         self.check_threads()?;
@@ -416,7 +416,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_whole_cell() {
+    fn complete_cell_is_read() {
         let text = r#"
             [controller]
             period = "500us"
@@ -451,7 +451,7 @@ mod tests {
     }
 
     #[test]
-    fn every_example_of_the_readme_is_taken() {
+    fn readme_cell_examples_are_accepted() {
         let readme = include_str!("../README.md");
         let examples: Vec<_> = readme.split("```toml\n").skip(1).collect();
         assert!(examples.len() >= 3);
@@ -463,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_name_the_line_or_the_field() {
+    fn cell_faults_name_line_or_field() {
         for (text, said) in [
             ("[controller]\nperiod = 1", "invalid type"),
             ("[controller]\nperiod = \"1\"", "is no duration"),

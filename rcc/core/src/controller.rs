@@ -1,25 +1,25 @@
-//! The controller: what programs can ask of it, and the desk between them and the net thread. All
-//! calls may block for a cycle or two; none is made in a real-time thread.
+//! The controller: its programming interface, and the registry between programs and the net threads. All
+//! calls may block for one or two cycles; real-time threads make none of them.
 
+mod admission;
 mod clock;
-mod closing;
 mod condition;
-mod departed;
-mod desk;
 mod devices;
+mod driver_log;
 mod eval;
 mod events;
 mod faults;
 mod figures;
-mod inter;
 mod limited;
+mod links;
 mod load;
 mod net;
-mod news;
-mod outlook;
+mod quota;
+mod registry;
 mod reload;
+mod retained;
 mod rules;
-mod share;
+mod shutdown;
 mod threads;
 
 use std::collections::BTreeMap;
@@ -27,7 +27,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use takt_net::{Limits, Registry, Rejection};
+use takt_net::{Limits, Rejection};
 
 use crate::cell::{CellConfig, OnLoss};
 use crate::device::DeviceStatus;
@@ -37,29 +37,29 @@ use crate::executor::thread::Command;
 use crate::record::{Recorder, RecordingEvent, Tap};
 use crate::stop_channel::StopSwitch;
 use clock::FollowedClock;
-use desk::{Desk, Session};
 use net::Net;
-use share::{MemoryReturn, Room};
+use quota::{MemoryReturn, Quota};
+use registry::{Registry, Session};
 
 pub use crate::executor::{figures::NetCounts, rules::RuleState};
 pub use crate::ids::{NetId, NetState, SessionId};
 pub use clock::ClockInfo;
-pub use departed::Departed;
 pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};
 pub use faults::{DeviceFault, FaultCounts, StallCause, StallFigures};
 pub use figures::{NetFigures, ThreadInfo};
-pub use inter::{LOOK_LASTS, LOOKS_MAX, TapRecord, Taps};
 pub use limited::LimitedInfo;
+pub use links::{RECORDED_NETS_MAX, TAPS_RECORDED_FOR, TapRecord, Taps};
 pub use load::LoadRequest;
+pub use retained::RetainedNet;
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 
-/// Nets that may be loaded at once.
+/// Maximum number of loaded nets.
 pub const NETS_MAX: usize = 1024;
-/// Sessions that may be open at once.
+/// Maximum number of open sessions.
 pub const SESSIONS_MAX: usize = 256;
-/// Why a net is over that was aborted too early.
+/// Reason reported for a net that was aborted before it started.
 const NEVER_RAN: &str = "aborted before it ran";
-/// How long the net thread may take to answer.
+/// Time within which a net thread must answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
 /// A net as programs see it.
@@ -67,17 +67,17 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 pub struct NetInfo {
     /// Its identifier.
     pub id: NetId,
-    /// What it is, for people.
+    /// Description for users.
     pub description: String,
-    /// Session it belongs to.
+    /// Session that it belongs to.
     pub session: SessionId,
     /// Its text.
     pub text: Arc<str>,
-    /// All states it has been in, in order; the last is the present one.
+    /// All its states in order; the last is the present one.
     pub states: Vec<NetState>,
-    /// What is wrong with it, if it was rejected.
+    /// Faults for which it was rejected.
     pub rejection: Option<Arc<Rejection>>,
-    /// Why it ended, if not by itself.
+    /// Reason of its end, unless it terminated by itself.
     pub end: Option<String>,
 }
 
@@ -116,14 +116,14 @@ impl Drop for Watch {
     }
 }
 
-/// A running controller. Clones are handles of the same one; the last one dropped ends it.
+/// A running controller. Clones are handles of the same controller; dropping the last one stops it.
 #[derive(Clone, Debug)]
 pub struct Controller {
     inner: Arc<Inner>,
     _life: Arc<Life>,
 }
 
-/// Ends the threads when the last handle is dropped.
+/// Stops the threads when the last handle is dropped.
 #[derive(Debug)]
 struct Life {
     inner: Arc<Inner>,
@@ -139,7 +139,7 @@ impl Drop for Life {
             .unwrap_or_else(PoisonError::into_inner)
             .take();
         if supervisor.is_some_and(|thread| thread.join().is_err()) {
-            tracing::error!("the supervisor had ended by a panic");
+            tracing::error!("the supervisor panicked");
         }
         self.inner.lock().stop();
     }
@@ -147,26 +147,26 @@ impl Drop for Life {
 
 #[derive(Debug)]
 struct Inner {
-    desk: Mutex<Desk>,
-    /// Signalled after every change of the desk.
+    registry: Mutex<Registry>,
+    /// Signalled after every change of the registry.
     changed: Condvar,
     stop: AtomicBool,
-    registry: Registry,
+    primitives: takt_net::Registry,
     period: Duration,
 }
 
 impl Inner {
-    /// The desk, up to date with what the net threads have told.
-    fn lock(&self) -> MutexGuard<'_, Desk> {
-        let mut desk = self.desk.lock().unwrap_or_else(PoisonError::into_inner);
-        desk.unannounced |= desk.take_events();
-        desk
+    /// Locks the registry after all events of the net threads were taken.
+    fn lock(&self) -> MutexGuard<'_, Registry> {
+        let mut registry = self.registry.lock().unwrap_or_else(PoisonError::into_inner);
+        registry.unannounced |= registry.take_events();
+        registry
     }
 
-    /// Wakes those who wait for a change and those who watch.
-    fn announce(&self, desk: &Desk) {
+    /// Wakes waiting callers and watchers.
+    fn announce(&self, registry: &Registry) {
         self.changed.notify_all();
-        for watch in desk.watches.values() {
+        for watch in registry.watches.values() {
             watch();
         }
     }
@@ -174,30 +174,30 @@ impl Inner {
     /// Waits for a thread's answer.
     fn wait_for<T>(
         &self,
-        desk: MutexGuard<'_, Desk>,
-        done: impl FnMut(&mut Desk) -> Option<T>,
+        registry: MutexGuard<'_, Registry>,
+        done: impl FnMut(&mut Registry) -> Option<T>,
     ) -> Result<T, Error> {
-        self.wait_within(desk, ANSWER_WITHIN, done)
+        self.wait_within(registry, ANSWER_WITHIN, done)
     }
 
-    /// Waits until `done` says so or the time is up.
+    /// Waits until `done` returns a value or the timeout expires.
     fn wait_within<T>(
         &self,
-        mut desk: MutexGuard<'_, Desk>,
+        mut registry: MutexGuard<'_, Registry>,
         within: Duration,
-        mut done: impl FnMut(&mut Desk) -> Option<T>,
+        mut done: impl FnMut(&mut Registry) -> Option<T>,
     ) -> Result<T, Error> {
         let until = std::time::Instant::now() + within;
         loop {
-            if let Some(result) = done(&mut desk) {
+            if let Some(result) = done(&mut registry) {
                 return Ok(result);
             }
             let left = until.saturating_duration_since(std::time::Instant::now());
             if left.is_zero() {
                 return Err(Error::NoAnswer(within));
             }
-            let waited = self.changed.wait_timeout(desk, left);
-            desk = waited.unwrap_or_else(PoisonError::into_inner).0;
+            let waited = self.changed.wait_timeout(registry, left);
+            registry = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 }
@@ -206,7 +206,7 @@ impl Controller {
     /// Starts the threads of a cell.
     ///
     /// # Errors
-    /// If the cell makes no sense, a device cannot be opened or a thread not be started.
+    /// If the cell is invalid, or a device or a thread cannot be started.
     pub fn start(cell: &CellConfig) -> Result<Self, Error> {
         Self::start_recording(cell, None)
     }
@@ -214,7 +214,7 @@ impl Controller {
     /// Starts the threads of a cell and records the first net thread.
     ///
     /// # Errors
-    /// If the cell makes no sense, a device cannot be opened or a thread not be started.
+    /// If the cell is invalid, or a device or a thread cannot be started.
     pub fn start_recording(
         cell: &CellConfig,
         recording: Option<(Recorder, Tap)>,
@@ -222,10 +222,10 @@ impl Controller {
         Self::start_under(cell, recording, StopSwitch::default())
     }
 
-    /// The same under a switch that is there before: a stop channel serves it whatever happens here.
+    /// As [`Self::start_recording`], under an existing switch, which a stop channel serves independently.
     ///
     /// # Errors
-    /// If the cell makes no sense, a device cannot be opened or a thread not be started.
+    /// If the cell is invalid, or a device or a thread cannot be started.
     pub fn start_under(
         cell: &CellConfig,
         recording: Option<(Recorder, Tap)>,
@@ -236,22 +236,22 @@ impl Controller {
         let clock = FollowedClock::of(cell);
         let stop = Arc::new(EmergencyStop::under(cell.controller.need_estop, switch));
         let threads = threads::start(cell, clock.as_ref(), &stop, tap)?;
-        let room = Room::of_mib(cell.controller.nets_memory_mib);
-        let mut desk = Desk::new(threads, clock, stop, recorder, room);
+        let room = Quota::of_mib(cell.controller.nets_memory_mib);
+        let mut registry = Registry::new(threads, clock, stop, recorder, room);
         for device in &cell.devices {
-            desk.add_of_cell(device)?;
+            registry.add_of_cell(device)?;
         }
         for segment in &cell.ethercat {
-            desk.add_segment(segment)?;
+            registry.add_segment(segment)?;
         }
         for network in &cell.canopen {
-            desk.add_network(network)?;
+            registry.add_network(network)?;
         }
         let inner = Arc::new(Inner {
-            desk: Mutex::new(desk),
+            registry: Mutex::new(registry),
             changed: Condvar::new(),
             stop: AtomicBool::new(false),
-            registry: crate::costs::registry(cell.controller.costs.as_deref())?,
+            primitives: crate::costs::registry(cell.controller.costs.as_deref())?,
             period: cell.controller.period,
         });
         let supervised = Arc::clone(&inner);
@@ -278,8 +278,8 @@ impl Controller {
         self.open_session_with(description, OnLoss::Keep)
     }
 
-    /// The same, saying what becomes of its nets when the connection that opens it is lost; to watch
-    /// the connection is the caller's part.
+    /// As [`Self::open_session`], with what happens to its nets when its connection is lost. The caller
+    /// monitors the connection.
     ///
     /// # Errors
     /// If too many are open.
@@ -288,16 +288,16 @@ impl Controller {
         description: &str,
         on_loss: OnLoss,
     ) -> Result<SessionId, Error> {
-        let mut desk = self.inner.lock();
-        if desk.sessions.len() >= SESSIONS_MAX {
+        let mut registry = self.inner.lock();
+        if registry.sessions.len() >= SESSIONS_MAX {
             return Err(Error::TooMany {
                 what: "open sessions",
                 bound: SESSIONS_MAX,
             });
         }
-        desk.last_session += 1;
-        let id = SessionId(desk.last_session);
-        desk.sessions.insert(
+        registry.last_session += 1;
+        let id = SessionId(registry.last_session);
+        registry.sessions.insert(
             id,
             Session {
                 description: description.to_owned(),
@@ -307,19 +307,19 @@ impl Controller {
         Ok(id)
     }
 
-    /// What becomes of the nets of a session whose connection is lost; `None` if there is none.
+    /// What happens to the nets of a session whose connection is lost; `None` if there is no such session.
     #[must_use]
     pub fn session_on_loss(&self, id: SessionId) -> Option<OnLoss> {
         Some(self.inner.lock().sessions.get(&id)?.on_loss)
     }
 
-    /// Describes a session anew.
+    /// Replaces the description of a session.
     ///
     /// # Errors
     /// If there is no such session.
     pub fn describe_session(&self, id: SessionId, description: &str) -> Result<(), Error> {
-        let mut desk = self.inner.lock();
-        let session = desk.sessions.get_mut(&id);
+        let mut registry = self.inner.lock();
+        let session = registry.sessions.get_mut(&id);
         let session = session.ok_or_else(|| Error::NoSuchSession(id.to_string()))?;
         description.clone_into(&mut session.description);
         Ok(())
@@ -328,67 +328,68 @@ impl Controller {
     /// The nets of a session; `None` if there is no such session.
     #[must_use]
     pub fn session_nets(&self, id: SessionId) -> Option<Vec<NetId>> {
-        let desk = self.inner.lock();
-        if id != SessionId::NONE && !desk.sessions.contains_key(&id) {
+        let registry = self.inner.lock();
+        if id != SessionId::NONE && !registry.sessions.contains_key(&id) {
             return None;
         }
-        let of_session = desk.nets.iter().filter(|(_, net)| net.session == id);
+        let of_session = registry.nets.iter().filter(|(_, net)| net.session == id);
         Some(of_session.map(|(id, _)| *id).collect())
     }
 
     /// Starts a net and waits until it runs.
     ///
     /// # Errors
-    /// If it is not ready, what it needs is in use, or a device it commands does not follow.
+    /// If it is not ready, a resource is in use, or a device that it commands is not operational.
     pub fn start_net(&self, id: NetId) -> Result<(), Error> {
-        let mut desk = self.inner.lock();
-        desk.begin(id)?;
-        self.inner.wait_for(desk, |desk| desk.begun(id))?
+        let mut registry = self.inner.lock();
+        registry.begin(id)?;
+        self.inner
+            .wait_for(registry, |registry| registry.begun(id))?
     }
 
-    /// Asks a running net to come to its end by itself; without effect on any other.
+    /// Requests a running net to end by itself; other nets are not affected.
     ///
     /// # Errors
     /// If there is no such net.
     pub fn cancel(&self, id: NetId) -> Result<(), Error> {
-        let mut desk = self.inner.lock();
-        if desk.net(id)?.state() == NetState::Running {
-            desk.command(Command::Cancel(id.0))?;
+        let mut registry = self.inner.lock();
+        if registry.net(id)?.state() == NetState::Running {
+            registry.command(Command::Cancel(id.0))?;
         }
         Ok(())
     }
 
-    /// Ends a net at once, whatever it does, and waits for that.
+    /// Ends a net immediately and waits until it has ended.
     ///
     /// # Errors
     /// If there is no such net or the net thread does not answer.
     pub fn abort(&self, id: NetId) -> Result<(), Error> {
-        let mut desk = self.inner.lock();
-        match desk.net(id)?.state() {
+        let mut registry = self.inner.lock();
+        match registry.net(id)?.state() {
             NetState::Loading | NetState::Rejected | NetState::Terminated | NetState::Unloaded => {
                 return Ok(());
             }
             NetState::Ready | NetState::Scheduled => {
-                if desk.give_up(id)? {
-                    self.inner.announce(&desk);
+                if registry.give_up(id)? {
+                    self.inner.announce(&registry);
                     return Ok(());
                 }
             }
             NetState::Running | NetState::Cancelling => {}
         }
-        // One that is away may have started meanwhile.
-        desk.command(Command::Abort(id.0))?;
+        // A net held by its thread may have started meanwhile.
+        registry.command(Command::Abort(id.0))?;
         let mut seen_running = false;
-        self.inner.wait_for(desk, |desk| {
-            let Some(net) = desk.nets.get_mut(&id) else {
-                // Somebody unloaded it meanwhile.
+        self.inner.wait_for(registry, |registry| {
+            let Some(net) = registry.nets.get_mut(&id) else {
+                // Another client unloaded it meanwhile.
                 return Some(());
             };
             match net.state() {
                 NetState::Running | NetState::Cancelling => {
-                    // It may have started only now: a start that crossed the way of a rule is sent again.
+                    // It may have started only now: a start that raced with a rule is sent again.
                     if !std::mem::replace(&mut seen_running, true) {
-                        desk.command(Command::Abort(id.0)).ok();
+                        registry.command(Command::Abort(id.0)).ok();
                     }
                     None
                 }
@@ -405,13 +406,13 @@ impl Controller {
         })
     }
 
-    /// Forgets a net that does not run; one that runs is left alone.
+    /// Unloads a net that does not run; a running net is not affected.
     ///
     /// # Errors
-    /// If there is no such net, or it was asked to cancel and still runs.
+    /// If there is no such net, or its cancel is still pending.
     pub fn unload(&self, id: NetId) -> Result<(), Error> {
-        let mut desk = self.inner.lock();
-        match desk.net(id)?.state() {
+        let mut registry = self.inner.lock();
+        match registry.net(id)?.state() {
             NetState::Running => return Ok(()),
             state @ (NetState::Cancelling | NetState::Loading) => {
                 let what = "wait until it has ended, or abort it";
@@ -427,20 +428,20 @@ impl Controller {
             | NetState::Terminated
             | NetState::Unloaded => {}
         }
-        if desk.net(id)?.is_away() {
-            // Or it would run without anybody who knows it.
-            drop(desk);
+        if registry.net(id)?.is_away() {
+            // Otherwise it would run unknown to all clients.
+            drop(registry);
             self.abort(id)?;
-            desk = self.inner.lock();
+            registry = self.inner.lock();
         }
-        desk.withdraw(id)?;
-        let mut net = desk.nets.remove(&id);
+        registry.withdraw(id)?;
+        let mut net = registry.nets.remove(&id);
         if let Some(net) = &mut net {
-            desk.remember(id, net);
+            registry.remember(id, net);
         }
-        self.inner.announce(&desk);
-        drop(desk);
-        // A large net takes its time to be freed; nobody need wait for it.
+        self.inner.announce(&registry);
+        drop(registry);
+        // Freeing a large net takes long; do it without the lock.
         drop(net);
         Ok(())
     }
@@ -460,14 +461,15 @@ impl Controller {
     /// Sessions that are open, with their descriptions.
     #[must_use]
     pub fn sessions(&self) -> Vec<(SessionId, String)> {
-        let desk = self.inner.lock();
-        desk.sessions
+        let registry = self.inner.lock();
+        registry
+            .sessions
             .iter()
             .map(|(id, s)| (*id, s.description.clone()))
             .collect()
     }
 
-    /// Values that a net gives out: those reported and ever non-null, as key and text.
+    /// Out values of a net that were reported and non-null at least once, as key and text.
     #[must_use]
     pub fn out_values(&self, id: NetId) -> Vec<(String, String)> {
         self.inner
@@ -478,17 +480,21 @@ impl Controller {
             .unwrap_or_default()
     }
 
-    /// Values that a net takes in as they were last written, as key and text.
+    /// In values of a net as last written, as key and text.
     #[must_use]
     pub fn in_values(&self, id: NetId) -> Vec<(String, String)> {
-        let desk = self.inner.lock();
-        desk.nets.get(&id).map(Net::in_values).unwrap_or_default()
+        let registry = self.inner.lock();
+        registry
+            .nets
+            .get(&id)
+            .map(Net::in_values)
+            .unwrap_or_default()
     }
 
-    /// Writes a value that a net takes in; returns whether it has one of that key.
+    /// Writes an in value of a net; returns whether the key exists.
     ///
     /// # Errors
-    /// If there is no such net, or the text is no such value.
+    /// If there is no such net, or the text is not a value of that type.
     pub fn write_in(&self, id: NetId, key: &str, text: &str) -> Result<bool, Error> {
         self.inner.lock().net(id)?.write_in(id, key, text)
     }
@@ -500,12 +506,12 @@ impl Controller {
     }
 
     /// Calls `wake` after each change of nets, sessions or devices, from a thread of the
-    /// controller; it must not call the controller. Not for values that nets give out.
+    /// controller; `wake` must not call the controller. Changes of out values do not call it.
     pub fn on_change(&self, wake: impl Fn() + Send + Sync + 'static) -> Watch {
-        let mut desk = self.inner.lock();
-        desk.last_watch += 1;
-        let number = desk.last_watch;
-        desk.watches.insert(number, Box::new(wake));
+        let mut registry = self.inner.lock();
+        registry.last_watch += 1;
+        let number = registry.last_watch;
+        registry.watches.insert(number, Box::new(wake));
         Watch {
             inner: Arc::clone(&self.inner),
             number,
@@ -518,7 +524,7 @@ impl Controller {
         self.inner.lock().stop.switch().clone()
     }
 
-    /// Time from one cycle of the first net thread to the next.
+    /// Period of the first net thread.
     #[must_use]
     pub fn period(&self) -> Duration {
         self.inner.period
@@ -534,7 +540,7 @@ impl Controller {
     }
 }
 
-/// Bounds on a net of that period: its cycles may cost four fifths of it.
+/// Limits for a net of that period: its cost bound is four fifths of the period.
 #[must_use]
 pub fn limits_for(period: Duration) -> Limits {
     Limits {
@@ -543,26 +549,26 @@ pub fn limits_for(period: Duration) -> Limits {
     }
 }
 
-/// How often the supervisor looks at what the net thread tells.
+/// Interval at which the supervisor polls the net threads.
 const SUPERVISION: Duration = Duration::from_millis(2);
 
-/// Carries what the net threads tell to the desk, and notes changes of devices.
+/// Applies the events of the net threads to the registry, and detects changes of devices.
 fn supervise(inner: &Inner) {
     let mut memory_return = MemoryReturn::default();
     while !inner.stop.load(Ordering::Relaxed) {
-        let mut desk = inner.lock();
-        desk.forget_departed();
-        desk.drain_taps();
-        let told = std::mem::take(&mut desk.unannounced);
-        let moved = desk.look_at_devices();
-        if told || moved {
-            inner.announce(&desk);
+        let mut registry = inner.lock();
+        registry.drop_expired();
+        registry.drain_taps();
+        let has_events = std::mem::take(&mut registry.unannounced);
+        let moved = registry.poll_devices();
+        if has_events || moved {
+            inner.announce(&registry);
         }
         let now = std::time::Instant::now();
-        let recording = desk.recorder.as_mut().and_then(|it| it.poll_event(now));
-        let news = desk.take_news(now);
-        let returns = memory_return.is_due(now) && memory_return.check(desk.memory_taken());
-        drop(desk);
+        let recording = registry.recorder.as_mut().and_then(|it| it.poll_event(now));
+        let news = registry.take_notices(now);
+        let returns = memory_return.is_due(now) && memory_return.check(registry.memory_taken());
+        drop(registry);
         if returns {
             takt_rt::host::return_memory();
         }
@@ -578,7 +584,7 @@ fn supervise(inner: &Inner) {
             None => {}
         }
         for (driver, notice) in news {
-            news::report(&driver, &notice);
+            driver_log::report(&driver, &notice);
         }
         std::thread::sleep(SUPERVISION);
     }

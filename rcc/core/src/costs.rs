@@ -1,5 +1,5 @@
-//! Cost tables: what each primitive costs on a host, as `takt net calibrate` measured it, in a TOML file.
-//! The controller refuses nets by it. Measuring is not done here.
+//! Cost tables: the cost of each primitive on a host, measured by `takt net calibrate`, in a TOML file.
+//! The controller uses it for admission control. The measurement is in the tools.
 //!
 //! ```toml
 //! version = 1
@@ -22,12 +22,12 @@ use takt_net::{Cost, Registry};
 use crate::error::Error;
 use crate::files;
 
-/// Version of the format that is written, and the only one that is read.
+/// Version of the format, written and required when reading.
 const VERSION: u32 = 1;
-/// Largest figure that is taken, ns: a primitive that takes a second is a slip of the pen.
+/// Maximum accepted cost, ns: a primitive that takes a second is a typing error.
 const LARGEST_NS: f64 = 1e9;
 
-/// What primitives cost on a host.
+/// Costs of primitives on a host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CostTable {
@@ -35,7 +35,7 @@ pub struct CostTable {
     version: u32,
     /// Name of the host.
     pub host: String,
-    /// Model of its processor. The table counts on no other.
+    /// Model of its processor. The table is valid only for it.
     pub cpu: String,
     /// Release of its kernel.
     pub kernel: String,
@@ -78,7 +78,7 @@ impl CostTable {
     /// Reads a file.
     ///
     /// # Errors
-    /// If it cannot be read, is no such table or of another version, or a figure is none.
+    /// If it cannot be read, is not a table of this version, or a cost is invalid.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = files::read_text(path, files::TEXT_BYTES_MAX).map_err(|source| Error::File {
             path: path.to_owned(),
@@ -95,7 +95,7 @@ impl CostTable {
         struct Versioned {
             version: u32,
         }
-        // First of all, since another version may have other fields.
+        // First, because another version may have other fields.
         let Versioned { version } = toml::from_str(text).map_err(|e| e.to_string())?;
         if version != VERSION {
             return Err(format!(
@@ -131,7 +131,7 @@ impl CostTable {
             date,
             primitives,
         } = self;
-        // A line for each primitive, where the serializer would write a section of five.
+        // One line per primitive, where the serializer would write a section of five.
         let quoted = |text: &str| toml::Value::from(text).to_string();
         let [host, cpu, kernel, date] = [host, cpu, kernel, date].map(|text| quoted(text));
         let mut text = format!(
@@ -168,7 +168,7 @@ impl CostTable {
     /// Whether it was measured on a processor like that of this host.
     ///
     /// # Errors
-    /// If not; the text says so.
+    /// If not.
     pub fn check_host(&self) -> Result<(), String> {
         let here = this_cpu();
         if self.cpu == here {
@@ -182,10 +182,10 @@ impl CostTable {
     }
 }
 
-/// All primitives a controller knows, with what they cost by the table at `path`, if one is given.
+/// All primitives of a controller, with their costs from the table at `path`, if given.
 ///
 /// # Errors
-/// If the table cannot be read or is that of another processor: nets that fit there may not fit here.
+/// If the table cannot be read or belongs to another processor: its costs are not valid here.
 pub(crate) fn registry(path: Option<&Path>) -> Result<Registry, Error> {
     let mut registry = crate::registry();
     let Some(path) = path else {
@@ -212,7 +212,7 @@ fn this_cpu() -> String {
     cpu_in(&info)
 }
 
-/// The model in the text of `/proc/cpuinfo`. Architectures that name none have numbers for it.
+/// The model in the text of `/proc/cpuinfo`. Some architectures have numbers instead of names.
 fn cpu_in(info: &str) -> String {
     let field = |name: &str| {
         let mut fields = info.lines().filter_map(|line| line.split_once(':'));
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_changes_what_nets_cost_and_leaves_what_it_does_not_name() {
+    fn cost_table_replaces_only_named_costs() {
         let mut registry = crate::registry();
         let declared = registry.find("Core::DoubleMultiply").unwrap().cost;
         assert_eq!(registry.set_costs(table().costs()), ["Core::Nothing"]);
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_table_of_this_processor_is_taken() {
+    fn cost_table_of_other_processor_is_rejected() {
         let here = table();
         assert_eq!(here.check_host(), Ok(()));
         let other = CostTable {
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_name_the_field() {
+    fn cost_table_faults_name_the_field() {
         let good = table().text();
         for (was, is, said) in [
             ("version = 1", "version = 2", "has version 2"),
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn processors_have_names_or_numbers() {
+    fn cpuinfo_gives_name_or_number() {
         for (info, cpu) in [
             (
                 "processor\t: 0\nmodel name\t: A B\nmodel name\t: C\n",

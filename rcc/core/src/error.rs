@@ -1,34 +1,32 @@
-//! What the controller can be asked in vain. A net that is rejected and a device that fails are
+//! Errors of calls to the controller. A rejected net and a device fault are
 //! values, not errors of this kind.
 
 use std::path::PathBuf;
 
 use crate::ids::{NetId, NetState};
 
-/// Why the controller could not do what it was asked.
+/// An error of a call to the controller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 #[expect(missing_docs, reason = "each field is named in its variant's text")]
 #[expect(
     clippy::error_impl_error,
-    reason = "one error type per crate bears this name"
+    reason = "one error type per crate has this name"
 )]
 pub enum Error {
-    /// Two devices of one name.
-    #[error("device `{name}` is there already; give each device its own name")]
+    /// Two devices with one name.
+    #[error("device `{name}` exists already; give each device its own name")]
     DeviceTwice { name: String },
-    /// No room for the joints of an arm.
-    #[error("no room for the joints of `{name}`: at most {bound} in all and 8 in one arm")]
+    /// The capacity for joints is exhausted.
+    #[error("too many joints with `{name}`: at most {bound} in all and 8 in one arm")]
     TooManyJoints { name: String, bound: usize },
-    /// No room for the values of a device.
-    #[error(
-        "no room for the values of `{name}`: all devices together have {bound} words of each kind"
-    )]
+    /// The capacity for device values is exhausted.
+    #[error("too many values with `{name}`: all devices together have {bound} words of each kind")]
     TooManyValues { name: String, bound: usize },
-    /// A device cannot be made as asked for.
+    /// A device cannot be created as requested.
     #[error("device `{name}`: {what}")]
     DeviceParameter { name: String, what: String },
-    /// No device of that name.
+    /// No device has this name.
     #[error("there is no device `{0}`")]
     NoSuchDevice(String),
     /// A device that nets use cannot be removed.
@@ -40,26 +38,28 @@ pub enum Error {
     /// No session has this number.
     #[error("there is no session {0}")]
     NoSuchSession(String),
-    /// The net is not in a state from which this can be done.
+    /// The net is in the wrong state for the request.
     #[error("net {net} is {state}; {what}")]
     WrongState {
         net: NetId,
         state: NetState,
         what: &'static str,
     },
-    /// Something the net needs is in use.
+    /// A resource of the net is in use.
     #[error("net {net} needs {resource}, which another running net holds; end that net first")]
     ResourceInUse { net: NetId, resource: String },
-    /// Something the net needs is kept for a net that is scheduled.
-    #[error("net {net} needs {resource}, which is kept for a scheduled net; abort that one first")]
-    ResourceKept { net: NetId, resource: String },
-    /// What a scheduled net needs cannot be kept for it.
+    /// A resource of the net is reserved for a scheduled net.
     #[error(
-        "{resource} cannot be kept for the nets to be started: it is in use by a net that the rule \
-         does not follow, kept for another rule, or wanted twice"
+        "net {net} needs {resource}, which is reserved for a scheduled net; abort that one first"
+    )]
+    ResourceKept { net: NetId, resource: String },
+    /// A resource cannot be reserved for a scheduled net.
+    #[error(
+        "{resource} cannot be reserved for the nets to be started: it is in use by a net that the rule \
+         does not follow, reserved for another rule, or needed twice"
     )]
     NotSchedulable { resource: String },
-    /// Nets of one thread would cost more in a cycle than they may.
+    /// The nets of one thread would exceed its budget.
     #[error(
         "net {net} costs up to {cost:?} a cycle, and {running:?} of the {budget:?} that nets of its thread \
          may cost together are taken: {heaviest}; end one of them, make them smaller, or load one for \
@@ -72,7 +72,7 @@ pub enum Error {
         budget: std::time::Duration,
         heaviest: String,
     },
-    /// A net would take the time that scheduled nets need.
+    /// A net would take cycle time reserved for scheduled nets.
     #[error(
         "net {net} costs up to {cost:?} a cycle: with what rules may start beside it, nets of its thread would \
          come to {most:?} together, and may cost {budget:?}; abort one of those that wait first: {waiting}"
@@ -84,7 +84,7 @@ pub enum Error {
         budget: std::time::Duration,
         waiting: String,
     },
-    /// Nets that a rule is to start would cost too much beside those that run on.
+    /// Nets that a rule starts would exceed the budget beside the nets that continue.
     #[error(
         "the nets to be started cost up to {started:?} a cycle: with what runs beside them or may be started \
          by other rules, nets of their thread would come to {most:?} together, and may cost {budget:?}. \
@@ -98,7 +98,7 @@ pub enum Error {
         running: String,
         waiting: String,
     },
-    /// A rule's condition is wrong.
+    /// A rule's condition is invalid.
     #[error("condition: {what}")]
     Condition { what: String },
     /// A device that the net commands does not follow commands.
@@ -108,17 +108,17 @@ pub enum Error {
         device: String,
         status: String,
     },
-    /// A text is no value of a net's in value.
+    /// A text is not a value of the in value's type.
     #[error("net {net}, value {key}: {what}")]
     Value {
         net: NetId,
         key: String,
         what: String,
     },
-    /// Bounds of the controller.
+    /// A limit of the controller is reached.
     #[error("{what}: at most {bound}; unload or end some first")]
     TooMany { what: &'static str, bound: usize },
-    /// The net thread did not take a command.
+    /// The net thread did not answer a command.
     #[error("the net thread did not answer within {0:?}; it hangs or starves (see `takt jitter`)")]
     NoAnswer(std::time::Duration),
     /// A stop is latched.
@@ -126,7 +126,7 @@ pub enum Error {
         "the controller is stopped, by {by}; release it with `takt stop --release`, then request again"
     )]
     Stopped { by: String },
-    /// The stop channel cannot be had.
+    /// The stop channel cannot be opened.
     #[error(
         "cannot open the stop channel at {what}: {source}; choose another `stop` or `stop_socket` under [controller]"
     )]
@@ -134,10 +134,10 @@ pub enum Error {
         what: String,
         source: std::io::Error,
     },
-    /// Nothing begins any more.
+    /// The controller is shutting down.
     #[error("the controller is stopping")]
     Closing,
-    /// A thread could not be made.
+    /// A thread could not be started.
     #[error("cannot start thread {name}: {source}")]
     Thread {
         name: String,
@@ -162,13 +162,13 @@ pub enum Error {
         path: PathBuf,
         source: std::io::Error,
     },
-    /// The configuration of a cell makes no sense.
+    /// The configuration of a cell is inconsistent.
     #[error("cell: {0}")]
     Cell(String),
-    /// A configuration is wrong.
+    /// A configuration file is invalid.
     #[error("{path}: {what}")]
     Config { path: PathBuf, what: String },
-    /// A recording is broken or of another kind.
+    /// A recording is damaged or of another kind.
     #[error("{path}: {what}")]
     Recording { path: PathBuf, what: String },
 }

@@ -1,4 +1,4 @@
-//! Evaluates the running nets of one thread, cycle by cycle: starts, cancels, ends, resources. It
+//! Evaluates the running nets of one thread, cycle by cycle, with their starts, cancels, ends and resources. It
 //! owns no thread and reads no clock, so that a recording replays through the very same code; the
 //! live thread around it is in [`thread`], and what happens between nets in [`rules`].
 
@@ -27,21 +27,21 @@ use figures::{NetCounters, RUNAWAY_AFTER};
 
 pub use resources::ResourceSet;
 
-/// Most nets that run in one thread.
+/// Maximum number of running nets of one thread.
 pub const RUNNING_MAX: usize = 256;
-/// Places of running nets: those that end leave theirs only after those that follow them have come.
-const PLACES: usize = 2 * RUNNING_MAX;
-/// Most devices that one thread serves.
+/// Slots of running nets: a net that ends keeps its slot until its successor has started.
+const BUCKETS: usize = 2 * RUNNING_MAX;
+/// Maximum number of devices of one thread.
 pub const DEVICES_MAX: usize = 64;
 
-/// A device as nets' life depends on it.
+/// The state of a device on which the life of nets depends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DeviceView {
     /// Whether it follows commands.
     pub status: DeviceStatus,
-    /// How often it ceased to.
+    /// How often it stopped following commands.
     pub faults: u64,
-    /// How often it stood elsewhere all of a sudden while it did: nets that run go on, those that wait do not begin.
+    /// Number of position jumps while it followed: running nets continue, waiting ones do not start.
     pub jumps: u64,
 }
 
@@ -66,7 +66,7 @@ pub enum End {
     Stopped,
     /// Its evaluation took longer than a period of its thread, [`RUNAWAY_AFTER`] times in a row.
     Runaway,
-    /// A device that it commands, by its number, ceased to follow commands.
+    /// A device that it commands, by its number, stopped following commands.
     DeviceFault(usize),
 }
 
@@ -79,71 +79,71 @@ pub enum Refusal {
     ResourceKept(usize),
     /// This device does not follow commands.
     DeviceNotReady(usize),
-    /// Together with those that run it would cost more in a cycle than nets may.
+    /// Together with the running nets it would exceed the thread's budget.
     Overload {
-        /// What those cost that run.
+        /// Cost of the running nets.
         running: Nanos,
-        /// What all may cost.
+        /// The budget.
         budget: Nanos,
     },
     /// Too many nets run.
     TooMany,
-    /// The controller is stopped, or was after this was requested.
+    /// The controller is stopped, or was stopped after the request.
     Halted,
 }
 
-/// What happened to a net in a cycle that neither the net nor the controller did.
+/// An event of a net in a cycle that was caused neither by the net nor by the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// It took too long too often, and ends with this cycle.
+    /// It exceeded its time too often and ends with this cycle.
     RanAway,
     /// It ends with this cycle.
     Stopped,
-    /// It is told to cancel from the next cycle on.
+    /// It receives a cancel from the next cycle on.
     Cancelled,
     /// It is evaluated from the next cycle on.
     Started,
 }
 
-/// A net in the hands of the thread that evaluates it.
+/// A net in the thread that evaluates it.
 #[derive(Debug)]
 pub struct Running {
     /// Its number.
     pub id: u32,
     /// The net.
     pub plan: Plan,
-    /// What it needs for itself.
+    /// Resources that it needs.
     pub resources: ResourceSet,
     /// Devices it commands, with the faults they had when it started; until then, with their epoch when it was scheduled.
     pub devices: Vec<(usize, u64)>,
-    /// It is evaluated in every so many cycles of its thread.
+    /// Its period in cycles of its thread.
     every: u64,
-    /// What a cycle of it costs at most by what its primitives declare.
+    /// Cost bound of one of its cycles, as declared by its primitives.
     pub cost: Nanos,
-    /// Under which stop of the controller its start was requested.
+    /// Stop generation under which its start was requested.
     pub requested: Generation,
-    /// Whether it was asked to cancel.
+    /// Whether its cancel was requested.
     pub cancel: bool,
     /// Whether a successor waits for it.
     pub takeover: bool,
     /// Whether a rule started it in this cycle.
     fresh: bool,
-    /// Whether a rule started it, and the controller was not told yet.
+    /// Whether a rule started it and the event was not sent yet.
     untold: bool,
-    /// Whether a rule asked it to cancel, and nobody was told yet.
+    /// Whether a rule cancelled it and the event was not sent yet.
     fresh_cancel: bool,
-    /// Whether a rule started it in place of another, and it was not evaluated yet.
+    /// Whether it took over from another net and was not evaluated yet.
     succeeds: bool,
-    /// Whether it ends after this cycle, and why.
+    /// The reason of its end after this cycle, if it ends.
     end: Option<End>,
-    /// Whether what it commanded is withdrawn, or about to be.
+    /// Whether its commands are withdrawn, or about to be.
     leaves: bool,
     /// Whether it was evaluated in this cycle.
     evaluated: bool,
-    /// The group of `every` cycles in which it was last looked at.
+    /// The group of `every` cycles in which it was last checked.
     last_group: Option<u64>,
     counters: Arc<NetCounters>,
-    /// The period of its thread, and what an evaluation may take of it.
+    /// Period of its thread, and the budget of an evaluation.
     period: Nanos,
     budget: Nanos,
     /// Evaluations in a row that took longer than `period`.
@@ -151,7 +151,7 @@ pub struct Running {
     out: LatestWriter<Box<[u64]>>,
     inbox: LatestReader<Box<[u64]>>,
     inbox_seen: u64,
-    /// What it exchanges with other nets and those who look into it.
+    /// Its exchange with other nets and with tap recordings.
     pub links: links::Links,
 }
 
@@ -196,15 +196,15 @@ impl Running {
         }
     }
 
-    /// Has it evaluated in every so many cycles of its thread, whose own period bounds what each may take.
+    /// Sets its period in cycles of its thread; the thread's own period limits the duration of each evaluation.
     pub fn set_every(&mut self, every: u64) {
         self.every = every.max(1);
         let thread = self.plan.period() / u32::try_from(self.every).unwrap_or(u32::MAX);
         (self.period, self.budget) = (thread.into(), figures::budget(thread).into());
     }
 
-    /// Whether it is to be evaluated in this cycle: in the first of each group of `every`, or the
-    /// first of it that the thread did not miss.
+    /// Whether it is evaluated in this cycle: the first of each group of `every`, or the
+    /// first that the thread did not miss.
     fn is_due(&mut self, cycle: u64) -> bool {
         let group = cycle / self.every;
         match self.last_group.replace(group) {
@@ -213,18 +213,18 @@ impl Running {
         }
     }
 
-    /// Whether a rule started it and the controller was not told; from now on it was.
+    /// Returns and clears whether its start by a rule was not sent yet.
     const fn take_untold(&mut self) -> bool {
         std::mem::replace(&mut self.untold, false)
     }
 
-    /// Its figures, which go on being counted.
+    /// Its counters, which keep counting.
     #[must_use]
     pub const fn counters(&self) -> &Arc<NetCounters> {
         &self.counters
     }
 
-    /// Counts an evaluation; one that is too long too often ends the net.
+    /// Counts an evaluation; too many overlong ones in a row end the net.
     fn account(&mut self, took: Nanos) {
         self.counters.evaluated(took, self.budget);
         self.too_long = if took > self.period {
@@ -237,8 +237,8 @@ impl Running {
         }
     }
 
-    /// Takes over what programs and other nets wrote since the last cycle; returns whether there was
-    /// anything.
+    /// Applies values that programs and other nets wrote since the last cycle; returns whether there were
+    /// any.
     pub fn receive(&mut self) -> bool {
         let given = self.links.receive(&self.plan);
         let version = self.inbox.version();
@@ -251,7 +251,7 @@ impl Running {
         true
     }
 
-    /// Hands over what programs may read if it changed; returns whether it did.
+    /// Publishes its out values if they changed; returns whether they did.
     fn publish(&mut self) -> bool {
         let changed = self.plan.take_changed();
         if changed {
@@ -265,25 +265,25 @@ impl Running {
 /// The running nets of one thread and the devices they see.
 #[expect(
     clippy::vec_box,
-    reason = "nets come and go as boxes; a cycle neither makes nor frees any"
+    reason = "nets move in and out as boxes; a cycle neither allocates nor frees any"
 )]
 #[derive(Debug)]
 pub struct Executor {
-    /// Devices as the nets see them.
+    /// Image of the devices as nets see them.
     pub image: Image,
-    /// Devices as their lives depend on them.
+    /// Device states on which the life of nets depends.
     pub devices: Vec<DeviceView>,
     running: Vec<Box<Running>>,
     rules: rules::Rules,
-    /// By device: how often its faults changed, or it began to follow commands.
+    /// Epoch of each device: advances with faults, jumps, and each enable.
     epochs: Vec<u64>,
     /// Whether an epoch changed since scheduled nets were checked.
     epochs_changed: bool,
-    /// What the nets that run may cost together in a cycle, by what they declare.
+    /// Budget of the running nets per cycle, by declared cost.
     budget: Nanos,
-    /// How many joints of the image belong to a device.
+    /// Joints of the image in use.
     joints: usize,
-    /// How many words of the image do.
+    /// Words of the image in use.
     used: Layout,
     /// Commands of devices that came into use before this cycle, to be recorded.
     fresh: Vec<Range<usize>>,
@@ -295,7 +295,7 @@ impl Default for Executor {
         Self {
             image: Image::default(),
             devices: Vec::with_capacity(DEVICES_MAX),
-            running: Vec::with_capacity(PLACES),
+            running: Vec::with_capacity(BUCKETS),
             rules: rules::Rules::new(),
             epochs: vec![0; DEVICES_MAX],
             epochs_changed: false,
@@ -309,8 +309,8 @@ impl Default for Executor {
 }
 
 impl Executor {
-    /// One whose nets may cost so much together in a cycle, by what they declare; [`Self::default`] has
-    /// no bound.
+    /// An executor with this budget per cycle, by declared cost; [`Self::default`] has
+    /// no limit.
     #[must_use]
     pub fn within(budget: Nanos) -> Self {
         Self {
@@ -319,18 +319,18 @@ impl Executor {
         }
     }
 
-    /// How much rules look at in a cycle, at most [`rules::WORK_MAX`].
+    /// Work of the rules per cycle, at most [`rules::WORK_MAX`].
     #[must_use]
     pub const fn rule_work(&self) -> usize {
         self.rules.work()
     }
 
-    /// Takes a net in. It is evaluated from the next [`Self::cycle`] on.
+    /// Starts a net. It is evaluated from the next [`Self::cycle`] on.
     ///
     /// # Errors
     /// If it cannot run now; the net comes back with the reason.
     pub fn start(&mut self, mut net: Box<Running>) -> Result<(), (Box<Running>, Refusal)> {
-        if !self.has_places(self.going_on().count(), 1) {
+        if !self.has_capacity(self.going_on().count(), 1) {
             return Err((net, Refusal::TooMany));
         }
         if let Some(refusal) = self.blocked(&net) {
@@ -348,7 +348,7 @@ impl Executor {
         Ok(())
     }
 
-    /// Asks a net to cancel; the next cycle tells it. Returns whether it runs.
+    /// Requests a net to cancel, from the next cycle on. Returns whether it runs.
     pub fn cancel(&mut self, id: u32) -> bool {
         self.find(id).is_some_and(|net| {
             net.cancel = true;
@@ -364,8 +364,8 @@ impl Executor {
         })
     }
 
-    /// Ends all nets before the next cycle, and the wait of all rules; calls `ended` with each net that ran. Scheduled
-    /// nets are given back when they are asked for.
+    /// Ends all nets before the next cycle and deactivates all rules; calls `ended` with each running net. Scheduled
+    /// nets are returned on request.
     pub fn halt(&mut self, mut ended: impl FnMut(u32)) {
         for net in self.running.iter_mut().filter(|net| net.end.is_none()) {
             net.end = Some(End::Halted);
@@ -380,12 +380,12 @@ impl Executor {
         nets.filter(|net| net.end.is_none())
     }
 
-    /// Whether so many nets more may run where so many go on.
-    fn has_places(&self, going_on: usize, more: usize) -> bool {
-        going_on + more <= RUNNING_MAX && self.running.len() + more <= PLACES
+    /// Whether `RUNNING_MAX` permits so many more nets beside so many.
+    fn has_capacity(&self, going_on: usize, more: usize) -> bool {
+        going_on + more <= RUNNING_MAX && self.running.len() + more <= BUCKETS
     }
 
-    /// What running nets hold.
+    /// Resources held by running nets.
     fn held(&self) -> ResourceSet {
         let mut held = ResourceSet::default();
         for net in &self.running {
@@ -394,14 +394,14 @@ impl Executor {
         held
     }
 
-    /// Takes in a net whose right to run was checked before. Until its first cycle it keeps up what nets commanded
+    /// Starts a net that was admitted before. Until its first cycle it keeps the commands of nets
     /// that end as it starts.
     pub fn start_by_rule(&mut self, mut net: Box<Running>) {
         net.succeeds = true;
         self.start_checked(net);
     }
 
-    /// Takes in a net whose right to run was checked before, and that takes nothing over.
+    /// Starts a net that was admitted before, without takeover.
     pub fn start_checked(&mut self, mut net: Box<Running>) {
         for device in &mut net.devices {
             device.1 = self.devices.get(device.0).map_or(0, |view| view.faults);
@@ -409,7 +409,7 @@ impl Executor {
         self.running.push(net);
     }
 
-    /// Says whether a successor waits for a net; returns whether that is new.
+    /// Sets whether a successor waits for a net; returns whether that changed.
     pub fn set_takeover(&mut self, id: u32, waits: bool) -> bool {
         self.find(id)
             .is_some_and(|net| std::mem::replace(&mut net.takeover, waits) != waits)
@@ -440,13 +440,13 @@ impl Executor {
         &mut self.running
     }
 
-    /// Evaluates one cycle of all nets. What they command is then in the image; what nets commanded that ended before
-    /// this cycle is not, unless others command it.
+    /// Evaluates one cycle of all nets. Their commands are then in the image; commands of nets that ended before
+    /// this cycle are not, unless others repeat them.
     pub fn cycle(&mut self, moment: Moment) {
         self.cycle_timed(moment, || Nanos::ZERO);
     }
 
-    /// The same, measuring how long each net takes by a clock that is read once a net.
+    /// As [`Self::cycle`], measuring the duration of each net by a clock that is read once per net.
     pub fn cycle_timed(&mut self, moment: Moment, mut clock: impl FnMut() -> Nanos) {
         self.fresh.clear();
         let mut before = clock();
@@ -481,14 +481,14 @@ impl Executor {
         self.withdraw_ended();
     }
 
-    /// Notes, with the nets that were evaluated, that the cycle ended too late.
+    /// Counts, for the nets that were evaluated, that the cycle ended too late.
     pub fn overran(&mut self) {
         for net in self.running.iter().filter(|net| net.evaluated) {
             net.counters.overran();
         }
     }
 
-    /// Hands over the values that programs read; calls `changed` with each net whose did.
+    /// Publishes out values to programs; calls `changed` with each net whose values changed.
     pub fn publish(&mut self, mut changed: impl FnMut(&Running)) {
         for net in &mut self.running {
             if net.evaluated && net.publish() {
@@ -497,36 +497,36 @@ impl Executor {
         }
     }
 
-    /// Tells what happened to nets that they did not do themselves: those that ran away, and those
-    /// that rules stopped, asked to cancel, and started.
-    pub fn effects(&mut self, mut tell: impl FnMut(u32, Effect)) {
+    /// Reports effects on nets that they did not cause: nets that overran, and nets
+    /// that rules stopped, cancelled or started.
+    pub fn effects(&mut self, mut report: impl FnMut(u32, Effect)) {
         for net in &mut self.running {
             if net.end == Some(End::Runaway) {
-                tell(net.id, Effect::RanAway);
+                report(net.id, Effect::RanAway);
             }
             if net.end == Some(End::Stopped) {
-                tell(net.id, Effect::Stopped);
+                report(net.id, Effect::Stopped);
             }
             if std::mem::take(&mut net.fresh_cancel) {
-                tell(net.id, Effect::Cancelled);
+                report(net.id, Effect::Cancelled);
             }
             if std::mem::take(&mut net.fresh) {
                 net.untold = true;
-                tell(net.id, Effect::Started);
+                report(net.id, Effect::Started);
             }
         }
     }
 
-    /// Tells which nets rules started since this was last called.
-    pub fn started(&mut self, mut tell: impl FnMut(u32)) {
+    /// Reports nets that rules started since the last call.
+    pub fn started(&mut self, mut report: impl FnMut(u32)) {
         for net in &mut self.running {
             if net.take_untold() {
-                tell(net.id);
+                report(net.id);
             }
         }
     }
 
-    /// Takes out one net that ended, if `take` accepts it; what it held is free then.
+    /// Removes one ended net, if `take` accepts it, and frees its resources.
     pub fn take_ended(
         &mut self,
         take: impl FnOnce(Box<Running>, End) -> Result<(), Box<Running>>,
@@ -540,7 +540,7 @@ impl Executor {
         match take(net, end) {
             Ok(()) => true,
             Err(net) => {
-                // Nobody has room for it now; it is offered again and is not evaluated meanwhile.
+                // It is not accepted now; it is offered again and is not evaluated meanwhile.
                 self.running.insert(at, net);
                 false
             }

@@ -1,17 +1,17 @@
-//! Reading files whose size nobody vouches for: each reader names what it takes at most, and what is longer or
-//! endless, as a device is, ends with a text rather than with this process's memory. It interprets nothing.
+//! Reading of files of unknown size: each reader passes a maximum, and a longer or
+//! endless file, such as a device, is an error instead of exhausting memory. It does not interpret the content.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Most bytes of a configuration, a table of costs or a data sheet.
+/// Maximum bytes of a configuration, a cost table or a data sheet.
 pub const TEXT_BYTES_MAX: u64 = 16 << 20;
 
-/// Most bytes of a recording or capture that is read as a whole.
+/// Maximum bytes of a recording or capture that is read as a whole.
 pub const RECORDING_BYTES_MAX: u64 = 4 << 30;
 
-/// Most bytes of what is no ordinary file, such as a pipe or a device: no size is known beforehand.
+/// Maximum bytes of a special file, such as a pipe or a device, whose size is not known in advance.
 const STREAM_BYTES_MAX: u64 = 64 << 20;
 
 /// Reads a whole file of at most `most` bytes.
@@ -33,22 +33,22 @@ pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 /// Reads a whole text of at most `most` bytes.
 ///
 /// # Errors
-/// If it cannot be read, is longer, is no UTF-8, or does not fit into memory.
+/// If it cannot be read, is longer, is not UTF-8, or does not fit into memory.
 pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
     text(read(path, most)?)
 }
 
-/// Reads what comes, a text of at most `most` bytes.
+/// Reads a stream of at most `most` bytes as text.
 ///
 /// # Errors
-/// If it cannot be read, is longer, is no UTF-8, or does not fit into memory.
+/// If it cannot be read, is longer, is not UTF-8, or does not fit into memory.
 pub fn text_of(from: impl Read, most: u64) -> io::Result<String> {
     text(bytes_of(from, most)?)
 }
 
 fn bytes_of(from: impl Read, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    // It reserves what it needs as it goes, and a lack of memory is an error.
+    // Memory is reserved step by step, and a lack of memory is an error.
     from.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most {
         return Err(too_long(most));
@@ -58,7 +58,7 @@ fn bytes_of(from: impl Read, most: u64) -> io::Result<Vec<u8>> {
 
 fn text(bytes: Vec<u8>) -> io::Result<String> {
     String::from_utf8(bytes)
-        .map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is no UTF-8 text"))
+        .map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8 text"))
 }
 
 fn too_long(most: u64) -> io::Error {
@@ -96,7 +96,7 @@ mod tests {
         let no_text = read_text(&path, 3).unwrap_err();
         std::fs::remove_file(&path).unwrap();
         assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
-        assert!(no_text.to_string().contains("no UTF-8"), "{no_text}");
+        assert!(no_text.to_string().contains("not UTF-8"), "{no_text}");
         assert_eq!(text_of(&b"abc"[..], 3).unwrap(), "abc");
         assert!(text_of(io::repeat(b'a'), 3).is_err());
     }

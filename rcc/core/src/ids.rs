@@ -1,4 +1,4 @@
-//! Identifiers and states of nets as they stand on the wire. Every module may use them; they use
+//! Identifiers and states of nets as encoded on the wire. Every module may use them; they use
 //! none.
 
 use std::fmt;
@@ -13,11 +13,11 @@ pub struct NetId(pub u32);
 pub struct SessionId(pub u32);
 
 impl SessionId {
-    /// What nets of no session belong to.
+    /// Session of nets without a session.
     pub const NONE: Self = Self(0);
 }
 
-/// The text is no such identifier.
+/// The text is not an identifier of this kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no such identifier")]
 pub struct NoId;
@@ -70,20 +70,20 @@ pub enum NetState {
     Rejected,
     /// It can be started.
     Ready,
-    /// It is to follow another.
+    /// A rule will start it.
     Scheduled,
     /// It is evaluated in every cycle.
     Running,
-    /// It was asked to cancel and is still evaluated.
+    /// Its cancel was requested and it is still evaluated.
     Cancelling,
-    /// It has ended and holds nothing any more.
+    /// It has ended and released its resources.
     Terminated,
-    /// It is gone.
+    /// It was removed.
     Unloaded,
 }
 
 impl NetState {
-    /// The word for it on the wire.
+    /// Its name on the wire.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {

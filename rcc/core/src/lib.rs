@@ -28,7 +28,7 @@ pub use takt_rt::stats::{Snapshot, Summary};
 
 use takt_net::Registry;
 
-/// All primitives a controller knows: those of the net language, of motions and of devices.
+/// All primitives of a controller: those of the net language, of motions and of devices.
 #[must_use]
 pub fn registry() -> Registry {
     let mut registry = Registry::core();

@@ -1,37 +1,37 @@
-//! How much memory this process may take, as its host limits it: address space (`ulimit -v`) and control groups
-//! of both versions. What is taken beyond ends the process, with robots moving, so nets are refused before.
-//! It reserves and frees nothing.
+//! Memory limits of this process, set by its host: address space (`ulimit -v`) and control groups
+//! of both versions. Exceeding them ends the process while robots move, so nets are rejected before.
+//! This module does not reserve or free memory.
 
 use std::path::Path;
 
 use crate::files;
 
-/// Most bytes read of a file of the kernel.
+/// Maximum bytes read of a kernel file.
 const BYTES_MAX: u64 = 1 << 20;
 
-/// Left for all that is not counted, bytes: threads, connections, the texts being read.
+/// Reserve for uncounted memory, bytes: threads, connections, texts being parsed.
 pub const MARGIN_BYTES: u64 = 64 << 20;
 
 /// A limit of the host.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MemoryLimit {
-    /// What sets it, such as `RLIMIT_AS`.
+    /// Its name, such as `RLIMIT_AS`.
     pub name: String,
     /// The limit, bytes.
     pub bytes: u64,
-    /// What is taken of it now, bytes.
+    /// Present usage, bytes.
     pub used: u64,
 }
 
 impl MemoryLimit {
-    /// What it leaves, bytes.
+    /// Free bytes.
     #[must_use]
     pub const fn free(&self) -> u64 {
         self.bytes.saturating_sub(self.used)
     }
 }
 
-/// The limits there are.
+/// The limits of this process.
 #[must_use]
 pub fn limits() -> Vec<MemoryLimit> {
     let text = |path: &str| files::read_text(Path::new(path), BYTES_MAX).ok();
@@ -62,13 +62,13 @@ pub fn limits() -> Vec<MemoryLimit> {
     limits
 }
 
-/// What nets may take together now, bytes, under the limit that leaves least; `None` without any.
+/// Memory for all nets together now, bytes, under the tightest limit; `None` without limits.
 pub(crate) fn free() -> Option<u64> {
     let free = limits().iter().map(MemoryLimit::free).min();
     free.map(|free| free.saturating_sub(MARGIN_BYTES))
 }
 
-/// Why the host's limits do not leave what all nets may take, and what to do; `None` if they do.
+/// Cause and hint if the host's limits leave less than `nets_memory_mib`; `None` if they suffice.
 #[must_use]
 pub fn shortage(nets_memory_mib: u32) -> Option<String> {
     shortage_of(&limits(), nets_memory_mib)
@@ -76,7 +76,7 @@ pub fn shortage(nets_memory_mib: u32) -> Option<String> {
 
 fn shortage_of(limits: &[MemoryLimit], nets_memory_mib: u32) -> Option<String> {
     let nets = u64::from(nets_memory_mib) << 20;
-    // Their texts take a sixteenth beside.
+    // Their texts take another sixteenth.
     let wanted = nets + nets / 16 + MARGIN_BYTES;
     let least = limits.iter().min_by_key(|limit| limit.free())?;
     let free = least.free();
@@ -117,7 +117,7 @@ struct Group {
 }
 
 impl Group {
-    /// The limits of a group and all above it; in a container the path may lead nowhere, and the mount is the
+    /// The limits of a group and its ancestors; in a container the path may not exist, and the mount is the
     /// group itself.
     fn limits(&self, path: &str, text: &impl Fn(&str) -> Option<String>) -> Vec<MemoryLimit> {
         let mut limits = Vec::new();
@@ -127,7 +127,7 @@ impl Group {
             let number = |name: &str| -> Option<u64> {
                 text(&format!("{folder}/{name}"))?.trim().parse().ok()
             };
-            // Without a limit it says `max`, or a number beyond all memory.
+            // Without a limit the file contains `max`, or a number beyond all memory.
             let limit = number(self.limit).filter(|bytes| *bytes < 1 << 50);
             if let (Some(bytes), Some(used)) = (limit, number(self.used)) {
                 let pages = text(&format!("{folder}/memory.stat")).unwrap_or_default();
@@ -142,7 +142,7 @@ impl Group {
     }
 }
 
-/// Bytes that a group takes for pages of files, which the kernel gives back when they are needed.
+/// Bytes of a group's page cache, which the kernel reclaims when necessary.
 fn of_files(stat: &str) -> u64 {
     let value = |line: &str| {
         let (name, bytes) = line.split_once(' ')?;

@@ -1,5 +1,5 @@
-//! The primitives of devices, a file for each interface. They see the image only; drivers are
-//! elsewhere.
+//! Device primitives, one file per interface. They access only the image; drivers are
+//! in the module `device`.
 
 mod cartesian_position;
 mod io;
@@ -22,7 +22,7 @@ pub(crate) fn all() -> Vec<Definition> {
     all
 }
 
-/// Values of `outError` that primitives find themselves; drivers have others.
+/// Values of `outError` that primitives set themselves; drivers have others.
 mod error {
     /// Another primitive of the net commands the same in this cycle.
     pub(super) const CONCURRENT: i32 = -1;
@@ -32,7 +32,7 @@ mod error {
     pub(super) const INVALID: i32 = 2;
 }
 
-/// The first of these errors that is one: concurrent access, the device's own, the value's.
+/// The first of these errors that is set: concurrent access, the device's own, the value's.
 const fn first_error(concurrent: bool, device: i32, value: i32) -> i32 {
     match (concurrent, device) {
         (true, _) => error::CONCURRENT,

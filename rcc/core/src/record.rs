@@ -1,4 +1,4 @@
-//! Recordings of a net thread: all that entered and left it, cycle by cycle, as MCAP, and their
+//! Recordings of a net thread: all its inputs and outputs, cycle by cycle, as MCAP, and their
 //! replay. A replay runs the same [`Executor`] on the recorded inputs and must give the same words.
 
 mod file;
@@ -30,17 +30,17 @@ pub use replay::{Replay, replay};
 
 /// Buffers between the net thread and the file; each holds one cycle.
 const BUFFERS: usize = 512;
-/// Words that one cycle may take.
+/// Maximum number of words of one cycle.
 const WORDS_A_CYCLE: usize = 16_384;
 
-/// The net thread's end of a recording. It never waits: a cycle for which no buffer is free, or
+/// The net thread's endpoint of a recording. It never waits: a cycle for which no buffer is free, or
 /// that does not fit one, is counted as lost.
 #[derive(Debug)]
 pub struct Tap {
     free: Consumer<Vec<u64>>,
     full: Producer<Vec<u64>>,
     current: Option<Words>,
-    /// No buffer was free when the cycle began: one that comes later must not hold half of it.
+    /// No buffer was free when the cycle began: a buffer freed later must not hold half a cycle.
     skips: bool,
     lost: Arc<AtomicU64>,
 }
@@ -61,14 +61,14 @@ impl Tap {
         }
     }
 
-    /// A rule has a net run from the next cycle on, in place of those that end.
+    /// A rule starts a net from the next cycle on, in place of those that end.
     pub fn succeeded(&mut self, id: u32) {
         if let Some(words) = self.words() {
             words.succeeded(id);
         }
     }
 
-    /// A net is asked to cancel.
+    /// A net receives a cancel.
     pub fn cancelled(&mut self, id: u32) {
         if let Some(words) = self.words() {
             words.cancelled(id);
@@ -89,7 +89,7 @@ impl Tap {
         }
     }
 
-    /// A net took too long too often.
+    /// A net exceeded its time too often.
     pub fn ran_away(&mut self, id: u32) {
         if let Some(words) = self.words() {
             words.ran_away(id);
@@ -110,7 +110,7 @@ impl Tap {
         }
     }
 
-    /// What the cycle sees.
+    /// Inputs of the cycle.
     pub fn inputs(&mut self, moment: Moment, executor: &Executor) {
         if let Some(words) = self.words() {
             words.inputs(moment, executor);
@@ -131,7 +131,7 @@ impl Tap {
         }
     }
 
-    /// What the cycle commands.
+    /// Commands of the cycle.
     pub fn outputs(&mut self, moment: Moment, executor: &Executor) {
         if let Some(words) = self.words() {
             words.outputs(moment, executor);
@@ -158,7 +158,7 @@ impl Tap {
     }
 }
 
-/// What the file is told besides cycles.
+/// Notes for the file besides cycles.
 enum Note {
     Device {
         number: usize,
@@ -174,19 +174,19 @@ enum Note {
     },
 }
 
-/// What is to be reported of a recording under way, once for each onset.
+/// Event of a running recording, reported once per onset.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum RecordingEvent {
-    /// It ended by an error; the controller goes on.
+    /// It ended with an error; the controller continues.
     Failed(String),
-    /// So many cycles are missing in it so far.
+    /// Number of cycles missing so far.
     CyclesLost(u64),
 }
 
-/// Cycles that are lost again after this long without are a new onset.
+/// Lost cycles after this long without loss are a new onset.
 const LOSS_QUIET: Duration = Duration::from_secs(10);
 
-/// A recording under way; dropped, it is finished.
+/// A running recording; dropping it finishes it.
 #[derive(Debug)]
 pub struct Recorder {
     notes: mpsc::Sender<Note>,
@@ -194,7 +194,7 @@ pub struct Recorder {
     lost: Arc<AtomicU64>,
     failures: mpsc::Receiver<String>,
     has_failed: bool,
-    /// Lost cycles when last looked at, and when they grew.
+    /// Lost cycles at the last poll, and time of the last increase.
     seen_lost: (u64, Option<Instant>),
     thread: Option<std::thread::JoinHandle<Result<u64, Error>>>,
     path: PathBuf,
@@ -204,7 +204,7 @@ impl Recorder {
     /// Starts a recording of a thread of that period to a new file.
     ///
     /// # Errors
-    /// If the file cannot be made.
+    /// If the file cannot be created.
     pub fn start(path: &Path) -> Result<(Self, Tap), Error> {
         Self::begin(Writer::create(path)?, path)
     }
@@ -228,7 +228,7 @@ impl Recorder {
             stop: Arc::clone(&stop),
         };
         for _ in 0..BUFFERS {
-            // A ring of this size takes them all.
+            // The ring has capacity for all of them.
             let _ = desk.free.push(Vec::with_capacity(WORDS_A_CYCLE));
         }
         let thread = std::thread::Builder::new()
@@ -267,9 +267,9 @@ impl Recorder {
         ))
     }
 
-    /// Tells of a device that came, and where it lies in the image.
+    /// Records a new device and its slots in the image.
     pub fn device(&self, number: usize, place: &Place, description: &DeviceDescription) {
-        // The desk is gone only if the file failed, which `finish` tells.
+        // The receiver is gone only if the file failed, which `finish` reports.
         let _ = self.notes.send(Note::Device {
             number,
             place: place.clone(),
@@ -277,12 +277,12 @@ impl Recorder {
         });
     }
 
-    /// Tells of a device that went.
+    /// Records the removal of a device.
     pub fn device_gone(&self, name: &str) {
         let _ = self.notes.send(Note::Gone(name.to_owned()));
     }
 
-    /// Tells of a net that was loaded.
+    /// Records a loaded net.
     pub fn net(&self, id: u32, every: u64, period: Duration, text: &Arc<str>) {
         let _ = self.notes.send(Note::Net {
             id,
@@ -292,7 +292,7 @@ impl Recorder {
         });
     }
 
-    /// What is to be reported since last asked.
+    /// Events since the last call.
     pub(crate) fn poll_event(&mut self, now: Instant) -> Option<RecordingEvent> {
         if let Ok(what) = self.failures.try_recv() {
             self.has_failed = true;
@@ -300,7 +300,7 @@ impl Recorder {
         }
         let (before, grew) = self.seen_lost;
         let lost = self.lost.load(Ordering::Relaxed);
-        // Behind a failure all cycles are missing.
+        // After a failure all cycles are missing.
         if lost == before || self.has_failed {
             return None;
         }
@@ -309,7 +309,7 @@ impl Recorder {
         is_onset.then_some(RecordingEvent::CyclesLost(lost))
     }
 
-    /// Ends the recording; returns how many cycles it holds.
+    /// Ends the recording; returns the number of its cycles.
     ///
     /// # Errors
     /// If the file could not be written, or cycles were lost.
@@ -321,7 +321,7 @@ impl Recorder {
         };
         let cycles = match self.thread.take().map(std::thread::JoinHandle::join) {
             Some(Ok(written)) => written?,
-            _ => return Err(broken("the recording thread ended by a panic".to_owned())),
+            _ => return Err(broken("the recording thread panicked".to_owned())),
         };
         match self.lost.load(Ordering::Relaxed) {
             0 => Ok(cycles),
@@ -357,7 +357,7 @@ impl<W: Write + Seek> Desk<W> {
         let mut cycles = 0;
         let mut is_dirty = true;
         loop {
-            // Looked at first, so that what came before the stop is still written.
+            // Read first, so that records from before the stop are still written.
             let stop = self.stop.load(Ordering::Relaxed);
             while let Ok(note) = self.notes.try_recv() {
                 self.writer.note(&note)?;
@@ -371,7 +371,7 @@ impl<W: Write + Seek> Desk<W> {
                 let _ = self.free.push(buffer);
             }
             if stop {
-                // Nets that those last cycles may have started.
+                // Nets that the last cycles may have started.
                 while let Ok(note) = self.notes.try_recv() {
                     self.writer.note(&note)?;
                 }
@@ -379,7 +379,7 @@ impl<W: Write + Seek> Desk<W> {
                 return Ok(cycles);
             }
             if idle && is_dirty {
-                // A crash later takes nothing of what is known by now.
+                // A later crash does not lose earlier data.
                 self.writer.flush()?;
             }
             is_dirty = !idle;

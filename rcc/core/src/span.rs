@@ -1,9 +1,9 @@
-//! Durations as people write them: `250us`, `1ms`, `5s`. A bare number is refused, since nobody
-//! can tell what it was meant to be.
+//! Durations as text: `250us`, `1ms`, `5s`. A bare number is rejected, because its
+//! unit is ambiguous.
 
 use std::time::Duration;
 
-/// Why a text is no duration.
+/// A text is not a duration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is no duration: write a number and a unit, such as 250us, 1ms, 5s or 2min")]
 pub struct SpanError(String);
@@ -46,7 +46,7 @@ pub mod text {
         super::parse(&String::deserialize(input)?).map_err(serde::de::Error::custom)
     }
 
-    /// Reads the duration of a field that may be left out.
+    /// Reads the duration of an optional field.
     ///
     /// # Errors
     /// If the field holds no text, or no duration.
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn spans_with_units() {
+    fn durations_have_units() {
         assert_eq!(parse("250us"), Ok(Duration::from_micros(250)));
         assert_eq!(parse("1.5ms"), Ok(Duration::from_micros(1500)));
         assert_eq!(parse("2min"), Ok(Duration::from_secs(120)));
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn bare_numbers_and_nonsense_are_refused() {
+    fn durations_without_unit_are_rejected() {
         for text in ["5", "", "ms", "-1s", "1e400s", "5 weeks", "nan s"] {
             assert!(parse(text).is_err(), "{text}");
         }

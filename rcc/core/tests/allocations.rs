@@ -53,13 +53,13 @@ fn move_an_arm(cell: &Cell) {
 }
 
 #[test]
-fn a_running_cell_allocates_nothing_in_real_time() {
+fn running_cell_does_not_allocate() {
     let count = steady(|| allocations(|| move_an_arm(&Cell::new(&["left"]))));
     assert_eq!(count, 0);
 }
 
 #[test]
-fn nor_does_one_that_is_recorded() {
+fn recorded_cell_does_not_allocate() {
     let count = steady(|| {
         let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("allocations.mcap");
         allocations(|| {
@@ -86,7 +86,7 @@ fn lasting(seconds: f64) -> String {
 }
 
 #[test]
-fn nor_do_two_threads_with_rules_between_them() {
+fn shared_rules_do_not_allocate() {
     let count = steady(|| {
         let slow = Duration::from_millis(4);
         let anywhere = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
@@ -160,7 +160,7 @@ fn ahead(controller: &Controller, net: NetId, thread: usize) -> i64 {
 }
 
 #[test]
-fn loading_and_unloading_large_nets_costs_the_running_ones_no_cycle() {
+fn loading_large_nets_causes_no_missed_cycles() {
     let mut large = String::from("{never=Core::BooleanValue(),outTerminate=never.outValue");
     for i in 0..10_000 {
         large += &format!(",a{i}=Core::DoubleAdd(First='1')");
@@ -211,7 +211,7 @@ impl Primitive for Careless {
 }
 
 #[test]
-fn a_primitive_that_allocates_is_caught() {
+fn allocating_primitive_is_detected() {
     let mut registry = takt_core::registry();
     let careless = |_: &mut takt_net::Build<'_, '_>| Ok(Careless);
     registry.add([Definition::new("Test::Careless", "Allocates.", careless)]);

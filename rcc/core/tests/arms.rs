@@ -61,7 +61,7 @@ fn a_robot_that_vanishes_ends_its_net_and_no_other() {
         cell.controller.start_net(right).unwrap();
         cell.robots[0].kill();
         let ended = cell.wait_for_end(left).end.unwrap();
-        assert!(ended.contains("left ceased to follow commands"), "{ended}");
+        assert!(ended.contains("left stopped following commands"), "{ended}");
         assert_eq!(cell.wait_for_end(right).end, None);
     });
 }

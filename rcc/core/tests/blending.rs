@@ -11,7 +11,7 @@
 use std::time::Duration;
 
 use takt_core::device::{ArmDescription, DeviceStatus, DeviceTable};
-use takt_core::executor::rules::{Literal, Orders, Question, Rule, Step};
+use takt_core::executor::rules::{Literal, NetActions, Question, Rule, Step};
 use takt_core::executor::{DeviceView, Effect, Executor, Running};
 use takt_net::{JointLimits, Limits, LoadContext, Moment, Nanos, load};
 use takt_rt::latest::latest;
@@ -149,9 +149,9 @@ impl Stage {
             value: None,
             last: false,
         };
-        let orders = Orders {
+        let orders = NetActions {
             start: vec![2],
-            ..Orders::default()
+            ..NetActions::default()
         };
         let rule = Box::new(Rule::new(0, vec![literal], vec![Step::Literal(0)], orders));
         self.executor.add_rule(rule).unwrap();

@@ -54,7 +54,7 @@ fn wind_down(cell: &Cell) {
 }
 
 #[test]
-fn a_base_that_brakes_is_waited_for() {
+fn shutdown_waits_for_braking_base() {
     let cell = cell();
     // A second from full speed to rest.
     let parameters = [("max_vel", "0.5"), ("max_acc", "0.5")];
@@ -132,7 +132,7 @@ fn add_rolling_base(cell: &Cell, rolls: &Arc<AtomicBool>) {
 }
 
 #[test]
-fn a_base_of_the_cell_is_not_removed_while_it_moves() {
+fn moving_base_cannot_be_removed() {
     let cell = cell();
     let rolls = Arc::new(AtomicBool::new(true));
     add_rolling_base(&cell, &rolls);
@@ -144,7 +144,7 @@ fn a_base_of_the_cell_is_not_removed_while_it_moves() {
 }
 
 #[test]
-fn a_controller_ends_though_a_device_never_rests_and_says_which() {
+fn shutdown_reports_device_that_never_rests() {
     let cell = cell();
     add_rolling_base(&cell, &Arc::new(AtomicBool::new(true)));
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("closing.log");
@@ -162,7 +162,7 @@ fn a_controller_ends_though_a_device_never_rests_and_says_which() {
 }
 
 #[test]
-fn nothing_begins_once_a_controller_is_stopping() {
+fn shutdown_rejects_new_nets_and_rules() {
     let cell = cell();
     let [ready, runs] = [PATIENT; 2].map(|net| cell.load(net));
     cell.controller.start_net(runs).unwrap();
@@ -191,7 +191,7 @@ fn nothing_begins_once_a_controller_is_stopping() {
 }
 
 #[test]
-fn the_end_of_a_net_that_is_wound_down_starts_no_other() {
+fn shutdown_starts_no_successors() {
     let cell = cell();
     let [first, second] = [PATIENT; 2].map(|net| cell.load(net));
     let rule = cell

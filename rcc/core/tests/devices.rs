@@ -108,7 +108,7 @@ fn a_period_that_is_no_whole_multiple_is_refused_with_the_figure() {
     let id = controller.load(request).unwrap();
     let rejection = controller.net(id).unwrap().rejection.unwrap().to_string();
     assert!(
-        rejection.contains("1.5ms is no whole multiple of the controller's 1ms"),
+        rejection.contains("1.5ms is not a whole multiple of the controller's 1ms"),
         "{rejection}"
     );
 }
@@ -121,7 +121,7 @@ fn devices_come_and_go() {
         add("a", "kuka_lwr_sim", 7).unwrap();
         add("b", "kuka_youbot_arm_sim", 5).unwrap();
         let twice = add("a", "kuka_iiwa_sim", 7).unwrap_err().to_string();
-        assert!(twice.contains("`a` is there already"), "{twice}");
+        assert!(twice.contains("`a` exists already"), "{twice}");
         let net = load(&controller, swing("b"), None);
         let used = controller.remove_device("b").unwrap_err().to_string();
         assert!(used.contains(&format!("used by net {net}")), "{used}");

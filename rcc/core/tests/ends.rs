@@ -564,7 +564,7 @@ fn outputs_follow_their_policy_after_their_net() {
 
 /// What is stated for outputs and makes no sense is refused with its port.
 #[test]
-fn output_policies_of_wrong_type_are_refused() {
+fn output_policies_of_wrong_type_are_rejected() {
     for (key, value, told) in [
         (
             "on_end_bool",
@@ -658,7 +658,7 @@ enum Between {
 }
 
 #[test]
-fn scheduled_nets_of_a_device_that_failed_are_given_back() {
+fn scheduled_nets_of_failed_device_are_returned() {
     use Between::{Comes, Fault, Jump, Lost, Nothing, Stop};
     for kind in KINDS.iter().filter(|kind| kind.claims) {
         for between in [Nothing, Fault, Lost, Stop, Jump, Comes] {

@@ -72,7 +72,7 @@ fn reader(of: NetId) -> String {
 }
 
 #[test]
-fn a_value_arrives_in_the_next_cycle_and_is_null_once_its_net_is_unloaded() {
+fn remote_value_is_null_after_unload() {
     let controller = controller();
     let giver = clock(&controller);
     let taker = run(&controller, reader(giver));
@@ -101,7 +101,7 @@ fn a_value_arrives_in_the_next_cycle_and_is_null_once_its_net_is_unloaded() {
 }
 
 #[test]
-fn a_net_writes_into_another_beside_a_program() {
+fn net_and_program_write_same_net() {
     let controller = controller();
     let echo = |key: &str| {
         format!(
@@ -158,7 +158,7 @@ fn a_net_writes_into_another_beside_a_program() {
 }
 
 #[test]
-fn links_of_one_net_are_bounded() {
+fn net_links_are_bounded() {
     let controller = controller();
     let giver = clock(&controller);
     let loaded: Vec<_> = (0..OUT_READERS + 1)
@@ -180,7 +180,7 @@ fn links_of_one_net_are_bounded() {
 }
 
 #[test]
-fn an_evaluation_sees_what_nets_give() {
+fn evaluation_reads_values_of_nets() {
     let controller = controller();
     let giver = clock(&controller);
     controller.start_net(giver).unwrap();

@@ -199,7 +199,7 @@ fn a_cabinet_that_vanishes_ends_the_net_and_a_new_one_in_another_dialect_is_take
         cell.controller.start_net(net).unwrap();
         cabinet.kill();
         let ended = cell.wait_for_end(net).end.unwrap();
-        assert!(ended.contains("arm ceased to follow commands"), "{ended}");
+        assert!(ended.contains("arm stopped following commands"), "{ended}");
         wait_for(&cell, DeviceStatus::Offline);
         let _newer = Sunrise::start(address, patient(Dialect::V3));
         wait_for(&cell, DeviceStatus::Operational);

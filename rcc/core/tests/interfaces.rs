@@ -74,7 +74,7 @@ fn base_monitor(robot: &str) -> String {
 // ---------------------------------------------------------------------------------- RobotBase
 
 #[test]
-fn a_base_moves_as_commanded_and_brakes_when_commands_stop() {
+fn base_moves_and_brakes_without_commands() {
     let mut stand = Stand::default();
     stand.add(
         "base",
@@ -103,7 +103,7 @@ fn a_base_moves_as_commanded_and_brakes_when_commands_stop() {
 }
 
 #[test]
-fn a_velocity_of_a_slower_net_stands_until_its_next() {
+fn base_velocity_holds_for_slow_nets() {
     let mut stand = Stand::default();
     stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     stand.start(1, &base_monitor("base"));
@@ -117,7 +117,7 @@ fn a_velocity_of_a_slower_net_stands_until_its_next() {
 }
 
 #[test]
-fn velocities_out_of_range_or_no_numbers_command_nothing() {
+fn base_velocity_out_of_range_is_rejected() {
     for (velocity, error, illegal) in [
         ("{vel:{x:0.9}}", "1", "true"),
         ("{vel:{x:0.7,y:0.7}}", "1", "true"),
@@ -138,7 +138,7 @@ fn velocities_out_of_range_or_no_numbers_command_nothing() {
 }
 
 #[test]
-fn a_null_velocity_commands_nothing_and_is_no_error() {
+fn base_null_velocity_is_no_error() {
     let mut stand = Stand::default();
     stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     stand.start(1, &base_monitor("base"));
@@ -156,7 +156,7 @@ fn a_null_velocity_commands_nothing_and_is_no_error() {
 }
 
 #[test]
-fn of_two_primitives_of_a_net_the_second_is_told_and_commands_nothing() {
+fn second_primitive_gets_concurrent_access_error() {
     let mut stand = Stand::default();
     stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     stand.start(1, &base_monitor("base"));
@@ -200,7 +200,7 @@ fn two_nets_cannot_command_one_base() {
 }
 
 #[test]
-fn a_base_that_fails_ends_the_net_that_commands_it_and_tells_those_that_see_it() {
+fn base_fault_ends_commanding_net_only() {
     let mut stand = Stand::default();
     let (mut dev, has, mut state) = driven(&mut stand, 0, &[BASE]);
     let base = has.base.unwrap();
@@ -246,7 +246,7 @@ fn a_base_that_fails_ends_the_net_that_commands_it_and_tells_those_that_see_it()
 }
 
 #[test]
-fn the_controller_brings_a_base_to_a_pose_and_says_so() {
+fn base_controller_reaches_pose() {
     let mut stand = Stand::default();
     stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     stand.start(
@@ -279,7 +279,7 @@ fn the_controller_brings_a_base_to_a_pose_and_says_so() {
 }
 
 #[test]
-fn the_controller_gives_null_for_a_null_pose_and_refuses_gains_that_are_none() {
+fn base_controller_checks_pose_and_gains() {
     let mut stand = Stand::default();
     let text = format!(
         "to=World::FrameValue(),go=RobotBase::OmnidirectionalBaseController(inDest=to.outValue),{}",
@@ -293,7 +293,7 @@ fn the_controller_gives_null_for_a_null_pose_and_refuses_gains_that_are_none() {
 }
 
 #[test]
-fn wheels_turn_as_the_kinematics_says() {
+fn base_wheels_follow_kinematics() {
     // By the sense of their motors: 0.2 m/s forward, 0.2 m/s to the left, 0.5 rad/s.
     let rates = |v: f64, signs: [f64; 4]| signs.map(|s| s * v / 0.0475);
     for (velocity, wheels) in [
@@ -323,7 +323,7 @@ fn wheels_turn_as_the_kinematics_says() {
 }
 
 #[test]
-fn what_a_device_lacks_is_told_with_those_that_have_it() {
+fn missing_interface_error_lists_suitable_devices() {
     let mut stand = Stand::default();
     stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
@@ -377,7 +377,7 @@ fn follow(robot: &str, start: f64, speed: f64) -> String {
 }
 
 #[test]
-fn a_base_follows_poses_exactly_and_brakes_when_they_end() {
+fn base_follows_poses_and_brakes_afterwards() {
     let mut stand = Stand::default();
     stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     stand.start(1, &follow("base", 0.0, 0.3));
@@ -399,7 +399,7 @@ fn a_base_follows_poses_exactly_and_brakes_when_they_end() {
 }
 
 #[test]
-fn a_pose_that_is_too_far_away_is_refused_until_poses_end() {
+fn base_rejects_distant_pose_until_stream_ends() {
     let mut stand = Stand::default();
     stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     stand.start(1, &follow("base", 0.5, 0.0));
@@ -417,7 +417,7 @@ fn a_pose_that_is_too_far_away_is_refused_until_poses_end() {
 }
 
 #[test]
-fn a_slower_net_leads_a_base_as_far_along_a_line() {
+fn base_slow_net_reaches_same_distance() {
     let mut stand = Stand::default();
     stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     stand.start(1, &base_monitor("base"));
@@ -436,7 +436,7 @@ fn a_slower_net_leads_a_base_as_far_along_a_line() {
 }
 
 #[test]
-fn a_pose_that_is_no_number_is_told() {
+fn base_nan_pose_is_reported() {
     let mut stand = Stand::default();
     stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     stand.start(1, &follow("base", f64::NAN, 0.0).replace("NaN", "nan"));
@@ -469,7 +469,7 @@ fn io_net(device: &str) -> String {
 }
 
 #[test]
-fn outputs_are_set_seen_and_stay_when_their_net_ends() {
+fn outputs_keep_values_after_net_end() {
     let mut stand = Stand::default();
     stand.add(
         "io",
@@ -521,7 +521,7 @@ fn a_simulated_lwr_has_outputs_beside_its_joints() {
 }
 
 #[test]
-fn a_null_leaves_an_output_and_an_unknown_input_is_null() {
+fn null_keeps_output_unknown_input_is_null() {
     let mut stand = Stand::default();
     let part = Part::Io {
         bool_in: 1,
@@ -577,7 +577,7 @@ fn switch(stand: &mut Stand, robot: &str, number: i32) {
 const LOAD: (&str, &str) = ("external_torque", "[0,20,0,0,0,0,0]");
 
 #[test]
-fn a_compliant_joint_gives_way_to_a_load_and_a_stiff_one_does_not() {
+fn compliant_joint_yields_stiff_joint_holds() {
     let mut stand = Stand::default();
     stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[LOAD]));
     stand.start(1, &joint_monitor("arm"));
@@ -601,7 +601,7 @@ fn a_compliant_joint_gives_way_to_a_load_and_a_stiff_one_does_not() {
 }
 
 #[test]
-fn a_torque_that_a_net_adds_ends_with_the_net() {
+fn added_torque_ends_with_its_net() {
     let mut stand = Stand::default();
     stand.add("arm", "kuka_iiwa_sim", &arm_parameters(7, &[]));
     stand.start(1, &joint_monitor("arm"));
@@ -619,7 +619,7 @@ fn a_torque_that_a_net_adds_ends_with_the_net() {
 }
 
 #[test]
-fn a_strategy_is_refused_if_there_is_none_or_the_arm_does_not_rest() {
+fn strategy_rejected_if_unknown_or_moving() {
     let mut stand = Stand::default();
     stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[LOAD]));
     stand.start(1, &strategy("arm", 7));
@@ -644,7 +644,7 @@ fn a_strategy_is_refused_if_there_is_none_or_the_arm_does_not_rest() {
 }
 
 #[test]
-fn a_null_strategy_changes_nothing() {
+fn null_strategy_changes_nothing() {
     let mut stand = Stand::default();
     stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
     stand.start(1, &strategy("arm", 3).replace("inStrategy=s.outValue,", ""));
@@ -656,7 +656,7 @@ fn a_null_strategy_changes_nothing() {
 }
 
 #[test]
-fn of_two_orders_in_a_net_the_second_is_told_in_every_cycle() {
+fn second_order_gets_error_every_cycle() {
     let mut stand = Stand::default();
     stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
     let both = format!(
@@ -677,7 +677,7 @@ fn of_two_orders_in_a_net_the_second_is_told_in_every_cycle() {
 }
 
 #[test]
-fn the_force_at_the_tool_acts_on_the_joints_and_is_told() {
+fn tool_force_acts_on_joints_and_is_reported() {
     let mut stand = Stand::default();
     // Stretched upwards: a force along x at 1.178 m above the base bends the second joint.
     let wrench = ("external_wrench", "[10,0,0,0,0,0]");
@@ -711,7 +711,7 @@ fn the_force_at_the_tool_acts_on_the_joints_and_is_told() {
 }
 
 #[test]
-fn forces_that_a_driver_does_not_know_are_null() {
+fn unknown_forces_are_null() {
     let mut stand = Stand::default();
     let (mut dev, has, mut state) = driven(&mut stand, 7, &[Part::Torques, Part::Wrench]);
     has.torques.unwrap()[6]
@@ -756,7 +756,7 @@ fn tools(mass: &str) -> [String; 2] {
 }
 
 #[test]
-fn a_tool_is_told_once_and_the_answer_is_waited_for() {
+fn tool_is_set_once_and_confirmed() {
     for (number, text) in tools("1.5").into_iter().enumerate() {
         let mut stand = Stand::default();
         let (mut dev, has, mut state) = driven(&mut stand, 7, &[Part::Tool]);
@@ -789,7 +789,7 @@ fn a_tool_is_told_once_and_the_answer_is_waited_for() {
 }
 
 #[test]
-fn tools_that_are_none_are_not_told() {
+fn invalid_tools_are_not_set() {
     for (mass, error) in [("-1", "1"), ("nan", "2")] {
         for text in tools(mass) {
             let mut stand = Stand::default();
@@ -810,7 +810,7 @@ fn tools_that_are_none_are_not_told() {
 }
 
 #[test]
-fn a_tool_cannot_be_told_while_a_net_moves_the_joint_that_carries_it() {
+fn tool_cannot_change_while_joint_moves() {
     let mut stand = Stand::default();
     stand.add("dev", "kuka_lwr_sim", &arm_parameters(7, &[]));
     stand.start(
@@ -827,7 +827,7 @@ fn a_tool_cannot_be_told_while_a_net_moves_the_joint_that_carries_it() {
 }
 
 #[test]
-fn cartesian_impedance_reaches_the_driver_with_what_is_null_left_out() {
+fn cartesian_impedance_omits_null_values() {
     let mut stand = Stand::default();
     let (mut dev, has, state) = driven(&mut stand, 7, &[Part::CartesianImpedance]);
     tell(&mut dev, &state);
@@ -852,7 +852,7 @@ fn cartesian_impedance_reaches_the_driver_with_what_is_null_left_out() {
 }
 
 #[test]
-fn a_youbot_arm_switches_its_controller_and_gives_way() {
+fn youbot_arm_switches_controller_and_yields() {
     let mut stand = Stand::default();
     let load = ("external_torque", "[0,2,0,0,0]");
     stand.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[load]));
@@ -884,7 +884,7 @@ fn a_youbot_arm_switches_its_controller_and_gives_way() {
 }
 
 #[test]
-fn a_largest_torque_lets_the_joint_slip() {
+fn maximum_torque_lets_joint_slip() {
     let mut stand = Stand::default();
     let load = ("external_torque", "[0,2,0,0,0]");
     stand.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[load]));
@@ -905,7 +905,7 @@ fn a_largest_torque_lets_the_joint_slip() {
 }
 
 #[test]
-fn a_gripper_opens_at_its_speed_and_tells_when_it_is_open() {
+fn gripper_opens_at_speed_and_reports_completion() {
     let mut stand = Stand::default();
     stand.add(
         "hand",
@@ -943,7 +943,7 @@ fn a_gripper_opens_at_its_speed_and_tells_when_it_is_open() {
 // ------------------------------------------------------------------------------ more than one
 
 #[test]
-fn what_an_earlier_device_was_told_is_not_told_to_a_later_one() {
+fn orders_do_not_reach_later_devices() {
     let mut stand = Stand::default();
     let (mut dev, has, mut state) = driven(&mut stand, 0, &[BASE]);
     let base = has.base.unwrap();
@@ -961,7 +961,7 @@ fn what_an_earlier_device_was_told_is_not_told_to_a_later_one() {
 }
 
 #[test]
-fn a_device_is_seen_by_a_second_thread() {
+fn device_is_visible_to_second_thread() {
     use takt_core::executor::serve::{DeviceEnd, Driver};
     let (mut one, mut other) = (Stand::default(), Stand::default());
     one.add("base", "kuka_youbot_base_sim", &parameters(&[]));
@@ -1008,7 +1008,7 @@ fn an_arm_moves_on_a_base_that_moves() {
 }
 
 #[test]
-fn wrong_parameters_of_devices_are_told() {
+fn wrong_device_parameters_are_reported() {
     let made = |kind: &str, pair: (&str, &str)| {
         let parameters = arm_parameters(7, &[pair]);
         match takt_core::device::sim::make("dev", kind, &parameters) {

@@ -14,7 +14,7 @@ fn request(text: String) -> LoadRequest {
 }
 
 #[test]
-fn net_beyond_host_memory_is_refused() {
+fn net_beyond_host_memory_is_rejected() {
     let mut cell = CellConfig::default();
     cell.controller.priority = None;
     let controller = Controller::start(&cell).unwrap();

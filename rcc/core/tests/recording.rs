@@ -110,7 +110,7 @@ fn position(haystack: &[u8], needle: &[u8]) -> Option<usize> {
 }
 
 #[test]
-fn nets_without_devices_replay_the_same() {
+fn nets_without_devices_replay_identically() {
     let (path, cycles) = record("nets", &[], talk);
     assert!(cycles > 10, "{cycles}");
     let first = replay(&path).unwrap();
@@ -120,7 +120,7 @@ fn nets_without_devices_replay_the_same() {
 }
 
 #[test]
-fn a_moved_arm_replays_the_same() {
+fn moved_arm_replays_identically() {
     steady(|| {
         let (path, cycles) = record("arm", &["left"], |cell| {
             let net = cell.load(&swing("left", 0.3));
@@ -138,7 +138,7 @@ fn a_moved_arm_replays_the_same() {
 }
 
 #[test]
-fn a_net_that_never_ends_replays_as_far_as_it_was_recorded() {
+fn endless_net_replays_to_end_of_recording() {
     let (path, cycles) = record("endless", &[], |cell| {
         let net = cell.load(TALKATIVE);
         cell.controller.start_net(net).unwrap();
@@ -152,7 +152,7 @@ fn a_net_that_never_ends_replays_as_far_as_it_was_recorded() {
 }
 
 #[test]
-fn a_changed_input_is_found_in_its_cycle() {
+fn replay_finds_cycle_of_changed_input() {
     let (path, _) = record("mark", &[], talk);
     let bytes = std::fs::read(path).unwrap();
     let mark = u64::from(MARK.cast_unsigned()).to_le_bytes();
@@ -174,7 +174,7 @@ fn a_changed_input_is_found_in_its_cycle() {
 }
 
 #[test]
-fn a_flipped_bit_anywhere_in_the_cycles_never_passes() {
+fn replay_detects_any_flipped_bit() {
     let (path, _) = record("flip", &[], talk);
     let bytes = std::fs::read(path).unwrap();
     let (from, to) = (bytes.len() / 10, bytes.len() / 2);
@@ -191,7 +191,7 @@ fn a_flipped_bit_anywhere_in_the_cycles_never_passes() {
 }
 
 #[test]
-fn no_word_of_a_cycle_can_make_a_replay_panic() {
+fn replay_never_panics_on_random_words() {
     let (path, _) = record("words", &[], talk);
     let bytes = std::fs::read(path).unwrap();
     let whole = messages(&bytes)
@@ -244,7 +244,7 @@ fn cut_recording_replays_up_to_the_cut() {
 }
 
 #[test]
-fn random_files_are_refused() {
+fn random_recordings_are_rejected() {
     let file = path("random");
     let mut random = Random(7);
     for i in 0..100_usize {

@@ -132,7 +132,7 @@ fn a_rule_starts_a_net_when_its_condition_becomes_true() {
 }
 
 #[test]
-fn the_end_of_a_net_can_be_a_condition() {
+fn net_termination_is_a_condition() {
     let bench = Bench::new();
     let (first, second) = (
         bench.load(&lasting(0.05, true)),
@@ -144,7 +144,7 @@ fn the_end_of_a_net_can_be_a_condition() {
 }
 
 #[test]
-fn the_predecessor_learns_that_a_successor_waits() {
+fn takeover_is_announced_to_predecessor() {
     let bench = Bench::new();
     let (first, second) = (
         bench.load(&lasting(9.0, true)),
@@ -165,7 +165,7 @@ fn the_predecessor_learns_that_a_successor_waits() {
 }
 
 #[test]
-fn a_condition_that_can_never_hold_ends_its_rule() {
+fn rule_ends_if_condition_impossible() {
     let bench = Bench::new();
     let (first, second) = (
         bench.load(&lasting(9.0, true)),
@@ -181,7 +181,7 @@ fn a_condition_that_can_never_hold_ends_its_rule() {
 }
 
 #[test]
-fn the_successor_is_chosen_by_result() {
+fn successor_is_chosen_by_result() {
     let bench = Bench::new();
     let first = bench.load(&lasting(0.05, true));
     let (good, bad) = (
@@ -265,7 +265,7 @@ fn an_immediate_rule_fires_and_cancels() {
 }
 
 #[test]
-fn wrong_rules_are_refused_with_the_cause() {
+fn invalid_rules_are_rejected_with_cause() {
     let bench = Bench::new();
     let (net, ended) = (
         bench.load(&lasting(9.0, true)),

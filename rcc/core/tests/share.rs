@@ -42,7 +42,7 @@ fn ready(controller: &Controller, tracks: usize) -> NetId {
 }
 
 #[test]
-fn a_start_that_overloads_its_thread_is_refused_and_names_the_heaviest() {
+fn overloading_start_is_rejected_naming_heaviest() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let [first, second] = [10, 9].map(|tracks| ready(&controller, tracks));
     controller.start_net(first).unwrap();
@@ -56,7 +56,7 @@ fn a_start_that_overloads_its_thread_is_refused_and_names_the_heaviest() {
 }
 
 #[test]
-fn a_net_that_is_evaluated_now_and_then_has_to_fit_into_one_cycle_of_its_thread() {
+fn slow_net_must_fit_one_thread_cycle() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let every_tenth = |tracks: usize| {
         let request = LoadRequest {
@@ -81,7 +81,7 @@ fn a_net_that_is_evaluated_now_and_then_has_to_fit_into_one_cycle_of_its_thread(
 }
 
 #[test]
-fn a_switch_between_two_nets_that_fit_only_one_by_one_is_possible() {
+fn switch_between_nets_filling_budget_works() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let [first, second, third, fourth] = [10, 9, 8, 1].map(|tracks| ready(&controller, tracks));
     controller.start_net(first).unwrap();
@@ -110,7 +110,7 @@ fn narrow(mib: u32) -> Controller {
 }
 
 #[test]
-fn texts_of_all_nets_together_are_bounded() {
+fn net_text_quota_is_enforced() {
     let controller = narrow(16);
     let large = (1 << 20) / 4;
     let text = |bytes: usize| {
@@ -142,7 +142,7 @@ const MINDFUL: &str =
     never=Core::BooleanValue(),outTerminate=never.outValue}";
 
 #[test]
-fn memory_of_all_nets_together_is_bounded() {
+fn net_memory_quota_is_enforced() {
     let controller = narrow(1);
     let state = |net| controller.net(net).unwrap().state();
     let [first, second, third] = [(); 3].map(|()| load(&controller, MINDFUL.to_owned()).unwrap());
@@ -160,7 +160,7 @@ fn memory_of_all_nets_together_is_bounded() {
 }
 
 #[test]
-fn nets_that_are_loaded_at_once_do_not_take_more() {
+fn concurrent_loads_respect_memory_quota() {
     let controller = narrow(1);
     let loads: Vec<_> = (0..8)
         .map(|_| {
@@ -180,7 +180,7 @@ fn told(tracks: usize) -> String {
 }
 
 #[test]
-fn a_second_rule_that_fits_only_without_the_first_is_refused_with_the_figures() {
+fn second_rule_exceeding_budget_is_rejected() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let first = load(&controller, told(8)).unwrap();
     let [second, third] = [10, 9].map(|tracks| ready(&controller, tracks));
@@ -213,7 +213,7 @@ fn a_second_rule_that_fits_only_without_the_first_is_refused_with_the_figures() 
 }
 
 #[test]
-fn time_of_the_cycle_is_kept_for_scheduled_nets() {
+fn cycle_time_is_reserved_for_scheduled_nets() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let [first, second, small, beside] = [8, 10, 2, 5].map(|tracks| ready(&controller, tracks));
     controller.start_net(first).unwrap();

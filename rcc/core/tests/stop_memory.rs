@@ -25,17 +25,13 @@ const EXHAUSTED: &str = "exhausted";
 const PIECE: usize = 8 << 10;
 
 #[test]
-fn stop_gets_through_with_memory_exhausted() {
+fn stop_works_with_memory_exhausted() {
     if let Some(socket) = std::env::var_os(CHILD) {
         exhausted(Path::new(&socket));
     }
     let socket = std::env::temp_dir().join(format!("takt-stop-memory-{}", std::process::id()));
     let mut child = Command::new(std::env::current_exe().unwrap())
-        .args([
-            "--exact",
-            "stop_gets_through_with_memory_exhausted",
-            "--nocapture",
-        ])
+        .args(["--exact", "stop_works_with_memory_exhausted", "--nocapture"])
         .env(CHILD, &socket)
         .stdin(Stdio::null())
         .stderr(Stdio::piped())

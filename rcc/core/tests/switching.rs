@@ -10,7 +10,7 @@ use switches::Switched;
 const SWITCHES: u32 = 5_000;
 
 #[test]
-fn no_cycle_is_missing_or_doubled() {
+fn net_switch_skips_and_repeats_no_cycle() {
     let wanted = std::env::var("TAKT_SWITCHES").map(|text| text.parse().expect("a number"));
     let switches = wanted.unwrap_or(SWITCHES);
     let expected = Switched {

@@ -138,7 +138,7 @@ fn swing(arms: &[&str]) -> String {
 // Where nets run.
 
 #[test]
-fn nets_run_in_the_thread_of_their_period_or_one_that_divides_it() {
+fn nets_run_in_thread_dividing_their_period() {
     let bench = Bench::new();
     for (period, expected) in [
         (None, (FAST, FAST)),
@@ -159,7 +159,7 @@ fn nets_run_in_the_thread_of_their_period_or_one_that_divides_it() {
 }
 
 #[test]
-fn an_arm_is_moved_by_its_thread_and_seen_by_all() {
+fn arm_state_is_visible_in_all_threads() {
     let bench = Bench::new();
     bench.arm("arm", "4ms");
     let mover = bench.load(&swing(&["arm"]), None);
@@ -191,7 +191,7 @@ fn an_arm_is_moved_by_its_thread_and_seen_by_all() {
 }
 
 #[test]
-fn devices_of_two_threads_cannot_be_commanded_by_one_net() {
+fn net_commanding_two_threads_is_rejected() {
     let bench = Bench::new();
     bench.arm("left", "1ms");
     bench.arm("right", "4ms");
@@ -202,7 +202,9 @@ fn devices_of_two_threads_cannot_be_commanded_by_one_net() {
     );
     let text = bench.refusal(&swing(&["right"]), Some(6 * FAST));
     assert!(
-        text.contains("6ms is no whole multiple of the 4ms of the net thread that serves `right`"),
+        text.contains(
+            "6ms is not a whole multiple of the 4ms of the net thread that serves `right`"
+        ),
         "{text}"
     );
     let parameters = BTreeMap::from([("thread".to_owned(), "3ms".to_owned())]);
@@ -211,7 +213,7 @@ fn devices_of_two_threads_cannot_be_commanded_by_one_net() {
 }
 
 #[test]
-fn a_joint_belongs_to_one_net_whatever_their_periods() {
+fn joint_belongs_to_one_net_of_any_period() {
     let bench = Bench::new();
     bench.arm("arm", "1ms");
     let first = bench.load(&swing(&["arm"]), None);
@@ -231,7 +233,7 @@ fn a_joint_belongs_to_one_net_whatever_their_periods() {
 // Rules between threads.
 
 #[test]
-fn a_net_of_one_thread_starts_when_one_of_another_ends() {
+fn rule_starts_net_in_other_thread() {
     for (first, second) in [(FAST, SLOW), (SLOW, FAST)] {
         let bench = Bench::new();
         let predecessor = bench.load(&lasting(0.05, true), Some(first));
@@ -283,7 +285,7 @@ fn one_rule_stops_cancels_and_starts_in_both_threads() {
 }
 
 #[test]
-fn a_rule_that_fails_in_one_thread_does_nothing_in_any() {
+fn rule_failing_in_one_thread_fails_all() {
     let bench = Bench::new();
     let load = |seconds, period| bench.load(&lasting(seconds, true), Some(period));
     let (trigger, kept) = (load(0.05, FAST), load(9.0, SLOW));
@@ -301,7 +303,7 @@ fn a_rule_that_fails_in_one_thread_does_nothing_in_any() {
 }
 
 #[test]
-fn a_condition_that_can_never_hold_ends_a_rule_in_both_threads() {
+fn impossible_condition_ends_rule_in_both_threads() {
     let bench = Bench::new();
     let first = bench.load(&lasting(9.0, true), Some(FAST));
     let second = bench.load(&lasting(9.0, true), Some(SLOW));
@@ -313,7 +315,7 @@ fn a_condition_that_can_never_hold_ends_a_rule_in_both_threads() {
 }
 
 #[test]
-fn a_rule_on_a_net_of_another_thread_that_has_ended_is_decided_at_once() {
+fn rule_on_ended_remote_net_decides_at_once() {
     let bench = Bench::new();
     let first = bench.load(&lasting(0.0, true), Some(SLOW));
     bench.0.start_net(first).unwrap();
@@ -325,7 +327,7 @@ fn a_rule_on_a_net_of_another_thread_that_has_ended_is_decided_at_once() {
 }
 
 #[test]
-fn a_chain_of_nets_goes_to_and_fro_between_threads() {
+fn net_chain_alternates_between_threads() {
     let bench = Bench::new();
     let period = |i: usize| Some(if i.is_multiple_of(2) { FAST } else { SLOW });
     let nets: Vec<_> = (0..40)
@@ -353,7 +355,7 @@ fn says(stop: bool) -> String {
 }
 
 #[test]
-fn an_emergency_stop_ends_the_nets_that_command_devices_in_all_threads_and_no_other() {
+fn estop_ends_commanding_nets_in_all_threads() {
     let bench = Bench::new();
     bench.arm("fast", "1ms");
     bench.arm("slow", "4ms");
@@ -368,7 +370,7 @@ fn an_emergency_stop_ends_the_nets_that_command_devices_in_all_threads_and_no_ot
         bench.wait_state(*net, NetState::Terminated);
         let end = bench.0.net(*net).unwrap().end.unwrap();
         let told = format!(
-            "device {name} ceased to follow commands and is safe-operational: the emergency stop is on"
+            "device {name} stopped following commands and is safe-operational: the emergency stop is on"
         );
         assert_eq!(end, told);
     }
@@ -393,7 +395,7 @@ fn an_emergency_stop_ends_the_nets_that_command_devices_in_all_threads_and_no_ot
 }
 
 #[test]
-fn a_controller_that_needs_an_estop_stops_without_one() {
+fn controller_needing_estop_stops_without_one() {
     let mut cell = CellConfig::default();
     cell.controller.need_estop = true;
     let bench = Bench(Controller::start(&cell).unwrap());
@@ -409,7 +411,7 @@ fn a_controller_that_needs_an_estop_stops_without_one() {
 }
 
 #[test]
-fn the_figures_of_a_net_stay_when_it_has_ended() {
+fn net_figures_remain_after_its_end() {
     let bench = Bench::new();
     let net = bench.load(&lasting(0.05, true), None);
     let before = bench.0.net_figures(net).unwrap();
@@ -427,7 +429,7 @@ fn the_figures_of_a_net_stay_when_it_has_ended() {
 }
 
 #[test]
-fn each_thread_has_figures_of_its_own() {
+fn each_thread_has_its_own_figures() {
     let bench = Bench::new();
     bench.wait("cycles of both", || {
         bench.0.threads().iter().all(|t| t.stats.cycles > 10)
@@ -442,7 +444,7 @@ fn each_thread_has_figures_of_its_own() {
 }
 
 #[test]
-fn a_cell_that_makes_no_sense_does_not_start() {
+fn inconsistent_cell_does_not_start() {
     let mut cell = CellConfig::default();
     cell.controller.threads = vec![NetThreadSettings::new(FAST)];
     let error = Controller::start(&cell).unwrap_err().to_string();
@@ -450,7 +452,7 @@ fn a_cell_that_makes_no_sense_does_not_start() {
 }
 
 #[test]
-fn a_net_that_is_unloaded_while_it_starts_does_not_run_on() {
+fn net_unloaded_while_starting_ends() {
     let slow = Duration::from_millis(100);
     let mut cell = CellConfig::default();
     cell.controller.period = slow;
@@ -478,7 +480,7 @@ fn a_net_that_is_unloaded_while_it_starts_does_not_run_on() {
 }
 
 #[test]
-fn a_period_beyond_reason_is_refused() {
+fn period_out_of_range_is_rejected() {
     let bench = Bench::new();
     let endless = "{never=Core::BooleanValue(),outTerminate=never.outValue}";
     let period = Duration::from_secs(5_000_000_000_000_000_000);

@@ -277,7 +277,7 @@ impl Connection {
                 true
             }
             None => {
-                if let Some(net) = controller.departed(*id) {
+                if let Some(net) = controller.retained(*id) {
                     out.extend(watch.handle_states(&net.states, || net.values, now));
                 }
                 out.extend(watch.handle_end());

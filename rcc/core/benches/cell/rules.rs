@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use takt_core::executor::rules::{Literal, Orders, Question, RULES_MAX, Rule, Step, WORK_MAX};
+use takt_core::executor::rules::{Literal, NetActions, Question, RULES_MAX, Rule, Step, WORK_MAX};
 use takt_core::executor::{Executor, RUNNING_MAX, Running};
 use takt_net::{Limits, LoadContext, Moment, NoDevices, load};
 use takt_rt::latest::latest;
@@ -58,7 +58,7 @@ fn conditions(executor: &mut Executor) -> usize {
         let mut steps: Vec<_> = (0..LITERALS).map(Step::Literal).collect();
         steps.extend((1..LITERALS).map(|_| Step::Or));
         let number = u32::try_from(count).expect("few rules");
-        let rule = Rule::new(number, literals, steps, Orders::default());
+        let rule = Rule::new(number, literals, steps, NetActions::default());
         if executor.add_rule(Box::new(rule)).is_err() {
             return count;
         }
@@ -72,9 +72,9 @@ fn orders(executor: &mut Executor) -> usize {
     for number in (0_u32..).take(RULES_MAX) {
         let first = number % u32::try_from(RUNNING_MAX - stops).expect("few nets");
         let stop = (first + 1..).take(stops).collect();
-        let orders = Orders {
+        let orders = NetActions {
             stop,
-            ..Orders::default()
+            ..NetActions::default()
         };
         let rule = Rule::new(number, vec![asked(0)], vec![Step::Literal(0)], orders);
         assert!(executor.add_rule(Box::new(rule)).is_ok(), "there is room");

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use takt_core::device::{ArmDescription, DeviceStatus, DeviceTable};
-use takt_core::executor::rules::{Literal, Orders, Question, Rule, Step};
+use takt_core::executor::rules::{Literal, NetActions, Question, Rule, Step};
 use takt_core::executor::{DeviceView, Executor, Running};
 use takt_net::{JointLimits, Limits, LoadContext, Moment, Nanos, Registry, load};
 use takt_rt::latest::latest;
@@ -73,9 +73,9 @@ fn follow(executor: &mut Executor, next: Box<Running>) {
         value: None,
         last: false,
     };
-    let orders = Orders {
+    let orders = NetActions {
         start: vec![id],
-        ..Orders::default()
+        ..NetActions::default()
     };
     let rule = Box::new(Rule::new(id, vec![literal], vec![Step::Literal(0)], orders));
     let scheduled = executor.schedule(next).is_ok();

@@ -1,18 +1,18 @@
-//! What clients need to be admitted, and what becomes of the nets of those that are lost. The server acts on
-//! it; nothing is listened for here.
+//! Admission of clients, and what happens to the nets of lost clients. The server applies
+//! these settings.
 
 use serde::Deserialize;
 
 use super::ControllerConfig;
 
-/// Names and origins that a cell may list, each.
+/// Maximum number of names and of origins of a cell.
 const NAMES_MAX: usize = 64;
 
-/// What becomes of the nets of a session when the connection that opened it is lost.
+/// What happens to the nets of a session when the connection that opened it is lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum OnLoss {
-    /// Nothing: they run on, and the session stays for the next connection.
+    /// They continue, and the session stays for the next connection.
     Keep,
     /// They are cancelled; after 2 s those that still run are aborted, and the session ends.
     #[default]
@@ -20,7 +20,7 @@ pub enum OnLoss {
 }
 
 impl OnLoss {
-    /// The word for it in configurations and messages.
+    /// Its name in configurations and messages.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -29,7 +29,7 @@ impl OnLoss {
         }
     }
 
-    /// What a word stands for.
+    /// The variant of a name.
     #[must_use]
     pub fn of_word(word: &str) -> Option<Self> {
         [Self::Keep, Self::End]
@@ -38,17 +38,17 @@ impl OnLoss {
     }
 }
 
-/// What a client of this host needs that reaches the server by the network (127.0.0.1, ::1).
+/// What a client on loopback (127.0.0.1, ::1) needs to be admitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Loopback {
-    /// Nothing: clients that know no token are admitted, and so is every account of this host.
+    /// Nothing: clients without a token are admitted, and so is every account of this host.
     Open,
     /// The token.
     Token,
 }
 
-/// Whether names and origins are such as a browser sends.
+/// Checks that names and origins have the form that a browser sends.
 pub(super) fn check(controller: &ControllerConfig) -> Result<(), String> {
     let lists = [
         ("hosts", &controller.hosts),
@@ -91,7 +91,7 @@ mod tests {
     use crate::cell::CellConfig;
 
     #[test]
-    fn hosts_and_origins_of_other_shape_are_refused() {
+    fn malformed_hosts_and_origins_are_rejected() {
         let parse = |line: &str| CellConfig::parse(&format!("[controller]\n{line}"));
         let good = "hosts = [\"robot\", \"robot:8080\"]\norigins = [\"http://localhost:3000\"]\n\
             loopback = \"token\"\nsocket = \"\"\nsocket_group = \"takt\"\non_loss = \"keep\"";

@@ -1,4 +1,4 @@
-//! A device of a cell: one kind of driver or another. What it is and how it is driven is in its module of `device`.
+//! A device of a cell: the configuration of one kind of driver. Each kind is defined in its module of `device`.
 
 use std::time::Duration;
 

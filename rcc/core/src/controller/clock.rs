@@ -1,5 +1,5 @@
-//! The device's clock that net threads keep phase with. Its driver measures it and the threads follow
-//! it; here the way between the two is kept while drivers come and go.
+//! The device clock that net threads follow. The device's driver measures it; this module keeps the
+//! connection between driver and threads when drivers are added and removed.
 
 use std::time::Duration;
 
@@ -9,16 +9,16 @@ use takt_rt::servo::{Estimate, State};
 
 use crate::cell::{CellConfig, THREADS_MAX};
 
-/// How the clock that a net thread follows is known.
+/// State of the clock that a net thread follows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClockInfo {
     /// The device whose clock it is.
     pub device: String,
-    /// How well its driver knows it.
+    /// Accuracy of the driver's estimate.
     pub state: State,
     /// How much faster than this host's it runs, ppb; `None` while it is not known.
     pub ppb: Option<f64>,
-    /// How long after the instants of the device the cycles of the thread begin.
+    /// Offset of the thread's cycles from the device's cycles.
     pub phase: Duration,
 }
 
@@ -28,13 +28,13 @@ pub(super) struct FollowedClock {
     device: String,
     /// Phases of the threads, the first one first.
     phases: Vec<Duration>,
-    /// While no driver has it.
+    /// The writer, while no driver holds it.
     writer: Option<LatestWriter<Estimate>>,
     reader: LatestReader<Estimate>,
 }
 
 impl FollowedClock {
-    /// What the cell says; `None` if its threads follow the host's clock.
+    /// As configured in the cell; `None` if its threads follow the host's clock.
     pub(super) fn of(cell: &CellConfig) -> Option<Self> {
         let (writer, reader) = latest(THREADS_MAX + 1, Estimate::default);
         Some(Self {
@@ -45,20 +45,20 @@ impl FollowedClock {
         })
     }
 
-    /// What a thread needs to follow it.
+    /// The reader and phase for a thread.
     pub(super) fn follow(&self, thread: usize) -> Option<Follow> {
         let phase = self.phases.get(thread)?;
         Some(Follow::new(self.reader.another()?, (*phase).into()))
     }
 
-    /// Where the driver of a device is to tell its clock: to the threads, or to nobody.
+    /// Where a device's driver writes its clock estimate: to the net threads, or to an unconnected cell.
     pub(super) fn writer_for(followed: &mut Option<Self>, device: &str) -> LatestWriter<Estimate> {
         let followed = followed.as_mut().filter(|clock| clock.device == device);
         let writer = followed.and_then(|clock| clock.writer.take());
         writer.unwrap_or_else(|| latest(1, Estimate::default).0)
     }
 
-    /// Takes back what a driver of a device that is gone had; the next one gets it.
+    /// Takes back the writer of a removed device's driver, for the next one.
     pub(super) fn give_back(
         followed: &mut Option<Self>,
         device: &str,
@@ -69,7 +69,7 @@ impl FollowedClock {
         }
     }
 
-    /// How it is known at present, to a thread.
+    /// The present state of the clock, for a thread.
     pub(super) fn info(&mut self, thread: usize) -> Option<ClockInfo> {
         let now = self.reader.read();
         let is_known = now.is_valid_at(takt_rt::monotonic());
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_driver_of_the_followed_device_is_heard() {
+    fn only_followed_device_clock_is_read() {
         assert!(FollowedClock::of(&cell(None)).is_none());
         let mut clock = FollowedClock::of(&cell(Some("left")));
         let mut stranger = FollowedClock::writer_for(&mut clock, "right");
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_driver_that_comes_anew_is_heard_again() {
+    fn clock_of_restarted_driver_is_read() {
         let mut clock = FollowedClock::of(&cell(Some("left")));
         let driver = FollowedClock::writer_for(&mut clock, "left");
         FollowedClock::give_back(&mut clock, "right", latest(1, Estimate::default).0);
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_of_which_nothing_is_heard_is_not_known() {
+    fn clock_without_estimate_is_unknown() {
         let mut clock = FollowedClock::of(&cell(Some("left")));
         let mut driver = FollowedClock::writer_for(&mut clock, "left");
         let expired = Estimate {

@@ -1,5 +1,5 @@
-//! Conditions of synchronization rules as text, and what they are for a stack machine. Which nets there
-//! are is not known here.
+//! Conditions of synchronization rules: their text, compiled for a stack machine. This module does not know
+//! which nets exist.
 //!
 //! ```text
 //! or   = and { "|" and }      and  = not { "&" not }      not = [ "!" ] atom
@@ -14,14 +14,14 @@ use std::collections::HashMap;
 use crate::error::Error;
 use crate::executor::rules::{CONDITION_MAX, Step};
 
-/// Parentheses inside one another.
+/// Maximum nesting depth of parentheses.
 const DEPTH_MAX: usize = 64;
 
 const fn is_name(c: char) -> bool {
     c.is_ascii_alphanumeric() || matches!(c, ':' | '_')
 }
 
-/// A condition before its nets are known.
+/// A condition whose nets are not resolved yet.
 #[derive(Debug, Default)]
 pub(super) struct Condition {
     /// Net and key by literal.
@@ -37,7 +37,7 @@ pub(super) struct Parser<'t> {
 }
 
 impl<'t> Parser<'t> {
-    /// Reads a whole condition.
+    /// Parses a condition.
     pub(super) fn parse(text: &'t str) -> Result<Condition, Error> {
         let mut parser = Self {
             text,
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn conditions_bind_as_usual() {
+    fn condition_operators_have_usual_precedence() {
         let condition = Parser::parse("!rpinet0.outa & (t | rpinet1.outb)|rpinet0.outa").unwrap();
         let literal = Step::Literal;
         assert_eq!(
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_name_the_column() {
+    fn condition_faults_name_the_column() {
         assert!(fault("a b c").contains("column 3: `.` and a key is expected here, not `b`"));
         assert!(fault("").contains("column 1"));
         assert!(fault("(t").contains("`)` is expected here, not the end"));

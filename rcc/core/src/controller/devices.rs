@@ -1,4 +1,4 @@
-//! Devices of a running controller: those of its cell, and simulated ones that programs make and
+//! Devices of a running controller: those of its cell, and simulated devices that programs create and
 //! remove.
 
 use std::collections::BTreeMap;
@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::cell::{CanopenConfig, DeviceConfig, EthercatConfig};
 use crate::controller::Controller;
 use crate::controller::clock::FollowedClock;
-use crate::controller::desk::Desk;
+use crate::controller::registry::Registry;
 use crate::device::canopen::{self, Canopen};
 use crate::device::driver::{self, DeviceDriver, DriverEnds};
 use crate::device::ethercat::{self, Ethercat};
@@ -22,8 +22,8 @@ use crate::executor::thread::Command;
 use crate::span;
 
 impl Controller {
-    /// Makes a simulated device of one of `device::sim::kinds` with parameters as text. It is commanded
-    /// by the net thread whose period `thread` tells, such as `4ms`; without that, by the first.
+    /// Creates a simulated device of one of `device::sim::kinds` with parameters as text. It is commanded
+    /// by the net thread whose period is given by `thread`, such as `4ms`, by default the first.
     ///
     /// # Errors
     /// If the name is taken, there is no such type, or a parameter is wrong or missing.
@@ -41,19 +41,19 @@ impl Controller {
         let period = parameters.get("thread").map(|text| span::parse(text));
         let period = period.transpose();
         let period = period.map_err(|e| wrong(format!("thread: {e}")))?;
-        let mut desk = self.inner.lock();
-        let thread = desk.thread_of_period(period).map_err(wrong)?;
-        desk.add_simulated(description, device, thread)?;
-        self.inner.announce(&desk);
+        let mut registry = self.inner.lock();
+        let thread = registry.thread_of_period(period).map_err(wrong)?;
+        registry.add_simulated(description, device, thread)?;
+        self.inner.announce(&registry);
         Ok(())
     }
 
-    /// Adds devices whose driver the caller starts, for example one of his own, or one over a link inside
+    /// Adds devices whose driver the caller starts, for example a driver of its own, or one over a link inside
     /// of this process. `name` is the driver's; `thread` is the period of the net thread that commands the
-    /// devices, `None` the first one's.
+    /// devices; `None` selects the first.
     ///
     /// # Errors
-    /// If a name is taken, there is no room or no such thread, or what `start` gives.
+    /// If a name is taken, capacity is exhausted, there is no such thread, or `start` fails.
     pub fn add_driver(
         &self,
         name: &str,
@@ -61,9 +61,9 @@ impl Controller {
         thread: Option<Duration>,
         start: impl FnOnce(DriverEnds) -> Result<Box<dyn DeviceDriver>, Error>,
     ) -> Result<(), Error> {
-        let mut desk = self.inner.lock();
-        let added = desk.add_driver(name, devices, thread, start);
-        self.inner.announce(&desk);
+        let mut registry = self.inner.lock();
+        let added = registry.add_driver(name, devices, thread, start);
+        self.inner.announce(&registry);
         added
     }
 
@@ -72,14 +72,14 @@ impl Controller {
     /// # Errors
     /// If there is no such device, it is one of the cell, or a loaded net uses it.
     pub fn remove_device(&self, name: &str) -> Result<(), Error> {
-        let mut desk = self.inner.lock();
-        desk.remove_simulated(name)?;
-        self.inner.announce(&desk);
+        let mut registry = self.inner.lock();
+        registry.remove_simulated(name)?;
+        self.inner.announce(&registry);
         Ok(())
     }
 }
 
-impl Desk {
+impl Registry {
     /// Starts the driver of a device of the cell.
     pub(super) fn add_of_cell(&mut self, device: &DeviceConfig) -> Result<(), Error> {
         let descriptions = vec![device.describe()];
@@ -153,7 +153,7 @@ impl Desk {
         match started {
             Ok(driver) => self.drivers.push(driver),
             Err(error) => {
-                // They were described before the driver could not be started.
+                // They were added before the driver failed to start.
                 for name in names.iter().take(added.len()) {
                     self.devices.remove(name);
                 }
@@ -172,9 +172,9 @@ impl Desk {
         thread: usize,
     ) -> Result<(), Error> {
         let (number, ports) = self.add_description(description)?;
-        let mut told = ports.driver_state;
-        told.write_with(|state| state.copy_from(device.state()));
-        self.serve(number, Driver::Simulated { device, told }, thread)
+        let mut published = ports.driver_state;
+        published.write_with(|state| state.copy_from(device.state()));
+        self.serve(number, Driver::Simulated { device, published }, thread)
     }
 
     fn add_description(

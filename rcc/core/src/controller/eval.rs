@@ -1,25 +1,25 @@
 //! One cycle of a net outside the net thread: what programs use to read devices and to compute
-//! kinematics. It starts nothing, holds nothing and commands nothing.
+//! kinematics. It starts no net, holds no resource and commands no device.
 
 use std::time::Duration;
 
 use takt_net::netcomm::OutStatus;
-use takt_net::{Image, Limits, LoadContext, Moment, Nanos, Plan, Registry, Rejection, load};
+use takt_net::{Image, Limits, LoadContext, Moment, Nanos, Plan, Rejection, load};
 
 use crate::controller::Controller;
-use crate::controller::inter::Surroundings;
+use crate::controller::links::Surroundings;
 use crate::device::DeviceTable;
 
 impl Controller {
     /// Checks a net, evaluates its first cycle with the devices as they are now, and returns the
-    /// non-null out ports of its root and the values it gives out, as key and text.
+    /// non-null out ports of its root and its out values, as key and text.
     ///
     /// # Errors
     /// If the net has faults.
     pub fn evaluate(&self, text: &str) -> Result<Vec<(String, String)>, Rejection> {
         let devices = self.inner.lock().devices.clone();
         let context = LoadContext {
-            registry: &self.inner.registry,
+            registry: &self.inner.primitives,
             devices: &Surroundings {
                 devices: &devices,
                 inner: &self.inner,
@@ -36,7 +36,7 @@ impl Controller {
             ..Moment::default()
         };
         self.inner.lock().give_inter(&plan);
-        // The image is this call's own: what is commanded in it reaches no driver.
+        // The image belongs to this call: its commands reach no driver.
         plan.evaluate(&image(&devices), moment);
         let mut values = plan.root_values();
         values.extend(out_values(&plan));
@@ -45,18 +45,18 @@ impl Controller {
 
     /// The primitives that nets can use.
     #[must_use]
-    pub fn registry(&self) -> &Registry {
-        &self.inner.registry
+    pub fn registry(&self) -> &takt_net::Registry {
+        &self.inner.primitives
     }
 }
 
-/// Most primitives of a net that is evaluated once.
+/// Maximum number of primitives of a net that is evaluated once.
 pub const EVAL_PRIMITIVES_MAX: usize = 20_000;
 
-/// Longest time that an evaluation may take by what its primitives declare.
+/// Maximum cost bound of a net that is evaluated once.
 pub const EVAL_COST_MAX: Duration = Duration::from_millis(50);
 
-/// Bounds on a net that is evaluated once, by anybody and at any time.
+/// Limits for a net that is evaluated once, by any client at any time.
 fn eval_limits() -> Limits {
     Limits {
         text_bytes: 4 << 20,
@@ -67,7 +67,7 @@ fn eval_limits() -> Limits {
     }
 }
 
-/// The devices as their drivers last told.
+/// The devices in the state that their drivers published last.
 fn image(devices: &DeviceTable) -> Image {
     let image = Image::default();
     for (_, device) in devices.all() {

@@ -1,7 +1,7 @@
-//! What net threads tell, put down at the desk in the order of each thread.
+//! Applies the events of net threads to the registry, in the order of each thread.
 
-use crate::controller::desk::Desk;
 use crate::controller::net::Net;
+use crate::controller::registry::Registry;
 use crate::controller::threads::busy;
 use crate::device::{Device, DeviceStatus};
 use crate::error::Error;
@@ -10,8 +10,8 @@ use crate::executor::thread::{Command, Event};
 use crate::executor::{End, Refusal, Running};
 use crate::ids::{NetId, NetState};
 
-impl Desk {
-    /// Takes what the net threads have to tell; returns whether they had anything.
+impl Registry {
+    /// Applies the events of all net threads; returns whether there were any.
     pub(super) fn take_events(&mut self) -> bool {
         let mut any = false;
         for thread in 0..self.threads.len() {
@@ -56,7 +56,7 @@ impl Desk {
         self.answer_rules(NetId(running.id));
     }
 
-    /// A net is back from the rules. If a start by hand crossed its way, it is sent off again.
+    /// A net was returned by the rules. If a direct start is pending, the net is sent again.
     fn unscheduled(&mut self, running: Box<Running>) {
         let id = running.id;
         let Some(net) = self.nets.get_mut(&NetId(id)) else {
@@ -106,7 +106,7 @@ impl Desk {
         self.with(running.id, |net| net.take_back(running, Some(error)));
     }
 
-    /// Why a net ended, unless it did so by itself.
+    /// The reason why a net ended, unless it terminated by itself.
     fn end_text(&self, net: &Running, end: End) -> Option<String> {
         match end {
             End::Terminated => None,
@@ -131,7 +131,7 @@ impl Desk {
                 let name = arm.map_or("?", |a| a.name.as_str());
                 let status = self.status_text(arm.map(|arm| &**arm));
                 Some(format!(
-                    "device {name} ceased to follow commands and is {status}"
+                    "device {name} stopped following commands and is {status}"
                 ))
             }
         }

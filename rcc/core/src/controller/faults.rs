@@ -9,32 +9,32 @@ use takt_rt::Nanos;
 use takt_rt::stats::{Stall, StallReader};
 
 use crate::controller::Controller;
-use crate::controller::desk::Desk;
+use crate::controller::registry::Registry;
 use crate::device::DeviceStatus;
 
-/// How long before a device's fault the stall that caused it may have ended: a drive's watchdog, its master's reaction and
-/// a few cycles are far less.
+/// Maximum time between the end of a stall and the fault that it caused: a drive's watchdog, its master's reaction and
+/// a few cycles take far less.
 const CAUSE_WITHIN: Nanos = Nanos::from_millis(1000);
-/// Faults that are remembered one by one; the oldest go first.
+/// Maximum number of faults kept; the oldest are dropped first.
 const FAULTS_KEPT: usize = 64;
-/// Other threads that are watched.
+/// Maximum number of other monitored threads.
 const WATCHED_MAX: usize = 64;
-/// What is added where a device does not come back by itself.
+/// Added to the text for a device that does not recover by itself.
 const HELD: &str =
-    "\nhint: by `recovery = \"on_restart\"` it stays so until the controller starts again";
+    "\nhint: with `recovery = \"on_restart\"` it stays so until the controller restarts";
 
 /// The stall of this host that ended shortly before a device had a fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StallCause {
-    /// How long the thread stood still that did so for the longest.
+    /// Longest stall of a thread.
     pub length: Duration,
-    /// That thread: a device, a bus, or `nets of` and their period.
+    /// That thread: a device, a bus, or `nets of` with their period.
     pub thread: String,
-    /// The processor on which it went on; `None` if the system does not say.
+    /// The processor on which it continued; `None` if unknown.
     pub cpu: Option<usize>,
-    /// Threads that stood still for half as long or longer, it included.
+    /// Threads that stalled at least half as long, including it.
     pub threads: usize,
-    /// Threads of which that is measured.
+    /// Threads whose stalls are measured.
     pub measured: usize,
 }
 
@@ -51,31 +51,31 @@ impl fmt::Display for StallCause {
         if let Some(cpu) = self.cpu {
             write!(f, " on processor {cpu}")?;
         }
-        write!(f, ", {threads} of {measured} threads stood still")
+        write!(f, ", {threads} of {measured} threads stalled")
     }
 }
 
-/// A fault of a device: it ceased to follow commands.
+/// A fault of a device: it stopped following commands.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceFault {
-    /// Number of the fault, from 1, over all devices.
+    /// Number of the fault over all devices, from 1.
     pub number: u64,
     /// The device.
     pub device: String,
-    /// What it was when that was seen.
+    /// Its status when the fault was detected.
     pub status: DeviceStatus,
-    /// When that was seen, on `CLOCK_MONOTONIC`.
+    /// When the fault was detected, on `CLOCK_MONOTONIC`.
     pub at: Nanos,
     /// The stall that caused it; `None` if this host did not stall.
     pub cause: Option<StallCause>,
-    /// Until it followed commands again; `None` if it does not yet.
+    /// Time until it followed commands again; `None` if it does not yet.
     pub recovered_after: Option<Duration>,
 }
 
 impl fmt::Display for DeviceFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { device, status, .. } = self;
-        write!(f, "{device} ceased to follow commands")?;
+        write!(f, "{device} stopped following commands")?;
         match status {
             DeviceStatus::Operational => f.write_str(" for a moment: ")?,
             DeviceStatus::Offline | DeviceStatus::SafeOperational => {
@@ -84,36 +84,36 @@ impl fmt::Display for DeviceFault {
         }
         match &self.cause {
             Some(cause) => cause.fmt(f),
-            None => f.write_str("no stall of this host was measured; its own state tells why"),
+            None => f.write_str("no stall of this host was measured; see the device's own state"),
         }
     }
 }
 
-/// Faults of a device so far.
+/// Counters of a device's faults.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FaultCounts {
-    /// How often it ceased to follow commands.
+    /// How often it stopped following commands.
     pub faults: u64,
-    /// After how many of these it followed again.
+    /// Faults after which it followed commands again.
     pub recovered: u64,
-    /// Those before which no stall of this host was measured.
+    /// Faults without a measured stall of this host.
     pub without_stall: u64,
-    /// The longest time until it followed again.
+    /// Longest time until it followed commands again.
     pub recovered_after_max: Option<Duration>,
 }
 
-/// How often threads stood still, and for how long.
+/// Number and duration of thread stalls.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StallFigures {
-    /// Stalls of all threads: one of the host counts for each that it held up.
+    /// Stalls of all threads: a stall of the host counts once per delayed thread.
     pub count: u64,
-    /// The longest of all.
+    /// Longest stall.
     pub longest: Duration,
-    /// The thread of that one; empty if there was none.
+    /// The thread of the longest stall; empty if there was none.
     pub thread: String,
 }
 
-/// The faults that were seen.
+/// Detected faults.
 #[derive(Debug, Default)]
 pub(super) struct Faults {
     recent: VecDeque<DeviceFault>,
@@ -122,7 +122,7 @@ pub(super) struct Faults {
 }
 
 impl Faults {
-    /// Notes how often a device has had a fault so far; returns a fault that is new.
+    /// Updates the fault count of a device; returns a new fault.
     fn note(
         &mut self,
         device: &str,
@@ -133,7 +133,7 @@ impl Faults {
     ) -> Option<DeviceFault> {
         let known = self.counts.get(device).map_or(0, |counts| counts.faults);
         if faults < known {
-            // Another of that name.
+            // Another device of that name.
             self.forget(device);
         }
         if faults == 0 || faults == known {
@@ -143,7 +143,7 @@ impl Faults {
         let onsets = faults - counts.faults;
         let cause = cause();
         counts.faults = faults;
-        // Between two of several it followed.
+        // Between two of several faults it followed commands.
         counts.recovered = counts.recovered.max(faults - 1);
         counts.without_stall += if cause.is_some() { 0 } else { onsets };
         self.total += onsets;
@@ -162,7 +162,7 @@ impl Faults {
         Some(fault)
     }
 
-    /// Notes that a device follows commands; returns how long its last fault took, if that is over by this.
+    /// Records that a device follows commands; returns the duration of the fault that this ends, if any.
     fn note_following(&mut self, device: &str, at: Nanos) -> Option<Duration> {
         let counts = self.counts.get_mut(device)?;
         if counts.recovered == counts.faults {
@@ -209,8 +209,8 @@ fn cause<'t>(
     })
 }
 
-impl Desk {
-    /// The threads that measure when they stood still, by name.
+impl Registry {
+    /// The threads that measure their stalls, by name.
     fn stalling(&self) -> impl Iterator<Item = (String, &StallReader)> {
         let nets = self.threads.iter();
         let nets = nets.map(|thread| {
@@ -224,9 +224,9 @@ impl Desk {
             .chain(watched)
     }
 
-    /// Notes the faults of devices that are new, and those that are over; one line for the log each. Returns the devices
-    /// of those that are new.
-    pub(super) fn look_at_faults(&mut self, at: Nanos) -> Vec<String> {
+    /// Records new and ended faults of devices, with one log line each. Returns the devices
+    /// with new faults.
+    pub(super) fn poll_faults(&mut self, at: Nanos) -> Vec<String> {
         let mut faulted = Vec::new();
         let mut faults = std::mem::take(&mut self.faults);
         faults
@@ -239,7 +239,7 @@ impl Desk {
             });
             if let Some(fault) = found {
                 let driver = self.drivers.iter().find(|it| it.drives(&device.name));
-                let figures = driver.map(|driver| super::desk::listed(&driver.figures()));
+                let figures = driver.map(|driver| super::registry::listed(&driver.figures()));
                 let is_held = driver.is_some_and(|it| it.is_held_after_faults(&device.name));
                 let hint = if is_held { HELD } else { "" };
                 tracing::warn!(device = device.name, figures, "{fault}{hint}");
@@ -261,8 +261,8 @@ impl Desk {
 }
 
 impl Controller {
-    /// Looks for causes of faults among the stalls of another thread of this process, too, such as that of an emulated
-    /// device; 64 threads at most.
+    /// Includes the stalls of another thread of this process in the search for causes, such as that of an emulated
+    /// device; at most 64 threads.
     pub fn watch_stalls(&self, thread: &str, stalls: StallReader) {
         let watched = &mut self.inner.lock().watched_stalls;
         if watched.len() < WATCHED_MAX {
@@ -270,7 +270,7 @@ impl Controller {
         }
     }
 
-    /// Faults of devices by name; only of those that had some.
+    /// Fault counters by device name; only of devices that had faults.
     #[must_use]
     pub fn fault_counts(&self) -> BTreeMap<String, FaultCounts> {
         self.inner.lock().faults.counts.clone()
@@ -282,12 +282,12 @@ impl Controller {
         self.inner.lock().faults.recent.iter().cloned().collect()
     }
 
-    /// How often threads of nets and drivers stood still for four of their cycles or longer, and for how long.
+    /// Stalls of net and driver threads that lasted at least four of their cycles.
     #[must_use]
     pub fn stalls(&self) -> StallFigures {
-        let desk = self.inner.lock();
+        let registry = self.inner.lock();
         let mut figures = StallFigures::default();
-        for (thread, stalls) in desk.stalling() {
+        for (thread, stalls) in registry.stalling() {
             figures.count += stalls.count();
             if stalls.longest() > figures.longest {
                 (figures.longest, figures.thread) = (stalls.longest(), thread);
@@ -329,11 +329,11 @@ mod tests {
         let text = found.unwrap().to_string();
         assert!(
             text.starts_with(
-                "arm ceased to follow commands and is offline: this host stalled for 152 ms: thread nets of 1ms"
+                "arm stopped following commands and is offline: this host stalled for 152 ms: thread nets of 1ms"
             ),
             "{text}"
         );
-        assert!(text.ends_with("2 of 3 threads stood still"), "{text}");
+        assert!(text.ends_with("2 of 3 threads stalled"), "{text}");
         let again = faults.note("arm", 1, OFFLINE, ms(5102), || cause(threads(), ms(5102)));
         assert_eq!(again, None, "one line per onset");
         // A stall of long ago, or one that is still to come, is no cause.
@@ -353,7 +353,7 @@ mod tests {
         let took = faults.note_following("arm", ms(2500));
         assert_eq!(took, Some(Duration::from_millis(1500)));
         assert_eq!(faults.note_following("arm", ms(2502)), None, "once");
-        // Two between two looks: it followed between them.
+        // Two faults between two polls: it followed commands between them.
         let two = faults.note("arm", 3, OFFLINE, ms(3000), || None);
         assert_eq!(two.unwrap().number, 3);
         let expected = FaultCounts {

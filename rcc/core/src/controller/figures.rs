@@ -1,51 +1,51 @@
-//! Figures of a running controller: how its threads keep their time and what its drivers count.
-//! They judge nothing.
+//! Figures of a running controller: timing of its threads and counters of its drivers. This module does
+//! not evaluate them.
 
 use std::any::Any;
 use std::time::Duration;
 
 use crate::controller::Controller;
 use crate::controller::clock::ClockInfo;
-use crate::controller::desk::Desk;
+use crate::controller::registry::Registry;
 use crate::device::driver::DeviceDriver;
 use crate::device::lwr::Lwr;
 use crate::executor::figures::{NetCounts, budget};
 use crate::executor::thread::NetThread;
 use crate::ids::NetId;
 
-/// How a net thread keeps its time.
+/// Timing of a net thread.
 #[derive(Clone, Debug)]
 pub struct ThreadInfo {
-    /// Time from one of its cycles to the next.
+    /// Its period.
     pub period: Duration,
     /// Its cycles.
     pub stats: takt_rt::stats::Snapshot,
     /// Time between handing over set-points to its first and to its last device in a cycle.
     pub hand_over: takt_rt::stats::Summary,
-    /// The device's clock that it keeps phase with; `None` if it runs by the host's. How far its cycles
-    /// are from their places on that clock is `stats.phase_error`.
+    /// The device clock that it follows; `None` if it follows the host's clock. The deviation of its cycles
+    /// from that clock is `stats.phase_error`.
     pub clock: Option<ClockInfo>,
 }
 
-/// What the evaluation of a net costs, by declaration and by the clock.
+/// Declared and measured cost of a net's evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NetFigures {
-    /// Time from one of its cycles to the next.
+    /// Its period.
     pub period: Duration,
-    /// The same of the thread that evaluates it.
+    /// Period of the thread that evaluates it.
     pub thread_period: Duration,
-    /// What a cycle of it may cost.
+    /// Budget of one of its cycles.
     pub budget: Duration,
-    /// What a cycle of it costs at most by what its primitives declare, everything active.
+    /// Cost bound of one of its cycles, as declared by its primitives, with everything active.
     pub cost: Duration,
-    /// How many primitives it has.
+    /// Number of its primitives.
     pub primitives: usize,
-    /// What was counted while it ran.
+    /// Counters of its run.
     pub counts: NetCounts,
 }
 
 impl Controller {
-    /// What the evaluation of a net costs; `None` if there is no such net, or it was not taken.
+    /// Cost of a net's evaluation; `None` if there is no such net, or it was rejected.
     #[must_use]
     pub fn net_figures(&self, id: NetId) -> Option<NetFigures> {
         self.inner.lock().net_figures(id)
@@ -57,27 +57,27 @@ impl Controller {
         self.inner.lock().thread_infos()
     }
 
-    /// Whether the emergency stop is on: no device follows commands.
+    /// Whether the emergency stop is active: no device follows commands.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.inner.lock().stop.is_on(takt_rt::monotonic())
     }
 
-    /// How well the first net thread keeps its time.
+    /// Timing of the first net thread.
     #[must_use]
     pub fn stats(&self) -> takt_rt::stats::Snapshot {
         self.inner.lock().thread_stats()
     }
 
-    /// Allocations that real-time threads made, which should be none; 0 also where the program does
+    /// Allocations in real-time threads, expected to be 0; also 0 if the program does
     /// not count them.
     #[must_use]
     pub fn real_time_allocations(&self) -> u64 {
         takt_rt::alloc::real_time_allocations()
     }
 
-    /// Page faults of real-time threads, those of drivers included, from when their cycles began: none
-    /// where memory could be locked.
+    /// Page faults of real-time threads and drivers since their first cycle; 0 if
+    /// memory could be locked.
     #[must_use]
     pub fn real_time_page_faults(&self) -> takt_rt::alloc::PageFaults {
         takt_rt::alloc::real_time_page_faults()
@@ -89,16 +89,16 @@ impl Controller {
         self.inner.lock().hand_over()
     }
 
-    /// How the host granted what the threads asked for, with the threads' names.
+    /// Settings that the host granted to the threads, by thread name.
     #[must_use]
     pub fn grants(&self) -> Vec<(String, takt_rt::Grant)> {
         self.inner.lock().grants()
     }
 
-    /// Reads something of every driver of one kind.
+    /// Reads a figure of every driver of one kind.
     pub fn with_drivers<D: DeviceDriver, T>(&self, read: impl Fn(&D) -> T) -> Vec<T> {
-        let desk = self.inner.lock();
-        let drivers = desk
+        let registry = self.inner.lock();
+        let drivers = registry
             .drivers
             .iter()
             .map(|driver| driver.as_ref() as &dyn Any);
@@ -108,12 +108,12 @@ impl Controller {
             .collect()
     }
 
-    /// Reads something of the driver of every LWR.
+    /// Reads a figure of every LWR driver.
     pub fn with_arms<T>(&self, read: impl Fn(&Lwr) -> T) -> Vec<T> {
         self.with_drivers(read)
     }
 
-    /// The state a device's driver last told.
+    /// The state that a device's driver published last.
     #[must_use]
     pub fn arm_state(&self, name: &str) -> Option<crate::device::DeviceState> {
         let device = self.inner.lock().devices.find(name).cloned();
@@ -121,7 +121,7 @@ impl Controller {
     }
 }
 
-impl Desk {
+impl Registry {
     fn net_figures(&self, id: NetId) -> Option<NetFigures> {
         let net = self.nets.get(&id)?;
         let counted = net.counted()?;

@@ -1,25 +1,25 @@
-//! What the last stages of devices held back: counters by name, and one line for the log at each onset. It bounds
-//! nothing; that is done in the drivers, cycle by cycle.
+//! Limiting by the last stages of devices: counters by name, and one log line per onset. The limits are
+//! applied in the drivers, cycle by cycle.
 
 use std::collections::BTreeMap;
 
 use crate::controller::Controller;
-use crate::controller::desk::Desk;
+use crate::controller::registry::Registry;
 use crate::device::last_stage::{Limited, Unit};
 use crate::device::{ARM_JOINTS_MAX, Device};
 
-/// What the last stage of a part of a device held back.
+/// Limiting by the last stage of one part of a device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LimitedInfo {
     /// `joint 3`, `floor` or `turning` of a base, `fingers` of a gripper.
     pub part: String,
-    /// How often and what.
+    /// Counters and the last excess.
     pub limited: Limited,
     /// The unit of its position.
     pub unit: Unit,
 }
 
-/// How many onsets were reported, by device and part.
+/// Number of reported onsets, by device and part.
 pub(super) type Reported = BTreeMap<String, [u64; ARM_JOINTS_MAX]>;
 
 /// The parts of a device with a last stage each, in the order of `DeviceState::limited`.
@@ -39,7 +39,7 @@ fn parts(device: &Device) -> Vec<(String, Unit)> {
     }
 }
 
-/// The line for the log.
+/// The log line.
 fn line(part: &str, unit: Unit, limited: &Limited, onsets: u64) -> String {
     let why = limited.last.map(|excess| excess.text(unit));
     let times = if onsets > 1 {
@@ -54,7 +54,7 @@ fn line(part: &str, unit: Unit, limited: &Limited, onsets: u64) -> String {
 }
 
 impl Controller {
-    /// What the last stages of a device held back, part by part; nothing if there is no such device or nothing of it
+    /// Limiting by the last stages of a device, part by part; empty if there is no such device or no part of it
     /// moves.
     #[must_use]
     pub fn limited(&self, name: &str) -> Vec<LimitedInfo> {
@@ -73,16 +73,16 @@ impl Controller {
     }
 }
 
-impl Desk {
-    /// The lines on what was limited since the last call, with the devices' names.
-    pub(super) fn look_at_limits(&mut self) -> Vec<(String, String)> {
+impl Registry {
+    /// Log lines on limiting since the last call, with the devices' names.
+    pub(super) fn poll_limits(&mut self) -> Vec<(String, String)> {
         let mut lines = Vec::new();
         self.reported
             .retain(|name, _| self.devices.find(name).is_some());
         for (_, device) in self.devices.all() {
             let limited = device.limited();
             if limited.iter().all(|limited| limited.onsets == 0) {
-                // Also one that was created again under the name of another.
+                // Also a new device under the name of a removed one.
                 self.reported.remove(&device.name);
                 continue;
             }
@@ -101,8 +101,8 @@ impl Desk {
         lines
     }
 
-    /// The lines on positions that jumped since the last call, with the devices' names.
-    pub(super) fn look_at_jumps(&mut self) -> Vec<(String, String)> {
+    /// Log lines on position jumps since the last call, with the devices' names.
+    pub(super) fn poll_jumps(&mut self) -> Vec<(String, String)> {
         let mut lines = Vec::new();
         self.reported_jumps
             .retain(|name, _| self.devices.find(name).is_some());

@@ -1,4 +1,4 @@
-//! Loading: a net's text becomes a plan in the caller's thread, while all others go on. Nothing is
+//! Loading: a net's text is compiled to a plan in the caller's thread, while all others continue. Nothing is
 //! started here.
 
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use std::time::Duration;
 use takt_net::{Limits, LoadContext, Plan, Rejection, load};
 use takt_rt::latest::latest;
 
-use crate::controller::inter::Surroundings;
+use crate::controller::links::Surroundings;
 use crate::controller::net::{Net, Prepared};
 use crate::controller::threads::Place;
 use crate::controller::{Controller, NETS_MAX, limits_for};
@@ -17,26 +17,26 @@ use crate::executor::links::OUT_READERS;
 use crate::executor::{ResourceSet, Running};
 use crate::ids::{NetId, SessionId};
 
-/// A net to be loaded.
+/// A request to load a net.
 #[derive(Clone, Debug)]
 pub struct LoadRequest {
     /// The net.
     pub text: String,
-    /// Session it belongs to; `SessionId(0)` for none.
+    /// Session that it belongs to; `SessionId(0)` for none.
     pub session: SessionId,
-    /// What it is, for people.
+    /// Description for users.
     pub description: String,
-    /// Time from one of its cycles to the next, a whole multiple of a net thread's; `None` for that
-    /// of the thread which serves the devices it commands, or of the first.
+    /// Period, a whole multiple of a net thread's; `None` for the period
+    /// of the thread that serves the devices it commands, or of the first.
     pub period: Option<Duration>,
 }
 
-/// What the host's limits leave for a net, bytes: half of what is free, as loading takes more than what is kept.
+/// Memory for a net within the host's limits, bytes: half of what is free, as loading takes more than the loaded net.
 ///
 /// # Errors
-/// If they leave too little even to read its text.
+/// If it does not suffice even to parse the text.
 fn free_for(text: &str) -> Result<usize, Error> {
-    /// Bytes that reading a text takes for each of its own, at most.
+    /// Maximum bytes that parsing takes per byte of text.
     const BYTES_PER_BYTE: u64 = 32;
     let Some(free) = crate::memory::free() else {
         return Ok(usize::MAX);
@@ -49,12 +49,12 @@ fn free_for(text: &str) -> Result<usize, Error> {
     Ok(usize::try_from(free / 2).unwrap_or(usize::MAX))
 }
 
-/// How long a load may wait for others: less than clients wait for a reply.
+/// How long a load may wait for others: less than the reply timeout of clients.
 const LOADS_WITHIN: Duration = Duration::from_secs(20);
 
 impl Controller {
-    /// Loads a net. A net that is rejected gets an identifier too; its state tells. If there are
-    /// as many nets as there may be, the oldest that is over is unloaded.
+    /// Loads a net. A rejected net gets an identifier too; its state shows the rejection. If there are
+    /// [`NETS_MAX`] nets, the oldest ended one is unloaded.
     ///
     /// # Errors
     /// If there are too many nets, or no such session.
@@ -64,15 +64,15 @@ impl Controller {
         let (id, text) = self.accept(request)?;
         let memory = self.keep_memory(id)?.min(free);
         let prepared = self.prepare(id, &text, period, memory);
-        let mut desk = self.inner.lock();
-        desk.release_memory(id);
+        let mut registry = self.inner.lock();
+        registry.release_memory(id);
         let taken = match &prepared {
-            Ok(prepared) => desk.check_memory(&prepared.running.plan),
+            Ok(prepared) => registry.check_memory(&prepared.running.plan),
             Err(rejection) => Err(rejection.clone()),
         };
-        // A net that is refused may be large: it is freed behind the lock.
+        // A rejected net may be large: it is freed without the lock.
         let mut refused = None;
-        if let Some(net) = desk.nets.get_mut(&id) {
+        if let Some(net) = registry.nets.get_mut(&id) {
             match (prepared, taken) {
                 (Ok(prepared), Ok(())) => net.make_ready(prepared),
                 (prepared, taken) => {
@@ -81,13 +81,13 @@ impl Controller {
                 }
             }
         }
-        self.inner.announce(&desk);
-        drop(desk);
+        self.inner.announce(&registry);
+        drop(registry);
         drop(refused);
         Ok(id)
     }
 
-    /// Takes a net in, by its text.
+    /// Adds a net with its text.
     fn accept(&self, request: LoadRequest) -> Result<(NetId, Arc<str>), Error> {
         let LoadRequest {
             text,
@@ -96,44 +96,44 @@ impl Controller {
             ..
         } = request;
         let text: Arc<str> = text.into();
-        let mut desk = self.inner.lock();
-        desk.refuse_if_closing()?;
-        if session != SessionId::NONE && !desk.sessions.contains_key(&session) {
+        let mut registry = self.inner.lock();
+        registry.refuse_if_closing()?;
+        if session != SessionId::NONE && !registry.sessions.contains_key(&session) {
             return Err(Error::NoSuchSession(session.to_string()));
         }
-        desk.take_text(text.len())?;
-        if desk.nets.len() >= NETS_MAX && desk.forget_oldest().is_none() {
+        registry.take_text(text.len())?;
+        if registry.nets.len() >= NETS_MAX && registry.forget_oldest().is_none() {
             return Err(Error::TooMany {
                 what: "loaded nets",
                 bound: NETS_MAX,
             });
         }
-        let id = desk.next_net();
+        let id = registry.next_net();
         let net = Net::new(session, description, Arc::clone(&text));
-        desk.nets.insert(id, net);
-        self.inner.announce(&desk);
+        registry.nets.insert(id, net);
+        self.inner.announce(&registry);
         Ok((id, text))
     }
 
-    /// Keeps memory for a net that is to be loaded, for which it may have to wait for others.
+    /// Reserves memory for a net to be loaded; waits for other loads if necessary.
     fn keep_memory(&self, id: NetId) -> Result<usize, Error> {
         let most = Limits::default().memory_bytes;
-        let desk = self.inner.lock();
-        let keep = |desk: &mut super::Desk| desk.keep_memory(id, most);
+        let registry = self.inner.lock();
+        let keep = |registry: &mut super::Registry| registry.keep_memory(id, most);
         self.inner
-            .wait_within(desk, LOADS_WITHIN, keep)
+            .wait_within(registry, LOADS_WITHIN, keep)
             .map_err(|_| {
-                let mut desk = self.inner.lock();
-                desk.nets.remove(&id);
-                self.inner.announce(&desk);
+                let mut registry = self.inner.lock();
+                registry.nets.remove(&id);
+                self.inner.announce(&registry);
                 Error::TooMany {
                     what: "bytes of nets that are loaded at once; load them one after the other",
-                    bound: desk.room.memory,
+                    bound: registry.room.memory,
                 }
             })
     }
 
-    /// Checks a net and makes it ready, without the desk but for a copy of the devices.
+    /// Checks a net and makes it ready, without the registry except for a copy of the devices.
     fn prepare(
         &self,
         id: NetId,
@@ -144,16 +144,16 @@ impl Controller {
         let devices = self.inner.lock().devices.clone();
         let (plan, place) = self.plan(text, period, &devices, memory)?;
         place.check_cost(plan.cost())?;
-        let mut desk = self.inner.lock();
+        let mut registry = self.inner.lock();
         let mut resources = ResourceSet::default();
         for name in plan.resources() {
-            resources.insert(desk.resource(name)?);
+            resources.insert(registry.resource(name)?);
         }
         // Only the first thread is recorded.
-        if let (Some(recorder), 0) = (&desk.recorder, place.thread) {
+        if let (Some(recorder), 0) = (&registry.recorder, place.thread) {
             recorder.net(id.0, place.every, place.period, text);
         }
-        drop(desk);
+        drop(registry);
         let numbers = plan
             .devices()
             .iter()
@@ -183,8 +183,8 @@ impl Controller {
         })
     }
 
-    /// Makes the plan and finds its thread. Which devices a net commands is known only when it is
-    /// loaded, and with it the period of one that asks for none.
+    /// Compiles the plan and finds its thread. Which devices a net commands is known only when it is
+    /// loaded, and so is the default period.
     fn plan(
         &self,
         text: &str,
@@ -199,7 +199,7 @@ impl Controller {
         let place = |devices: &[String]| self.inner.lock().place(period, devices);
         let before = place(&[])?;
         let limits = limits_for(before.period);
-        // The budget of a period that is not known yet is no reason to refuse.
+        // The budget of a period that is not known yet is no reason to reject.
         let cost = limits.cost.filter(|_| period.is_some());
         let plan = self.load_for(text, before.period, Limits { cost, ..limits }, devices)?;
         let after = place(plan.devices())?;
@@ -220,7 +220,7 @@ impl Controller {
         devices: &DeviceTable,
     ) -> Result<Plan, Rejection> {
         let context = LoadContext {
-            registry: &self.inner.registry,
+            registry: &self.inner.primitives,
             devices: &Surroundings {
                 devices,
                 inner: &self.inner,

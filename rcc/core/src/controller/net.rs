@@ -1,5 +1,5 @@
-//! A net as the desk keeps it: its life, from text to end, and the program's ends of its values. Which nets there
-//! are, and who may start which, is the desk's and the net threads' business.
+//! A net in the registry: its life from text to end, and the program's endpoints of its values. The registry
+//! and the net threads decide which nets exist and which may start.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,8 +8,8 @@ use takt_net::Rejection;
 use takt_net::netcomm::{Directory, Entry, NetBoxes, OutStatus};
 use takt_rt::latest::{LatestReader, LatestWriter};
 
-use crate::controller::inter::{Look, NetLinks};
-use crate::controller::share::memory;
+use crate::controller::links::{NetLinks, TapRecording};
+use crate::controller::quota::memory;
 use crate::controller::{NetId, NetInfo, NetState, SessionId};
 use crate::error::Error;
 use crate::executor::figures::NetCounters;
@@ -17,7 +17,7 @@ use crate::executor::thread::Command;
 use crate::executor::{ResourceSet, Running};
 use crate::stop_channel::Generation;
 
-/// A net made ready, with the program's ends of its values.
+/// A net that is ready, with the program's endpoints of its values.
 #[derive(Debug)]
 pub(super) struct Prepared {
     /// The number of its thread.
@@ -50,13 +50,13 @@ pub(super) struct Net {
     states: Vec<NetState>,
     rejection: Option<Arc<Rejection>>,
     end: Option<String>,
-    /// The net while the net thread does not have it.
+    /// The net, unless the net thread holds it.
     running: Option<Box<Running>>,
-    /// Set while a start is under way, and then to its outcome until somebody asks for it.
+    /// Set while a start is pending, then its outcome until the caller takes it.
     starting: Option<Option<Result<(), Error>>>,
-    /// Whether the net thread keeps it for rules to start.
+    /// Whether the net thread holds it for rules to start.
     with_rules: bool,
-    /// Bytes that are kept for it while it is loaded.
+    /// Bytes reserved for it while it is loaded.
     pub(super) reserved: usize,
     values: Option<Values>,
     /// Devices that the net reads or commands.
@@ -66,7 +66,7 @@ pub(super) struct Net {
     counted: Option<Counted>,
 }
 
-/// What is known of a net's evaluation.
+/// Data on a net's evaluation.
 #[derive(Debug)]
 pub(super) struct Counted {
     pub(super) counters: Arc<NetCounters>,
@@ -144,7 +144,7 @@ impl Net {
         self.enter(NetState::Rejected);
     }
 
-    /// Whether the net can be given away to be started.
+    /// Checks that the net can be handed over to be started.
     pub(super) fn check_begin(&self, id: NetId) -> Result<(), Error> {
         let state = self.state();
         let is_held = self.running.is_some() || self.with_rules;
@@ -159,9 +159,9 @@ impl Net {
         })
     }
 
-    /// Gives the net away to be started.
+    /// Hands the net over to be started.
     pub(super) fn begin(&mut self, id: NetId, requested: Generation) -> Command {
-        // An outcome that nobody waited for any more is that of an earlier start.
+        // An outcome that was never taken belongs to an earlier start.
         self.starting = Some(None);
         let running = self.running.take().map(|mut running| {
             running.requested = requested;
@@ -182,12 +182,12 @@ impl Net {
         }
     }
 
-    /// There is no start to be answered any more.
+    /// Clears the outcome: no start is pending.
     pub(super) fn forget_start(&mut self) {
         self.starting = None;
     }
 
-    /// Whether the net thread keeps it for rules to start.
+    /// Whether the net thread holds it for rules to start.
     pub(super) const fn is_with_rules(&self) -> bool {
         self.with_rules
     }
@@ -205,29 +205,29 @@ impl Net {
         self.enter(NetState::Terminated);
     }
 
-    /// It is back without having run; `why` if it could not be started.
+    /// It was returned without having run; `why` if it could not be started.
     pub(super) fn take_back(&mut self, running: Box<Running>, why: Option<Error>) {
         self.with_rules = false;
         self.running = Some(running);
         self.starting = why.map(|error| Some(Err(error)));
     }
 
-    /// Rules do not have it any more.
+    /// Rules no longer hold it.
     pub(super) const fn leave_rules(&mut self) {
         self.with_rules = false;
     }
 
-    /// Whether the net thread has it, or will, while it does not run yet.
+    /// Whether the net thread holds it, or will, before it runs.
     pub(super) const fn is_away(&self) -> bool {
         self.with_rules || self.is_to_start()
     }
 
-    /// Whether a start is asked for and not answered.
+    /// Whether a start is requested and not answered.
     pub(super) const fn is_to_start(&self) -> bool {
         matches!(self.starting, Some(None))
     }
 
-    /// What is known of its evaluation; `None` if it was never made ready.
+    /// Data on its evaluation; `None` if it was never ready.
     pub(super) const fn counted(&self) -> Option<&Counted> {
         self.counted.as_ref()
     }
@@ -249,7 +249,7 @@ impl Net {
         self.devices.iter().any(|name| name == device)
     }
 
-    /// Gives the net away for rules to start, unless they have it already.
+    /// Hands the net over for rules to start, unless they hold it already.
     pub(super) fn hand_to_rules(&mut self, requested: Generation) -> Option<Box<Running>> {
         let mut running = self.running.take()?;
         running.requested = requested;
@@ -263,17 +263,17 @@ impl Net {
         }
     }
 
-    /// Whether it ended as its own termination says.
+    /// Whether it terminated by itself.
     pub(super) fn ended_by_itself(&self) -> bool {
         self.state() == NetState::Terminated && self.end.is_none()
     }
 
-    /// Where an out value lies.
+    /// Location of an out value.
     pub(super) fn out_entry(&self, key: &str) -> Option<Entry> {
         self.values.as_ref()?.out_directory.find(key).cloned()
     }
 
-    /// What other nets may exchange with it.
+    /// Its values for exchange with other nets.
     pub(super) fn boxes(&self) -> Option<NetBoxes> {
         let values = self.values.as_ref()?;
         Some(NetBoxes {
@@ -282,7 +282,7 @@ impl Net {
         })
     }
 
-    /// Reads what it gave out last.
+    /// Reads its last out values.
     pub(super) fn with_out_words<T>(&mut self, read: impl FnOnce(&[u64]) -> T) -> Option<T> {
         let values = self.values.as_mut()?;
         Some(values.out_reader.read_with(|words| read(words)))
@@ -292,11 +292,11 @@ impl Net {
         Some(&mut self.values.as_mut()?.links)
     }
 
-    pub(super) fn look_mut(&mut self) -> Option<&mut Look> {
-        self.links_mut()?.look.as_mut()
+    pub(super) fn tap_recording_mut(&mut self) -> Option<&mut TapRecording> {
+        self.links_mut()?.tap_recording.as_mut()
     }
 
-    /// One more reader of what it gives out; `None` if there are as many as there may be.
+    /// Adds a reader of its out values; `None` if the limit is reached.
     pub(super) fn another_out_reader(&self) -> Option<LatestReader<Box<[u64]>>> {
         self.values.as_ref()?.out_reader.another()
     }

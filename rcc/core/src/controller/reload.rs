@@ -1,36 +1,39 @@
-//! Devices of the cell that come and go while the controller runs, as its file is read anew. Which
-//! those are is decided by whoever reads the file; nets are never touched.
+//! Devices of the cell that are added and removed at run time, when its file is reloaded. The
+//! caller, which reads the file, selects them; nets are not affected.
 
 use crate::cell::DeviceConfig;
 use crate::controller::clock::FollowedClock;
-use crate::controller::desk::Desk;
 use crate::controller::net::Net;
+use crate::controller::registry::Registry;
 use crate::controller::{Controller, NetState};
 use crate::error::Error;
 use crate::executor::thread::Command;
 
 impl Controller {
-    /// Starts the driver of another device of the cell.
+    /// Adds a device of the cell and starts its driver.
     ///
     /// # Errors
-    /// If its name is taken, there is no room for it, or it cannot be opened.
+    /// If its name is taken, capacity is exhausted, or it cannot be opened.
     pub fn add_cell_device(&self, device: &DeviceConfig) -> Result<(), Error> {
-        let mut desk = self.inner.lock();
-        let added = desk.add_of_cell(device);
-        self.inner.announce(&desk);
+        let mut registry = self.inner.lock();
+        let added = registry.add_of_cell(device);
+        self.inner.announce(&registry);
         added
     }
 
-    /// Ends the driver of a device of the cell.
+    /// Removes a device of the cell and stops its driver.
     ///
     /// # Errors
     /// If there is no such device in the cell, a loaded net uses it, or it still moves.
     pub fn remove_cell_device(&self, name: &str) -> Result<(), Error> {
-        let mut desk = self.inner.lock();
-        let of_cell = desk.drivers.iter().position(|driver| driver.name() == name);
+        let mut registry = self.inner.lock();
+        let of_cell = registry
+            .drivers
+            .iter()
+            .position(|driver| driver.name() == name);
         let at = of_cell.ok_or_else(|| Error::NoSuchDevice(name.to_owned()))?;
-        desk.refuse_if_used(name)?;
-        if desk
+        registry.refuse_if_used(name)?;
+        if registry
             .devices
             .find(name)
             .is_some_and(|device| !device.is_at_rest())
@@ -40,13 +43,13 @@ impl Controller {
                 what: "it still moves; wait until it is at rest".to_owned(),
             });
         }
-        if let Some(number) = desk.devices.remove(name) {
-            desk.command(Command::RemoveDevice(number))?;
+        if let Some(number) = registry.devices.remove(name) {
+            registry.command(Command::RemoveDevice(number))?;
         }
-        let driver = desk.drivers.remove(at);
-        self.inner.announce(&desk);
-        drop(desk);
-        // Its thread takes a moment to end; nobody else need wait for that.
+        let driver = registry.drivers.remove(at);
+        self.inner.announce(&registry);
+        drop(registry);
+        // Its thread takes a moment to end; wait without the lock.
         if let Some(clock) = driver.stop() {
             FollowedClock::give_back(&mut self.inner.lock().clock, name, clock);
         }
@@ -54,9 +57,9 @@ impl Controller {
     }
 }
 
-impl Desk {
-    /// An error if a net that is not over reads or commands the device, or one is being loaded: which devices
-    /// that will use is not known yet.
+impl Registry {
+    /// An error if a net that has not ended reads or commands the device, or one is being loaded: which devices
+    /// it will use is not known yet.
     pub(super) fn refuse_if_used(&self, name: &str) -> Result<(), Error> {
         let over = |state| matches!(state, NetState::Terminated | NetState::Rejected);
         let mut nets = self.nets.iter();

@@ -1,5 +1,5 @@
-//! Synchronization rules as programs give them: conditions as text, nets by identifier. Watching
-//! them is the net thread's business.
+//! Synchronization rules as programs install them: conditions as text, nets by identifier. The net
+//! threads evaluate them.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -8,22 +8,22 @@ use std::sync::Arc;
 
 use takt_net::{Element, Type};
 
+use crate::controller::admission::Succession;
 use crate::controller::condition::Parser;
-use crate::controller::desk::Desk;
 use crate::controller::net::Net;
-use crate::controller::outlook::Succession;
+use crate::controller::registry::Registry;
 use crate::controller::threads::busy;
 use crate::controller::{Controller, NetId, NetState};
 use crate::error::Error;
 use crate::executor::rules::shared::{Part, Shared};
 use crate::executor::rules::{
-    Failure, Literal, Orders, Question, Rule, RuleRefusal, RuleState, Step,
+    Failure, Literal, NetActions, Question, Rule, RuleRefusal, RuleState, Step,
 };
 use crate::executor::thread::Command;
 
-/// Longest condition, bytes.
+/// Maximum length of a condition, bytes.
 const CONDITION_BYTES: usize = 16 << 10;
-/// Rules that are remembered; the oldest that no longer wait are forgotten first.
+/// Maximum number of rules kept; the oldest that no longer wait are dropped first.
 const RULES_KEPT: usize = 4096;
 
 /// Identifier of a rule.
@@ -45,7 +45,7 @@ impl FromStr for RuleId {
 }
 
 impl RuleState {
-    /// The word for it on the wire.
+    /// Its name on the wire.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -68,7 +68,7 @@ pub struct RuleRequest {
     pub cancel: Vec<NetId>,
     /// Nets that it starts.
     pub start: Vec<NetId>,
-    /// What it is, for people.
+    /// Description for users.
     pub description: String,
 }
 
@@ -77,44 +77,44 @@ pub struct RuleRequest {
 pub struct RuleInfo {
     /// Its identifier.
     pub id: RuleId,
-    /// What was asked for.
+    /// The request.
     pub request: RuleRequest,
-    /// What became of it.
+    /// Its state.
     pub state: RuleState,
-    /// Why it failed to fire, and what to do.
+    /// Why it failed to fire, with a hint.
     pub why: Option<String>,
 }
 
-/// A rule at the desk.
+/// A rule in the registry.
 #[derive(Debug)]
 pub(super) struct RuleEntry {
     pub(super) request: RuleRequest,
-    /// What its condition asks: nets and keys.
+    /// Nets and keys in its condition.
     asked: Vec<(NetId, String)>,
     pub(super) state: RuleState,
     why: Option<String>,
-    /// What it does as a succession of nets.
+    /// Its succession of nets.
     pub(super) succession: Succession,
-    /// Set while net threads have not answered, and then to their answer.
+    /// Set while answers of net threads are pending, then their result.
     adding: Option<Option<Result<(), Error>>>,
     /// Net threads that have not answered yet.
     unanswered: usize,
-    /// Net threads in which it still waits.
+    /// Net threads in which it waits.
     waiting: usize,
-    /// What became of it in those in which it does not.
+    /// Its state in the others.
     outcome: RuleState,
 }
 
-/// Why a rule lost a net on its way to the thread.
+/// Reason of a rule that lost a net before it reached the thread.
 const CROSSED: &str = "it was started or taken away while the rule was installed";
 
 impl Controller {
-    /// Installs a synchronization rule. The nets that it starts become `Scheduled`, and what they
-    /// need is kept for them. It fires at most once, between two cycles.
+    /// Installs a synchronization rule. The nets that it starts become `Scheduled`, and their
+    /// resources are reserved. It fires at most once, between two cycles.
     ///
     /// # Errors
-    /// If the condition is wrong, a net is not in a state for it, or what a net needs cannot be
-    /// kept.
+    /// If the condition is invalid, a net is in the wrong state, or a resource cannot be
+    /// reserved.
     pub fn schedule(&self, request: RuleRequest) -> Result<RuleId, Error> {
         let first = self.install(request.clone());
         let Err(Error::WrongState {
@@ -125,25 +125,26 @@ impl Controller {
         else {
             return first;
         };
-        // A net that an earlier rule gave up was on its way back: two cycles later it is here.
+        // A net that an earlier rule released may still be in transfer: two cycles later it is here.
         let slowest = self.threads().iter().map(|thread| thread.period).max();
         std::thread::sleep(2 * slowest.unwrap_or_default());
         self.install(request)
     }
 
     fn install(&self, request: RuleRequest) -> Result<RuleId, Error> {
-        let mut desk = self.inner.lock();
-        let id = desk.install(request)?;
-        self.inner.announce(&desk);
-        self.inner.wait_for(desk, |desk| desk.installed(id))??;
+        let mut registry = self.inner.lock();
+        let id = registry.install(request)?;
+        self.inner.announce(&registry);
+        self.inner
+            .wait_for(registry, |registry| registry.installed(id))??;
         Ok(id)
     }
 
-    /// A rule; `None` if there never was one or it was forgotten.
+    /// A rule; `None` if it does not exist or was dropped.
     #[must_use]
     pub fn rule(&self, id: RuleId) -> Option<RuleInfo> {
-        let desk = self.inner.lock();
-        let entry = desk.rules.get(&id)?;
+        let registry = self.inner.lock();
+        let entry = registry.rules.get(&id)?;
         Some(RuleInfo {
             id,
             request: entry.request.clone(),
@@ -155,7 +156,7 @@ impl Controller {
     /// The rules in which a net occurs.
     #[must_use]
     pub fn rules_of(&self, net: NetId) -> Vec<RuleInfo> {
-        let desk = self.inner.lock();
+        let registry = self.inner.lock();
         let occurs = |entry: &&RuleEntry| {
             let RuleRequest {
                 stop,
@@ -166,7 +167,7 @@ impl Controller {
             let listed = stop.iter().chain(cancel).chain(start).any(|n| *n == net);
             listed || entry.asked.iter().any(|(asked, _)| *asked == net)
         };
-        let entries = desk.rules.iter().filter(|(_, entry)| occurs(entry));
+        let entries = registry.rules.iter().filter(|(_, entry)| occurs(entry));
         let info = |(id, entry): (&RuleId, &RuleEntry)| RuleInfo {
             id: *id,
             request: entry.request.clone(),
@@ -176,15 +177,15 @@ impl Controller {
         entries.map(info).collect()
     }
 
-    /// The states of all rules that are remembered.
+    /// The states of all rules that are kept.
     #[must_use]
     pub fn rule_states(&self) -> Vec<RuleState> {
-        let desk = self.inner.lock();
-        desk.rules.values().map(|entry| entry.state).collect()
+        let registry = self.inner.lock();
+        registry.rules.values().map(|entry| entry.state).collect()
     }
 }
 
-impl Desk {
+impl Registry {
     pub(super) fn install(&mut self, mut request: RuleRequest) -> Result<RuleId, Error> {
         self.refuse_if_closing()?;
         self.refuse_if_stopped()?;
@@ -208,7 +209,7 @@ impl Desk {
             0,
             literals.clone(),
             condition.steps.clone(),
-            Orders::default(),
+            NetActions::default(),
         );
         let succession = Succession::of(&whole, stop, start, threads.len() == 1);
         self.keep_for_rule(&succession, start)?;
@@ -231,7 +232,7 @@ impl Desk {
         Ok(id)
     }
 
-    /// Gives a rule to the threads that it concerns, and the nets that it starts to theirs.
+    /// Sends a rule to the threads that it concerns, and the nets that it starts to theirs.
     fn give_to_threads(
         &mut self,
         request: &RuleRequest,
@@ -239,7 +240,7 @@ impl Desk {
         steps: &[Step],
         threads: &[usize],
     ) -> Result<RuleId, Error> {
-        // What is given away below must arrive, or a net would be lost.
+        // The commands below must arrive, or a net would be lost.
         self.has_room(request.start.len() + 1)?;
         let id = self.next_rule();
         let starts = !request.start.is_empty();
@@ -255,7 +256,7 @@ impl Desk {
                 let nets = nets.iter().map(|net| net.0);
                 nets.filter(|net| self.thread_of(*net) == *thread).collect()
             };
-            let orders = Orders {
+            let orders = NetActions {
                 stop: of_thread(&request.stop),
                 cancel: of_thread(&request.cancel),
                 start: of_thread(&request.start),
@@ -269,7 +270,7 @@ impl Desk {
         Ok(id)
     }
 
-    /// Whether all nets of a rule are in a state for it.
+    /// Checks that all nets of a rule are in the right state.
     fn check_nets(&mut self, request: &RuleRequest) -> Result<(), Error> {
         for id in request.stop.iter().chain(&request.cancel) {
             let state = self.net(*id)?.state();
@@ -302,7 +303,7 @@ impl Desk {
         Ok(())
     }
 
-    /// The threads that a rule concerns. What is answered for good concerns none.
+    /// The threads that a rule concerns. Literals with a final answer concern none.
     fn threads_of(&self, request: &RuleRequest, literals: &[Literal]) -> Vec<usize> {
         let RuleRequest {
             stop,
@@ -321,7 +322,7 @@ impl Desk {
         threads
     }
 
-    /// What joins a rule in several threads. The fastest with a literal decides.
+    /// The shared part of a rule in several threads. The fastest thread with a literal decides.
     fn share(&self, threads: &[usize], literals: &[Literal], starts: bool) -> Shared {
         let part = |net: u32| threads.iter().position(|t| *t == self.thread_of(net));
         let owned = literals.iter().map(|literal| {
@@ -407,7 +408,7 @@ impl Desk {
         })
     }
 
-    /// Answers what rules ask of a net that has ended: one that came to its thread after that was not told.
+    /// Sends the final answers about an ended net: a rule that reached its thread after the end does not have them.
     pub(super) fn answer_rules(&mut self, ended: NetId) {
         let active = self.rules.values();
         let active = active.filter(|entry| entry.state == RuleState::Active);
@@ -423,7 +424,7 @@ impl Desk {
         }
     }
 
-    /// A rule waits now in one more thread.
+    /// A rule waits in one more thread.
     pub(super) fn rule_added(&mut self, id: u32) {
         let Some(entry) = self.rules.get_mut(&RuleId(id)) else {
             return;
@@ -440,7 +441,7 @@ impl Desk {
         }
     }
 
-    /// A rule could not be kept in one of its threads, and so waits in none.
+    /// One thread rejected a rule: it waits in none.
     pub(super) fn rule_refused(&mut self, rule: &Rule, why: RuleRefusal) {
         let error = match why {
             RuleRefusal::TooMany => {
@@ -474,7 +475,7 @@ impl Desk {
         self.rule_over(rule, RuleState::Inactive);
     }
 
-    /// A rule no longer waits in one of its threads.
+    /// A rule has finished waiting in one of its threads.
     pub(super) fn rule_done(&mut self, rule: &Rule) {
         self.rule_over(rule, rule.state);
     }
@@ -503,7 +504,7 @@ impl Desk {
         }
     }
 
-    /// Why a rule did not start its nets, for people.
+    /// Why a rule did not start its nets, for users.
     fn failure(&self, failure: Failure) -> String {
         let device = |number: usize| {
             let device = self.devices.get(number);
@@ -511,7 +512,7 @@ impl Desk {
         };
         match failure {
             Failure::DeviceChanged(number) => format!(
-                "device `{}` had a fault or an emergency stop, stood elsewhere all of a sudden, or began to follow commands, after \
+                "device `{}` had a fault, an emergency stop or a position jump, or was enabled, after \
                  the net was scheduled; schedule it again",
                 device(number)
             ),
@@ -529,7 +530,7 @@ impl Desk {
         }
     }
 
-    /// Asks for the nets of a rule back that no other rule waits with.
+    /// Requests the nets of a rule back that no other waiting rule starts.
     fn release(&mut self, rule: &Rule) {
         for net in &rule.orders().start {
             if self
@@ -545,7 +546,7 @@ impl Desk {
     }
 }
 
-/// What became of a rule of which two threads did this.
+/// Combined state of a rule from the states in two threads.
 const fn worse(one: RuleState, other: RuleState) -> RuleState {
     match (one, other) {
         (RuleState::FireFailed, _) | (_, RuleState::FireFailed) => RuleState::FireFailed,

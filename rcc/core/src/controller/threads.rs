@@ -1,6 +1,6 @@
-//! The net threads of a controller: they are made at the start, a net is given to one of them when it
-//! is loaded, and each command goes to the thread whose business it is. What a thread does with it is
-//! the executor's.
+//! The net threads of a controller: they start with it, a net is assigned to one of them when it
+//! is loaded, and each command goes to the thread that it concerns. The executor module executes
+//! the commands.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use takt_rt::thread::ThreadConfig;
 
 use crate::cell::{CellConfig, THREADS_MAX, listed};
 use crate::controller::clock::FollowedClock;
-use crate::controller::desk::Desk;
+use crate::controller::registry::Registry;
 use crate::error::Error;
 use crate::executor::figures::budget;
 use crate::executor::rules::Literal;
@@ -21,22 +21,22 @@ use crate::executor::thread::{COMMANDS, Command, NetThread, NetThreadConfig};
 use crate::ids::NetId;
 use crate::record::Tap;
 
-/// Longest time from one cycle of a net to the next.
+/// Maximum period of a net.
 const NET_PERIOD_MAX: Duration = Duration::from_mins(1);
 
-/// Where and when a net is evaluated.
+/// Thread and period of a net.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Place {
     /// Number of its thread.
     pub(super) thread: usize,
-    /// Time from one of its cycles to the next.
+    /// Its period.
     pub(super) period: Duration,
-    /// How many cycles of the thread that is.
+    /// Its period in cycles of the thread.
     pub(super) every: u64,
 }
 
 impl Place {
-    /// Refuses a net that costs more than its thread's cycles allow, however seldom it is evaluated.
+    /// Rejects a net whose cost bound exceeds the budget of its thread's cycle, whatever its own period.
     pub(super) fn check_cost(&self, cost: &NetCost) -> Result<(), Rejection> {
         let Self { period, every, .. } = *self;
         let thread = period / u32::try_from(every.max(1)).unwrap_or(u32::MAX);
@@ -85,14 +85,14 @@ pub(super) fn start(
             stop: StopPart::new(Arc::clone(stop), threads.len()),
             thread,
         };
-        stop.switch().enlist(threads.len(), period.into());
+        stop.switch().register(threads.len(), period.into());
         threads.push(NetThread::start(config, tap.take())?);
     }
     Ok(threads)
 }
 
-impl Desk {
-    /// The thread of that period, the first if none is asked for.
+impl Registry {
+    /// The thread of that period, by default the first.
     pub(super) fn thread_of_period(&self, period: Option<Duration>) -> Result<usize, String> {
         let Some(period) = period else {
             return Ok(0);
@@ -104,7 +104,7 @@ impl Desk {
         })
     }
 
-    /// Says which thread a device is served by; the first one, if nothing is said.
+    /// Sets the thread that serves a device, by default the first.
     pub(super) fn serve_in(&mut self, device: &str, thread: usize) {
         self.serving.insert(device.to_owned(), thread);
     }
@@ -118,8 +118,8 @@ impl Desk {
         self.threads.iter().map(|thread| thread.period).collect()
     }
 
-    /// Where a net runs that commands these devices: in the thread that serves them, or, without any,
-    /// in the one of its period or the slowest of which its period is a multiple.
+    /// Placement of a net that commands these devices: the thread that serves them, or, without any,
+    /// the thread of its period, or the slowest one of which its period is a multiple.
     pub(super) fn place(
         &self,
         period: Option<Duration>,
@@ -141,7 +141,7 @@ impl Desk {
                 let threads = listed(&periods);
                 refused(
                     "cycle",
-                    format!("{period:?} is no whole multiple of the controller's {threads}"),
+                    format!("{period:?} is not a whole multiple of the controller's {threads}"),
                 )
             })?;
             return Ok(Place {
@@ -165,7 +165,7 @@ impl Desk {
         let every = multiple(period, given(thread)).ok_or_else(|| {
             let thread = given(thread);
             let why = format!(
-                "{period:?} is no whole multiple of the {thread:?} of the net thread that serves \
+                "{period:?} is not a whole multiple of the {thread:?} of the net thread that serves \
                  `{device}`"
             );
             refused("cycle", why)
@@ -177,7 +177,7 @@ impl Desk {
         })
     }
 
-    /// Gives a command to a thread; it comes back if there is no room for it.
+    /// Sends a command to a thread; returns it if the thread's queue is full.
     pub(super) fn send(&mut self, thread: usize, command: Command) -> Result<(), Command> {
         match self.threads.get_mut(thread) {
             Some(thread) => thread.commands.push(command),
@@ -185,8 +185,8 @@ impl Desk {
         }
     }
 
-    /// Whether each thread has room for so many commands. It stays true while the desk is locked,
-    /// until they are given.
+    /// Checks that each thread's queue has space for so many commands. The result holds while the registry
+    /// is locked, until they are sent.
     pub(super) fn has_room(&mut self, commands: usize) -> Result<(), Error> {
         let rooms = self.threads.iter_mut().map(|t| t.commands.free_slots());
         match rooms.min() {
@@ -195,7 +195,7 @@ impl Desk {
         }
     }
 
-    /// Gives a command to the thread whose business it is: that of the net, or those of the device.
+    /// Sends a command to the thread of the net or the threads of the device.
     pub(super) fn command(&mut self, command: Command) -> Result<(), Error> {
         let thread = match &command {
             Command::Start(net) | Command::Schedule(net) => self.thread_of(net.id),
@@ -212,7 +212,7 @@ impl Desk {
         self.send(thread, command).map_err(|_| busy())
     }
 
-    /// Gives a device to the thread that serves it, and shows it to all others.
+    /// Assigns a device to the thread that serves it; all other threads can read its state.
     fn add_to_threads(&mut self, number: usize, command: Command) -> Result<(), Error> {
         self.has_room(1)?;
         let Some(device) = self.devices.get(number).cloned() else {
@@ -246,7 +246,7 @@ impl Desk {
     }
 }
 
-/// The refusal of a thread that has no room for a command.
+/// The error of a thread whose queue is full.
 pub(super) const fn busy() -> Error {
     Error::TooMany {
         what: "requests to the net thread",
@@ -254,7 +254,7 @@ pub(super) const fn busy() -> Error {
     }
 }
 
-/// How many cycles of the thread one cycle of a net takes, if it is a whole number.
+/// Period of a net in cycles of the thread, if it is a whole multiple.
 fn multiple(period: Duration, thread_period: Duration) -> Option<u64> {
     let (wanted, given) = (period.as_nanos(), thread_period.as_nanos().max(1));
     let whole = wanted > 0 && wanted.is_multiple_of(given);

@@ -395,7 +395,7 @@ mod tests {
         assert!(error.contains(&COMMAND_WORDS_MAX.to_string()), "{error}");
         table.add(io("a", 1)).unwrap();
         let error = table.add(io("a", 1)).unwrap_err().to_string();
-        assert!(error.contains("`a` is there already"), "{error}");
+        assert!(error.contains("`a` exists already"), "{error}");
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! Figures of one net, counted by the thread that evaluates it and read by anybody at any time. They
-//! come from a clock, so none of them enters a recording; nothing is decided here.
+//! Counters of one net, written by the thread that evaluates it and read by any thread at any time. They
+//! depend on a clock and are therefore not recorded.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -9,7 +9,7 @@ use takt_rt::Nanos;
 /// Evaluations in a row, each longer than the period of the net's thread, after which the net is ended.
 pub const RUNAWAY_AFTER: u32 = 10;
 
-/// What nets may take of a thread's cycle of that period: four fifths.
+/// Budget of nets in a thread of that period: four fifths.
 #[must_use]
 pub fn budget(period: Duration) -> Duration {
     period * 4 / 5

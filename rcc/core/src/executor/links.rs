@@ -1,7 +1,7 @@
-//! What a running net exchanges beside its boxes for programs: values with other nets, and records of its
-//! debug taps. Both ends meet in cells and rings, so nets of different threads exchange values like those
-//! of one; nothing is taken or freed by the thread that evaluates. Which links are made is for the
-//! controller to say.
+//! Exchange of a running net beside its boxes for programs: values with other nets, and records of its
+//! debug taps. Both endpoints share cells and rings, so nets of different threads exchange values like those
+//! of one; the evaluating thread neither allocates nor frees. The controller
+//! creates the links.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,26 +11,26 @@ use takt_net::{Nanos, Plan};
 use takt_rt::latest::LatestReader;
 use takt_rt::ring::{Consumer, Producer, ring};
 
-/// Other nets that one net may exchange values with, and that may write to it.
+/// Maximum number of nets that one net exchanges values with, and that write to it.
 pub const WIRES_MAX: usize = 16;
 
-/// Readers of what one net gives out: the controller, and other nets.
+/// Maximum number of readers of one net's out values: the controller and other nets.
 pub const OUT_READERS: usize = 8;
 
-/// A way from the out-box of one net to the in-box of another.
+/// Connection from the out-box of one net to the in-box of another.
 #[derive(Debug)]
 pub struct Wire {
     given: LatestReader<Box<[u64]>>,
-    /// Whether the net that gives is still loaded.
+    /// Whether the source net is still loaded.
     alive: Arc<AtomicBool>,
     values: Box<[Passing]>,
-    /// What was taken over last; `None` for nothing yet.
+    /// The last values taken; `None` at first.
     version: Option<u64>,
-    /// Whether it is the taking net that asked for the values, which are then its own.
+    /// Whether the destination net requested the values.
     asked: bool,
 }
 
-/// A value on its way.
+/// A value of a wire.
 #[derive(Debug)]
 struct Passing {
     inter: Inter,
@@ -38,13 +38,13 @@ struct Passing {
 }
 
 impl Wire {
-    /// Values that the taking net asked for: null once the giving one is gone.
+    /// Values that the destination net requested: null once the source net is unloaded.
     #[must_use]
     pub fn asked(given: LatestReader<Box<[u64]>>, alive: Arc<AtomicBool>, of: Vec<Inter>) -> Self {
         Self::new(given, alive, of, true)
     }
 
-    /// Values that the giving net writes into the other one.
+    /// Values that the source net writes into the other one.
     #[must_use]
     pub fn written(
         given: LatestReader<Box<[u64]>>,
@@ -74,7 +74,7 @@ impl Wire {
         !self.alive.load(Ordering::Acquire)
     }
 
-    /// Takes over what changed; returns whether anything did.
+    /// Copies changed values; returns whether there were any.
     fn pass(&mut self, plan: &Plan) -> bool {
         let (asked, mut changed) = (self.asked, false);
         if self.is_over() {
@@ -104,11 +104,11 @@ impl Wire {
 /// Where records of taps go.
 #[derive(Debug)]
 pub struct TapWriter {
-    /// Whether somebody looks.
+    /// Whether the taps are polled.
     on: Arc<AtomicBool>,
     free: Consumer<Box<[u64]>>,
     full: Producer<Box<[u64]>>,
-    /// Records for which there was no place.
+    /// Records lost because the ring was full.
     lost: u64,
 }
 
@@ -120,13 +120,13 @@ pub struct TapReader {
     full: Consumer<Box<[u64]>>,
 }
 
-/// Makes both ends of a way for `records` records of so many words.
+/// Creates both endpoints of a ring for `records` records of so many words.
 #[must_use]
 pub fn taps(records: usize, words: usize) -> (TapWriter, TapReader) {
     let (mut free_in, free_out) = ring(records);
     let (full_in, full_out) = ring(records);
     for _ in 0..records {
-        // There is room for as many as are made.
+        // The ring has capacity for all buffers.
         let _ = free_in.push(vec![0; words].into_boxed_slice());
     }
     let on = Arc::new(AtomicBool::new(true));
@@ -160,7 +160,7 @@ impl TapWriter {
 }
 
 impl TapReader {
-    /// Says whether somebody looks.
+    /// Sets whether the taps are polled.
     pub fn set_on(&self, on: bool) {
         self.on.store(on, Ordering::Relaxed);
     }
@@ -177,7 +177,7 @@ impl TapReader {
 /// A running net's side of its links.
 #[expect(
     clippy::vec_box,
-    reason = "wires come and go as boxes; a cycle neither makes nor frees any"
+    reason = "wires move in and out as boxes; a cycle neither allocates nor frees any"
 )]
 #[derive(Debug)]
 pub struct Links {
@@ -186,7 +186,7 @@ pub struct Links {
     over: Producer<Box<Wire>>,
     taps_incoming: Option<Consumer<Box<TapWriter>>>,
     taps: Option<Box<TapWriter>>,
-    /// A program's box as it was last taken over.
+    /// The program's box as last applied.
     seen: Box<[u64]>,
 }
 
@@ -195,7 +195,7 @@ pub struct Links {
 pub struct LinksEnd {
     wires: Producer<Box<Wire>>,
     over: Consumer<Box<Wire>>,
-    /// Wires of other nets that were handed over and did not come back.
+    /// Wires of other nets that were sent and not returned.
     given: usize,
     taps: Option<Producer<Box<TapWriter>>>,
     alive: Arc<AtomicBool>,
@@ -208,13 +208,13 @@ impl Drop for LinksEnd {
 }
 
 impl LinksEnd {
-    /// Says whether the net is still loaded.
+    /// The flag whether the net is still loaded.
     #[must_use]
     pub const fn alive(&self) -> &Arc<AtomicBool> {
         &self.alive
     }
 
-    /// Hands over a wire by which another net writes to this one.
+    /// Sends a wire by which another net writes to this one.
     ///
     /// # Errors
     /// If [`WIRES_MAX`] other nets do so already.
@@ -229,17 +229,17 @@ impl LinksEnd {
         self.wires.push(Box::new(wire)).map_err(|wire| *wire)
     }
 
-    /// Hands over where records of taps go; only once, and only if the net has taps.
-    pub fn look(&mut self, writer: TapWriter) {
+    /// Sends the writer of tap records; only once, and only if the net has taps.
+    pub fn record_taps(&mut self, writer: TapWriter) {
         if let Some(taps) = &mut self.taps {
-            // There is one place, and it is used once.
+            // The queue has one slot, used once.
             let _ = taps.push(Box::new(writer));
         }
         self.taps = None;
     }
 }
 
-/// Makes both ends of a net's links.
+/// Creates both endpoints of a net's links.
 #[must_use]
 pub fn links(plan: &Plan) -> (Links, LinksEnd) {
     let (wires, incoming) = ring(WIRES_MAX);
@@ -264,12 +264,12 @@ pub fn links(plan: &Plan) -> (Links, LinksEnd) {
 }
 
 impl Links {
-    /// Adds a wire of values that the net asked for; at most [`WIRES_MAX`] before it runs.
+    /// Adds a wire of values that the net requested; at most [`WIRES_MAX`] before it runs.
     pub fn ask(&mut self, wire: Wire) {
         self.wires.push(Box::new(wire));
     }
 
-    /// Takes over what other nets gave since the last cycle; returns whether there was anything.
+    /// Applies values of other nets since the last cycle; returns whether there were any.
     pub(super) fn receive(&mut self, plan: &Plan) -> bool {
         while self.wires.len() < self.wires.capacity() {
             let Some(wire) = self.incoming.pop() else {
@@ -291,7 +291,7 @@ impl Links {
         changed
     }
 
-    /// Takes over what programs wrote.
+    /// Applies values that programs wrote.
     pub(super) fn import(&mut self, plan: &Plan, words: &[u64]) {
         plan.import_changes(words, &mut self.seen);
     }

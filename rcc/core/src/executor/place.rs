@@ -1,5 +1,5 @@
-//! Devices come into an executor's image and go: which joints and words are in use, and how devices are as nets'
-//! lives depend on them. What lies there is read and written elsewhere.
+//! Devices are added to and removed from an executor's image: which joints and words are in use, and the device
+//! states on which the life of nets depends. Other modules read and write the values.
 
 use std::cell::Cell;
 use std::ops::Range;
@@ -10,12 +10,12 @@ use super::{DEVICES_MAX, DeviceView, Executor};
 use crate::device::Place;
 
 impl Executor {
-    /// Puts the first so many joints of the image into use.
+    /// Puts the first `joints` joints of the image into use.
     pub fn use_joints(&mut self, joints: usize) {
         self.joints = self.joints.max(joints).min(self.image.joints.len());
     }
 
-    /// Puts the place of a device into use; what lay there of another device is gone.
+    /// Puts the slots of a device into use and clears values of another device there.
     pub fn use_place(&mut self, place: &Place) {
         self.use_joints(place.first_joint + place.joints);
         let joints = self.image.joints.iter().skip(place.first_joint);
@@ -28,13 +28,13 @@ impl Executor {
         self.use_commands(place.commands.clone());
     }
 
-    /// Puts the first so many words of the image into use.
+    /// Puts the first words of the image into use.
     pub(crate) fn use_words(&mut self, signals: usize, commands: usize) {
         self.used.signals = self.used.signals.max(signals);
         self.used.commands = self.used.commands.max(commands);
     }
 
-    /// Forgets what was commanded in these words.
+    /// Clears the commands in these words.
     pub(crate) fn use_commands(&mut self, commands: Range<usize>) {
         let words = self.image.commands.get(commands.clone());
         words.into_iter().flatten().for_each(|word| word.set(0));
@@ -45,7 +45,7 @@ impl Executor {
         }
     }
 
-    /// Says how a device is.
+    /// Sets the state of a device.
     pub fn set_device(&mut self, number: usize, view: DeviceView) {
         while self.devices.len() <= number && self.devices.len() < DEVICES_MAX {
             self.devices.push(DeviceView::default());
@@ -62,8 +62,8 @@ impl Executor {
         }
     }
 
-    /// What changes with each fault and each jump of a device, and with each time it begins to follow commands: then it
-    /// may be elsewhere than it was.
+    /// The epoch of a device: it advances with each fault, each position jump and each enable, after which the device
+    /// may be at another position.
     pub(super) fn epoch(&self, number: usize) -> u64 {
         self.epochs.get(number).copied().unwrap_or(0)
     }
@@ -74,13 +74,13 @@ impl Executor {
         &self.image.joints[..self.joints]
     }
 
-    /// The words in use of what drivers report beside joints.
+    /// The words in use of driver values beside joints.
     pub(crate) fn signals(&self) -> &[Cell<u64>] {
         let signals = &self.image.signals;
         &signals[..self.used.signals.min(signals.len())]
     }
 
-    /// The words in use of what nets command beside joints.
+    /// The words in use of net commands beside joints.
     pub(crate) fn commands(&self) -> &[Cell<u64>] {
         let commands = &self.image.commands;
         &commands[..self.used.commands.min(commands.len())]

@@ -1,4 +1,4 @@
-//! Sets of resources: what nets need for themselves while they run. What a resource is, is the desk's to say.
+//! Sets of resources that nets hold exclusively while they run. The registry assigns resource numbers.
 
 /// A set of resources, by their number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -30,7 +30,7 @@ impl ResourceSet {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a &= !b);
     }
 
-    /// Leaves only what is in the other set too.
+    /// Intersection with the other set.
     pub(crate) fn keep(&mut self, other: &Self) {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a &= b);
     }

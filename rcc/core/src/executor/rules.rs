@@ -1,36 +1,36 @@
 //! Synchronization rules: when a condition over values of nets becomes true, nets are stopped,
-//! cancelled and started between two cycles, all at once. It evaluates nothing itself and knows
-//! no text: conditions come here compiled. Of a rule whose nets are in several threads each has a
-//! part, and [`shared`] is between them.
+//! cancelled and started between two cycles, all at once. It evaluates no net and does not parse
+//! text: conditions are compiled before. If the nets of a rule are in several threads, each thread has a
+//! part, and the parts exchange their state through [`shared`].
 //!
-//! What a cycle costs is bounded by what rules name, [`WORK_MAX`], and not by that times the number of
-//! nets: each net that a rule names has a slot on the roll, by which it is found at once.
+//! The cost of a cycle is bounded by the work of the rules, [`WORK_MAX`], not by its product with the number of
+//! nets: each net that a rule names has a slot in the net table for constant-time lookup.
 
 mod fire;
 mod keep;
-mod roll;
+mod net_table;
 pub mod shared;
 
 use crate::executor::{ResourceSet, Running};
 use crate::stop_channel::Generation;
 use fire::answer;
-use roll::{Roll, Slot};
+use net_table::{NetTable, Slot};
 use shared::{Decision, Part};
 
-/// Most rules that wait at once in one thread.
+/// Maximum number of waiting rules of one thread.
 pub const RULES_MAX: usize = 1024;
-/// Most that the waiting rules of one thread look at in a cycle, all together: literals, operations, and
+/// Maximum work of all waiting rules of one thread per cycle: literals, operations, and
 /// nets that they stop, cancel and start. Of a rule in several threads, literals count in each.
 pub const WORK_MAX: usize = 8192;
-/// Most nets that wait for rules to start them.
+/// Maximum number of scheduled nets.
 pub const SCHEDULED_MAX: usize = 1024;
-/// Most Boolean operations of one condition.
+/// Maximum number of Boolean operations of one condition.
 pub const CONDITION_MAX: usize = 256;
 
 /// A step of a condition, for a stack machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Push this truth.
+    /// Push this truth value.
     Constant(bool),
     /// Push the value of the literal of that number.
     Literal(usize),
@@ -42,7 +42,7 @@ pub enum Step {
     Or,
 }
 
-/// What a literal of a condition asks of a net.
+/// The property of a net that a literal tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Question {
     /// The Boolean out value that lies at this word of the out-box.
@@ -56,7 +56,7 @@ pub enum Question {
 pub struct Literal {
     /// The net it is about.
     pub net: u32,
-    /// What it asks.
+    /// The tested property.
     pub question: Question,
     /// The answer; `None` is unknown.
     pub value: Option<bool>,
@@ -64,12 +64,12 @@ pub struct Literal {
     pub last: bool,
 }
 
-/// What became of a rule.
+/// State of a rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RuleState {
     /// It waits for its condition.
     Active,
-    /// Its condition became true and it did what it says.
+    /// Its condition became true and its actions were executed.
     Fired,
     /// Its condition became true, but a net could not be started; nothing was done.
     FireFailed,
@@ -80,23 +80,23 @@ pub enum RuleState {
 /// Why a rule whose condition became true, or could become so, did not start its nets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
-    /// This device had a fault or an emergency stop, or began to follow commands, after the net was scheduled.
+    /// This device had a fault, an emergency stop or a position jump, or was enabled, after the net was scheduled.
     DeviceChanged(usize),
     /// This device does not follow commands.
     DeviceNotReady(usize),
     /// Another running net holds this resource.
     ResourceInUse(usize),
-    /// This net does not wait for it any more.
+    /// This net no longer waits for the rule.
     NotWaiting(u32),
     /// Too many nets run.
     TooMany,
-    /// All nets together would cost more in a cycle than nets may.
+    /// All nets together would exceed the budget of a cycle.
     Overload,
 }
 
-/// What a rule does to nets of one thread.
+/// Actions of a rule on nets of one thread.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Orders {
+pub struct NetActions {
     /// Nets that it ends.
     pub stop: Vec<u32>,
     /// Nets that it asks to cancel.
@@ -114,17 +114,17 @@ pub struct Rule {
     literals: Vec<Literal>,
     /// The condition.
     steps: Vec<Step>,
-    /// What it does in this thread.
-    orders: Orders,
-    /// What joins it to its parts in other threads; `None` if it is whole.
+    /// Its actions in this thread.
+    orders: NetActions,
+    /// Shared state with its parts in other threads; `None` if it has a single part.
     pub part: Option<Part>,
-    /// Under which stop of the controller it was requested.
+    /// Stop generation under which it was requested.
     pub requested: Generation,
-    /// What became of it.
+    /// Its state.
     pub state: RuleState,
-    /// Why it failed, if the reason lies in this thread.
+    /// Why it failed, if the cause is in this thread.
     pub failure: Option<Failure>,
-    /// What the nets that it starts need: kept for them.
+    /// Resources reserved for the nets that it starts.
     reserved: ResourceSet,
     /// The slots of the nets it names, while it waits: of literals, then of nets to stop, cancel, start.
     slots: Box<[Slot]>,
@@ -132,7 +132,7 @@ pub struct Rule {
     changed: bool,
 }
 
-/// Whether something is true, and whether it is false. Neither is "unknown" (Kleene); both is
+/// Three-valued truth (Kleene): whether a term is true, and whether it is false. Neither is "unknown"; both is
 /// "can become either".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Truth {
@@ -141,7 +141,7 @@ struct Truth {
 }
 
 impl Truth {
-    /// What a literal is or may become.
+    /// The present or possible values of a literal.
     fn ever(literal: &Literal) -> Self {
         if literal.last {
             return literal.value.into();
@@ -163,14 +163,14 @@ impl From<Option<bool>> for Truth {
 }
 
 impl Rule {
-    /// A rule that waits.
+    /// A waiting rule.
     #[must_use]
-    pub fn new(id: u32, literals: Vec<Literal>, steps: Vec<Step>, mut orders: Orders) -> Self {
+    pub fn new(id: u32, literals: Vec<Literal>, steps: Vec<Step>, mut orders: NetActions) -> Self {
         for nets in [&mut orders.stop, &mut orders.cancel] {
             nets.sort_unstable();
             nets.dedup();
         }
-        let Orders {
+        let NetActions {
             stop,
             cancel,
             start,
@@ -191,15 +191,15 @@ impl Rule {
         }
     }
 
-    /// What it does in this thread.
+    /// Its actions in this thread.
     #[must_use]
-    pub const fn orders(&self) -> &Orders {
+    pub const fn orders(&self) -> &NetActions {
         &self.orders
     }
 
     /// The nets it names, in the order of its slots.
     fn names(&self) -> impl Iterator<Item = u32> {
-        let Orders {
+        let NetActions {
             stop,
             cancel,
             start,
@@ -301,7 +301,7 @@ impl Rule {
         both.filter(is_needed).collect()
     }
 
-    /// Whether it is to fire now.
+    /// Whether it fires now.
     fn is_due(&self) -> bool {
         match &self.part {
             Some(part) => part.shared().decision() == Decision::Fire,
@@ -309,25 +309,25 @@ impl Rule {
         }
     }
 
-    /// Ends the wait for good without firing, in all threads; says what becomes of this part.
+    /// Deactivates the rule in all threads without firing; returns the state of this part.
     pub(super) fn give_up(&self) -> RuleState {
         let decided = self
             .part
             .as_ref()
             .map(|p| p.shared().decide(Decision::Never));
-        // Other parts may have been told to fire already; this one cannot.
+        // Other parts may already have the decision to fire; this one cannot.
         match decided {
             None | Some(Decision::Never) => RuleState::Inactive,
             Some(Decision::Open | Decision::Fire | Decision::Fail) => RuleState::FireFailed,
         }
     }
 
-    /// Whether it starts a net, be it in another thread.
+    /// Whether it starts a net in any thread.
     fn starts_any(&self) -> bool {
         !self.orders.start.is_empty() || self.part.as_ref().is_some_and(Part::starts)
     }
 
-    /// How much of it is looked at in a cycle.
+    /// Its work per cycle.
     fn work(&self) -> usize {
         let parts = self.part.as_ref().map_or(1, Part::count);
         let nets = self.slots.len() - self.literals.len();
@@ -335,46 +335,46 @@ impl Rule {
     }
 }
 
-/// Why a rule was not taken.
+/// Why a rule was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RuleRefusal {
     /// Too many rules wait.
     TooMany,
-    /// The waiting rules would look at more than [`WORK_MAX`] things in a cycle.
+    /// The work of the waiting rules would exceed [`WORK_MAX`].
     TooLong,
     /// A net that it starts needs this resource, which is held by a net that it does not follow or
     /// kept for another rule.
     ResourceInUse(usize),
     /// Two nets that it starts need this resource.
     ResourceTwice(usize),
-    /// A net that it starts, by its number, does not wait for that any more.
+    /// A net that it starts, by its number, is no longer scheduled.
     NotWaiting(u32),
-    /// The controller is stopped, or was after the rule was requested.
+    /// The controller is stopped, or was stopped after the request.
     Halted,
 }
 
-/// A rule that no thread takes: its parts in others do nothing any more.
+/// A rule that no thread accepts: its parts in other threads become inactive.
 #[must_use]
 pub fn refused(mut rule: Box<Rule>) -> Box<Rule> {
     rule.state = rule.give_up();
     rule
 }
 
-/// What the executor knows of rules.
+/// Rules and scheduled nets of an executor.
 #[expect(
     clippy::vec_box,
-    reason = "they come and go as boxes; a cycle neither makes nor frees any"
+    reason = "they move in and out as boxes; a cycle neither allocates nor frees any"
 )]
 #[derive(Debug)]
 pub(super) struct Rules {
     waiting: Vec<Box<Rule>>,
-    /// Nets that rules start, until they do.
+    /// Scheduled nets.
     scheduled: Vec<Box<Running>>,
-    /// The nets that `waiting` name.
-    roll: Roll,
-    /// The work of all that are in `waiting`.
+    /// The nets that the waiting rules name.
+    nets_named: NetTable,
+    /// Total work of `waiting`.
     work: usize,
-    /// How many in `waiting` do not wait any more.
+    /// Number of rules in `waiting` that no longer wait.
     over: usize,
 }
 
@@ -383,43 +383,43 @@ impl Rules {
         Self {
             waiting: Vec::with_capacity(RULES_MAX),
             scheduled: Vec::with_capacity(SCHEDULED_MAX),
-            roll: Roll::default(),
+            nets_named: NetTable::default(),
             work: 0,
             over: 0,
         }
     }
 
-    /// How much is looked at in a cycle.
+    /// Work per cycle.
     pub(super) const fn work(&self) -> usize {
         self.work
     }
 
-    /// Where a net of that slot is in `running`, if it is.
+    /// Index of a slot's net in `running`.
     fn running_at(&self, slot: Slot, running: &[Box<Running>]) -> Option<usize> {
-        let (id, at) = self.roll.running(slot);
+        let (id, at) = self.nets_named.running(slot);
         running.get(at).filter(|net| net.id == id).map(|_| at)
     }
 
-    /// Where a net of that slot is in `scheduled`, if it is.
+    /// Index of a slot's net in `scheduled`.
     fn scheduled_at(&self, slot: Slot) -> Option<usize> {
-        let (id, at) = self.roll.scheduled(slot);
+        let (id, at) = self.nets_named.scheduled(slot);
         let net = self.scheduled.get(at).filter(|net| net.id == id);
         net.map(|_| at)
     }
 
-    /// Notes where the nets are that rules name.
+    /// Updates the positions of nets that rules name.
     fn seat(&mut self, running: &[Box<Running>]) {
         for (at, net) in running.iter().enumerate() {
-            self.roll.seat_running(net.id, at);
+            self.nets_named.set_running_index(net.id, at);
         }
         for (at, net) in self.scheduled.iter().enumerate() {
-            self.roll.seat_scheduled(net.id, at);
+            self.nets_named.set_scheduled_index(net.id, at);
         }
     }
 
-    /// Whether a rule that is decided in several threads may still start a net here in place of this one.
+    /// Whether a rule in several threads may still start a net here in place of this one.
     pub(super) fn may_still_succeed(&self, id: u32) -> bool {
-        let Some(slot) = self.roll.find(id) else {
+        let Some(slot) = self.nets_named.find(id) else {
             return false;
         };
         self.waiting.iter().any(|rule| {
@@ -430,16 +430,16 @@ impl Rules {
         })
     }
 
-    /// Takes a scheduled net out of its place.
-    fn unseat_scheduled(&mut self, at: usize) -> Box<Running> {
+    /// Removes a scheduled net.
+    fn clear_scheduled_index(&mut self, at: usize) -> Box<Running> {
         let net = self.scheduled.swap_remove(at);
         if let Some(moved) = self.scheduled.get(at) {
-            self.roll.seat_scheduled(moved.id, at);
+            self.nets_named.set_scheduled_index(moved.id, at);
         }
         net
     }
 
-    /// Ends the wait of all rules: none of them fires any more, in no thread.
+    /// Deactivates all rules in all threads.
     pub(super) fn halt(&mut self) {
         for at in 0..self.waiting.len() {
             if self.waiting[at].state == RuleState::Active {
@@ -449,7 +449,7 @@ impl Rules {
         }
     }
 
-    /// Ends the wait of a rule.
+    /// Deactivates a rule.
     fn retire(&mut self, at: usize, state: RuleState) {
         let rule = &mut self.waiting[at];
         if rule.state != RuleState::Active {
@@ -459,7 +459,7 @@ impl Rules {
         self.over += 1;
         if rule.starts_any() {
             let followed = rule.followed().iter();
-            followed.for_each(|slot| self.roll.follow(*slot, false));
+            followed.for_each(|slot| self.nets_named.follow(*slot, false));
         }
     }
 }

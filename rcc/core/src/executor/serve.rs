@@ -1,5 +1,5 @@
-//! The devices that one net thread serves: what drivers told goes into the image before a cycle,
-//! what nets commanded goes to drivers after it. It starts no driver and decides nothing.
+//! The devices that one net thread serves: driver states are copied to the image before a cycle,
+//! commands of nets to the drivers after it. It starts no driver.
 
 mod gate;
 
@@ -21,7 +21,7 @@ pub struct DeviceEnd {
     number: usize,
     place: Place,
     driver: Driver,
-    /// What nets command to it.
+    /// Commands of nets.
     command: DeviceCommand,
     gate: Gate,
 }
@@ -48,26 +48,26 @@ impl DeviceEnd {
     }
 }
 
-/// What moves a device.
+/// Driver of a device.
 #[derive(Debug)]
 pub enum Driver {
     /// A driver in a thread of its own.
     Cells {
-        /// What it tells.
+        /// Its state.
         state: LatestReader<DeviceState>,
-        /// What it is told.
+        /// Its commands.
         command: LatestWriter<DeviceCommand>,
     },
     /// This thread itself: the device is simulated.
     Simulated {
         /// The simulation.
         device: Box<dyn Simulated>,
-        /// What it tells programs and other net threads.
-        told: LatestWriter<DeviceState>,
+        /// Its state for programs and other net threads.
+        published: LatestWriter<DeviceState>,
     },
     /// Another net thread commands it; nets of this one see it.
     Seen {
-        /// What it tells.
+        /// Its state.
         state: LatestReader<DeviceState>,
     },
 }
@@ -85,7 +85,7 @@ pub struct Served {
 }
 
 impl Served {
-    /// None yet, for a thread of that period.
+    /// No devices yet, for a thread of that period.
     #[must_use]
     pub fn new(period: Nanos, hand_over: Recorder) -> Self {
         Self {
@@ -96,16 +96,16 @@ impl Served {
         }
     }
 
-    /// The same with the thread's part of the controller's emergency stop.
+    /// Sets the thread's part of the controller's emergency stop.
     #[must_use]
     pub fn under(mut self, stop: StopPart) -> Self {
         self.stop = stop;
         self
     }
 
-    /// Before a cycle that begins at `now`: whether devices are to be stopped. Told by [`Self::read`].
-    pub fn look(&mut self, now: Nanos) {
-        self.stop.look(now);
+    /// Before a cycle that begins at `now`: polls whether devices must stop. [`Self::read`] applies it.
+    pub fn poll(&mut self, now: Nanos) {
+        self.stop.poll(now);
     }
 
     /// The thread's part of the emergency stop.
@@ -123,15 +123,15 @@ impl Served {
         }
     }
 
-    /// Serves a device no longer and gives its end back.
+    /// Stops serving a device and returns its endpoint.
     pub fn remove(&mut self, number: usize, executor: &mut Executor) -> Option<Box<DeviceEnd>> {
         let end = self.ends.get_mut(number).and_then(Option::take)?;
         executor.set_device(number, DeviceView::default());
         Some(end)
     }
 
-    /// Puts what drivers told last into the image. While all is to stop, devices that would follow
-    /// commands are shown as if their drives were not enabled.
+    /// Copies the last driver states to the image. During a stop, devices that would follow
+    /// commands appear as not enabled.
     pub fn read(&mut self, executor: &mut Executor) {
         let stop = &self.stop;
         for end in self.ends.iter_mut().flatten() {
@@ -144,7 +144,7 @@ impl Served {
         }
     }
 
-    /// Hands commands to all drivers, one right after the other. The cycle began at `begin` on this
+    /// Sends commands to all drivers, one right after the other. The cycle began at `begin` on this
     /// host's clock.
     pub fn write(&mut self, executor: &mut Executor, moment: Moment, begin: Nanos) {
         let vote = executor.image.stop.get().at(moment.cycle);
@@ -166,9 +166,9 @@ impl Served {
             let given = &end.command;
             match &mut end.driver {
                 Driver::Cells { command, .. } => command.write_with(|slot| slot.copy_from(given)),
-                Driver::Simulated { device, told } => {
+                Driver::Simulated { device, published } => {
                     device.step(given, self.period);
-                    told.write_with(|slot| slot.copy_from(device.state()));
+                    published.write_with(|slot| slot.copy_from(device.state()));
                 }
                 Driver::Seen { .. } => {}
             }
@@ -182,7 +182,7 @@ impl Served {
         }
     }
 
-    /// Hands over, after [`Self::write`] in the same cycle, that commands were withdrawn.
+    /// Sends withdrawn commands after [`Self::write`] in the same cycle.
     pub fn retract(&mut self, executor: &Executor) {
         for end in self.ends.iter_mut().flatten() {
             if matches!(end.driver, Driver::Seen { .. })
@@ -200,9 +200,9 @@ impl Served {
             let given = &end.command;
             match &mut end.driver {
                 Driver::Cells { command, .. } => command.write_with(|slot| slot.copy_from(given)),
-                Driver::Simulated { device, told } => {
+                Driver::Simulated { device, published } => {
                     device.retract(given);
-                    told.write_with(|slot| slot.copy_from(device.state()));
+                    published.write_with(|slot| slot.copy_from(device.state()));
                 }
                 Driver::Seen { .. } => {}
             }
@@ -210,7 +210,7 @@ impl Served {
     }
 }
 
-/// Takes what was withdrawn since [`collect`] out of what nets command to a device; returns whether there was anything.
+/// Removes commands that were withdrawn since [`collect`]; returns whether there were any.
 fn retract(command: &mut DeviceCommand, place: &Place, executor: &Executor) -> bool {
     let mut changed = false;
     let joints = &executor.image.joints[place.first_joint..][..place.joints];
@@ -238,7 +238,7 @@ fn show(
 ) {
     let view = DeviceView {
         status: state.status.under(stop.is_on()),
-        // Those that begin with a stop are counted like any other.
+        // Faults that begin with a stop are counted like any other.
         faults: state.faults + stop.count(),
         jumps: state.jumped.count,
     };
@@ -256,7 +256,7 @@ fn show(
     }
 }
 
-/// Takes what nets command to a device out of the image; returns whether they did in this cycle.
+/// Copies the commands for a device from the image; returns whether nets commanded it in this cycle.
 fn collect(
     command: &mut DeviceCommand,
     place: &Place,
@@ -271,7 +271,7 @@ fn collect(
         let wanted = joint.command.get();
         let given = wanted.cycle == cycle && wanted.every > 0;
         commanded |= given;
-        // A set-point of a slower net stands until that net gives the next, or ends.
+        // A set-point of a slower net is valid until that net gives the next, or ends.
         if given || !wanted.is_in_force(cycle) {
             let position = wanted.position;
             set_points.advance(given.then_some(SetPoint { time, position }));

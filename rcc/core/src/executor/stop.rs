@@ -1,8 +1,8 @@
-//! The emergency stop of a controller: what its net threads tell each other of it, in atomic words and
-//! without waiting. It brakes nothing itself: while it is on, devices are shown to nets as not enabled, so
-//! that the nets that command them end and drivers see their set-points end. It is no safety function.
+//! The emergency stop of a controller, exchanged between its net threads by atomic words and
+//! without waiting. It does not brake itself: while it is active, devices appear to nets as not enabled, so
+//! that the nets that command them end and drivers see their set-points end. It is not a safety function.
 //!
-//! The last word of an `EStop` primitive stands until another one, of any thread, says otherwise.
+//! The last value of an `EStop` primitive is valid until another one, of any thread, sets another value.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicU8, Ordering};
@@ -12,23 +12,23 @@ use takt_rt::Nanos;
 use crate::cell::THREADS_MAX;
 use crate::stop_channel::{Generation, StopSwitch};
 
-/// A controller that needs to hear of the emergency stop is stopped when it has not for so long.
+/// A controller that needs to receive of the emergency stop is stopped when it has not for so long.
 pub const SILENCE_MAX: Nanos = Nanos::from_millis(20);
 
-/// Bit of a thread in whose present cycle something is said.
+/// Bit of a thread whose present cycle sets a value.
 const SAID: u8 = 1;
-/// Bit of a thread that demands a stop, or did when something was last said there.
+/// Bit of a thread that demands a stop, as of its last value.
 const STOP: u8 = 2;
 
-/// What one thread says.
+/// State of one thread.
 #[derive(Debug)]
 struct Word {
     bits: AtomicU8,
-    /// When something was last said, ns.
+    /// Time of the last value, ns.
     at: AtomicI64,
 }
 
-/// What all net threads of a controller say.
+/// State of all net threads of a controller.
 #[derive(Debug)]
 pub struct EmergencyStop {
     is_needed: bool,
@@ -37,13 +37,13 @@ pub struct EmergencyStop {
 }
 
 impl EmergencyStop {
-    /// Nothing was said yet. `is_needed` is whether silence stops.
+    /// Without values. `is_needed`: devices stop if no value is set within [`SILENCE_MAX`].
     #[must_use]
     pub fn new(is_needed: bool) -> Self {
         Self::under(is_needed, StopSwitch::default())
     }
 
-    /// The same, under a switch that others may turn too.
+    /// As [`Self::new`], under a switch that others can also operate.
     #[must_use]
     pub fn under(is_needed: bool, switch: StopSwitch) -> Self {
         let word = || Word {
@@ -90,16 +90,16 @@ pub struct StopPart {
     thread: usize,
     is_on: bool,
     count: u64,
-    /// Of the switch, as of the present cycle.
+    /// Generation of the switch in the present cycle.
     generation: Generation,
-    /// Whether all nets are to end in this cycle.
+    /// Whether all nets end in this cycle.
     ends_nets: bool,
     /// Whether the switch waits for an answer.
     is_asked: bool,
 }
 
 impl Default for StopPart {
-    /// That of a thread without others.
+    /// The part of a single thread.
     fn default() -> Self {
         Self::new(Arc::new(EmergencyStop::new(false)), 0)
     }
@@ -120,12 +120,12 @@ impl StopPart {
         }
     }
 
-    /// Before a cycle that begins at `now`: learns what others say.
-    pub fn look(&mut self, now: Nanos) {
+    /// Before a cycle that begins at `now`: reads the values of others.
+    pub fn poll(&mut self, now: Nanos) {
         let words = &self.shared.words;
         if let Some(own) = words.get(self.thread) {
             let says = |word: &Word| word.bits.load(Ordering::Acquire) & SAID != 0;
-            // What was last said here is out of date once something is said elsewhere.
+            // The value of this thread is stale once another thread sets one.
             if !says(own) && words.iter().any(says) {
                 own.bits.store(0, Ordering::Release);
             }
@@ -135,24 +135,24 @@ impl StopPart {
         self.is_asked |= generation != self.generation;
         self.generation = generation;
         let is_on = self.shared.is_on(now);
-        // Also a stop that was released before this thread saw it is one.
+        // A stop that was released before this thread saw it counts too.
         self.count += u64::from((is_on && !self.is_on) || self.ends_nets);
         self.is_on = is_on;
     }
 
-    /// Whether all nets are to end in this cycle, and nothing that was requested before is to begin.
+    /// Whether all nets end in this cycle, and no earlier request starts.
     #[must_use]
     pub const fn ends_nets(&self) -> bool {
         self.ends_nets
     }
 
-    /// Whether what was requested under that generation may begin.
+    /// Whether a request under that generation may start.
     #[must_use]
     pub fn permits(&self, requested: Generation) -> bool {
         !self.generation.is_stopped() && requested == self.generation
     }
 
-    /// After commands were handed over: answers the switch, if it waits for that.
+    /// After commands were sent to drivers: answers the switch, if it waits for that.
     pub fn answer(&mut self, ended: u32, now: impl FnOnce() -> Nanos) {
         if std::mem::take(&mut self.is_asked) {
             let switch = &self.shared.switch;
@@ -160,19 +160,19 @@ impl StopPart {
         }
     }
 
-    /// Whether all devices are to stop in this cycle.
+    /// Whether all devices stop in this cycle.
     #[must_use]
     pub const fn is_on(&self) -> bool {
         self.is_on
     }
 
-    /// How often that began.
+    /// Number of onsets.
     #[must_use]
     pub const fn count(&self) -> u64 {
         self.count
     }
 
-    /// After a cycle that began at `now`: tells what its nets say of the stop, if anything.
+    /// After a cycle that began at `now`: publishes the value that its nets set, if any.
     pub fn say(&self, vote: Option<bool>, now: Nanos) {
         let Some(own) = self.shared.words.get(self.thread) else {
             return;
@@ -205,14 +205,14 @@ mod tests {
     /// One cycle of both threads; returns whether each sees a stop.
     fn cycle(parts: &mut [StopPart; 2], votes: [Option<bool>; 2], now: Nanos) -> [bool; 2] {
         for (part, vote) in parts.iter_mut().zip(votes) {
-            part.look(now);
+            part.poll(now);
             part.say(vote, now);
         }
         parts.each_ref().map(|part| part.shared.is_on(now))
     }
 
     #[test]
-    fn one_demand_of_several_stops_all() {
+    fn estop_of_one_thread_stops_all() {
         let mut parts = parts(false);
         assert_eq!(cycle(&mut parts, [None, None], ms(0)), [false; 2]);
         assert_eq!(
@@ -223,24 +223,24 @@ mod tests {
             cycle(&mut parts, [Some(false), Some(false)], ms(2)),
             [false; 2]
         );
-        parts[0].look(ms(3));
+        parts[0].poll(ms(3));
         assert_eq!((parts[0].is_on(), parts[0].count()), (false, 1));
     }
 
     #[test]
-    fn a_demand_stands_until_somebody_says_otherwise() {
+    fn estop_value_holds_until_overridden() {
         let mut parts = parts(false);
         cycle(&mut parts, [Some(true), None], ms(0));
         assert_eq!(cycle(&mut parts, [None, None], ms(1)), [true; 2]);
         assert_eq!(cycle(&mut parts, [None, None], ms(1000)), [true; 2]);
         assert_eq!(cycle(&mut parts, [None, Some(false)], ms(1001)), [false; 2]);
-        // It is over, not only outvoted.
+        // It has ended, not only been overridden.
         cycle(&mut parts, [None, Some(false)], ms(1002));
         assert_eq!(cycle(&mut parts, [None, None], ms(1003)), [false; 2]);
     }
 
     #[test]
-    fn silence_stops_if_the_controller_needs_to_hear() {
+    fn estop_missing_stops_if_needed() {
         let mut parts = parts(true);
         assert_eq!(cycle(&mut parts, [None, None], ms(0)), [true; 2]);
         assert_eq!(cycle(&mut parts, [None, Some(false)], ms(1)), [false; 2]);

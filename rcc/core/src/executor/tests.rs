@@ -140,7 +140,7 @@ fn evaluations(out: &mut LatestReader<Box<[u64]>>) -> f64 {
 // Start.
 
 #[test]
-fn a_net_runs_from_the_next_cycle_on() {
+fn net_runs_from_next_cycle() {
     let mut bench = Bench::default();
     let Loaded {
         running,
@@ -160,7 +160,7 @@ fn a_net_runs_from_the_next_cycle_on() {
 }
 
 #[test]
-fn a_resource_belongs_to_one_running_net() {
+fn resource_belongs_to_one_running_net() {
     let mut bench = Bench::default();
     assert_eq!(
         bench.start(holding(0, ENDLESS, &[3, 64, ResourceSet::MAX - 1])),
@@ -186,7 +186,7 @@ fn a_resource_belongs_to_one_running_net() {
 }
 
 #[test]
-fn a_device_must_be_operational() {
+fn net_requires_operational_device() {
     let safe = DeviceView {
         status: DeviceStatus::SafeOperational,
         ..READY
@@ -203,7 +203,7 @@ fn a_device_must_be_operational() {
 }
 
 #[test]
-fn a_net_that_is_refused_comes_back_and_holds_nothing() {
+fn rejected_net_is_returned_without_resources() {
     let mut bench = Bench::default();
     let mut refused = holding(5, ENDLESS, &[1]);
     refused.devices.push((0, 0));
@@ -214,7 +214,7 @@ fn a_net_that_is_refused_comes_back_and_holds_nothing() {
 }
 
 #[test]
-fn so_many_nets_run_and_no_more() {
+fn running_nets_are_bounded() {
     let mut bench = Bench::default();
     let most = u32::try_from(RUNNING_MAX).unwrap();
     for id in 0..most {
@@ -228,7 +228,7 @@ fn so_many_nets_run_and_no_more() {
 // Cycles.
 
 #[test]
-fn a_net_is_evaluated_in_multiples_of_its_number_of_cycles() {
+fn net_is_evaluated_every_nth_cycle() {
     let mut bench = Bench::default();
     for every in [1, 2, 5] {
         let mut net = net(u32::try_from(every).unwrap(), ENDLESS);
@@ -243,7 +243,7 @@ fn a_net_is_evaluated_in_multiples_of_its_number_of_cycles() {
 }
 
 #[test]
-fn values_are_handed_over_only_when_they_change() {
+fn values_are_published_only_on_change() {
     let mut bench = Bench::default();
     let Loaded {
         running,
@@ -281,7 +281,7 @@ fn values_are_handed_over_only_when_they_change() {
 // End.
 
 #[test]
-fn a_cancelled_net_is_told_and_ends_by_itself() {
+fn cancelled_net_ends_by_itself() {
     let mut bench = Bench::default();
     bench.start(net(0, COUNTER)).unwrap();
     bench.start(net(1, COUNTER)).unwrap();
@@ -297,7 +297,7 @@ fn a_cancelled_net_is_told_and_ends_by_itself() {
 }
 
 #[test]
-fn an_aborted_net_is_not_evaluated_again() {
+fn aborted_net_is_not_evaluated_again() {
     let mut bench = Bench::default();
     let Loaded {
         running,
@@ -314,7 +314,7 @@ fn an_aborted_net_is_not_evaluated_again() {
 }
 
 #[test]
-fn a_device_fault_ends_the_nets_that_command_it_and_no_other() {
+fn device_fault_ends_only_commanding_nets() {
     let mut bench = Bench::with_devices(&[READY, READY]);
     for (id, devices) in [(0, &[0][..]), (1, &[1]), (2, &[0, 1]), (3, &[])] {
         bench.start(commanding(id, devices)).unwrap();
@@ -338,7 +338,7 @@ fn a_device_fault_ends_the_nets_that_command_it_and_no_other() {
 }
 
 #[test]
-fn the_first_reason_to_end_counts() {
+fn net_end_keeps_first_reason() {
     let mut bench = Bench::with_devices(&[READY]);
     bench.start(commanding(0, &[0])).unwrap();
     bench.executor.abort(0);
@@ -347,7 +347,7 @@ fn the_first_reason_to_end_counts() {
 }
 
 #[test]
-fn what_a_net_held_is_free_for_one_that_starts_before_the_next_cycle() {
+fn ended_net_frees_resources_before_next_cycle() {
     let mut bench = Bench::default();
     bench.start(holding(0, BRIEF, &[1])).unwrap();
     assert_eq!(
@@ -360,7 +360,7 @@ fn what_a_net_held_is_free_for_one_that_starts_before_the_next_cycle() {
 }
 
 #[test]
-fn an_ended_net_that_nobody_takes_is_kept_but_not_evaluated() {
+fn unaccepted_ended_net_is_not_evaluated() {
     let mut bench = Bench::default();
     let Loaded {
         mut running,

@@ -1,4 +1,4 @@
-//! The thread that evaluates nets: a real-time cycle around an [`Executor`], with the cells of
+//! The thread that evaluates nets: a real-time cycle around an [`Executor`], with the latest-value cells of
 //! devices on one side and the rings to the controller on the other. It makes no decisions.
 
 use std::ops::ControlFlow;
@@ -20,22 +20,22 @@ use crate::executor::stop::StopPart;
 use crate::executor::{Effect, End, Executor, Refusal, Running};
 use crate::record::Tap;
 
-/// What the controller asks of the thread.
+/// Commands of the controller to the thread.
 #[derive(Debug)]
 pub enum Command {
     /// Evaluate this net from now on.
     Start(Box<Running>),
-    /// Ask a net to cancel.
+    /// Request a net to cancel.
     Cancel(u32),
     /// End a net.
     Abort(u32),
-    /// Keep this net for rules to start.
+    /// Hold this net for rules to start.
     Schedule(Box<Running>),
     /// Watch this rule.
     AddRule(Box<Rule>),
-    /// Answer for good what rules ask of a net that has ended.
+    /// Set the final answer of literals about an ended net.
     Answer(Literal),
-    /// Give back a net that was scheduled: always, or only if no rule waits to start it.
+    /// Return a scheduled net: always, or only if no rule waits to start it.
     Unschedule {
         /// The net.
         net: u32,
@@ -53,8 +53,8 @@ pub enum Command {
 }
 
 impl Command {
-    /// Whether all waiting rules are looked at for it.
-    const fn looks_at_rules(&self) -> bool {
+    /// Whether it requires a pass over all waiting rules.
+    const fn reads_all_rules(&self) -> bool {
         match self {
             Self::Start(_)
             | Self::AddRule(_)
@@ -71,38 +71,38 @@ impl Command {
     }
 }
 
-/// What the thread tells the controller.
+/// Events of the thread to the controller.
 #[derive(Debug)]
 pub enum Event {
     /// A net runs.
     Started(u32),
-    /// A net could not be started and is back.
+    /// A net could not be started and is returned.
     Refused(Box<Running>, Refusal),
-    /// A net was asked to cancel and runs on until it ends itself.
+    /// A net received a cancel and runs until it ends by itself.
     Cancelling(u32),
-    /// A net ended and is back.
+    /// A net ended and is returned.
     Ended(Box<Running>, End),
     /// A rule waits.
     RuleAdded(u32),
-    /// A rule could not be kept.
+    /// A rule was rejected.
     RuleRefused(Box<Rule>, RuleRefusal),
     /// A rule no longer waits.
     RuleDone(Box<Rule>),
     /// A device is no longer served.
     DeviceRemoved(Box<DeviceEnd>),
-    /// A net that no rule starts any more is back.
+    /// A net that no rule starts any more is returned.
     Unscheduled(Box<Running>),
 }
 
-/// How the thread is to run.
+/// Settings of the thread.
 #[derive(Debug)]
 pub struct NetThreadConfig {
     /// Time from one cycle to the next.
     pub period: Duration,
-    /// Cycle n begins at `base` plus n periods. In the past, and the same for all threads whose
-    /// multiples are to coincide.
+    /// Cycle n begins at `base` plus n periods. It lies in the past and is the same for all threads whose
+    /// cycles coincide.
     pub base: takt_rt::Nanos,
-    /// The device's clock that its cycles keep phase with; `None` for the host's. Logical time is
+    /// The device clock that its cycles follow; `None` for the host's clock. Logical time is
     /// `base` plus n periods either way.
     pub follow: Option<Follow>,
     /// Its part of the controller's emergency stop.
@@ -111,14 +111,14 @@ pub struct NetThreadConfig {
     pub thread: ThreadConfig,
 }
 
-/// The controller's end of the thread.
+/// The controller's handle of the thread.
 #[derive(Debug)]
 pub struct NetThread {
-    /// Where it is told what to do.
+    /// Queue of commands.
     pub commands: Producer<Command>,
-    /// What it has to tell.
+    /// Queue of events.
     pub events: Consumer<Event>,
-    /// How well it keeps its time.
+    /// Its timing.
     pub stats: StatsReader,
     /// Time between handing over set-points to the first and to the last arm in one cycle.
     pub hand_over: RecorderReader,
@@ -128,17 +128,17 @@ pub struct NetThread {
     stop: Arc<AtomicBool>,
 }
 
-/// Commands under way; more are refused.
+/// Capacity of the command queue; further commands are rejected.
 pub(crate) const COMMANDS: usize = 1024;
-/// Events under way. The controller takes all of them before each command, so there are never more
+/// Capacity of the event queue. The controller takes all events before each command, so there are never more
 /// than what so many commands, all waiting rules and all nets of the thread can cause.
 const EVENTS: usize = 8 * COMMANDS;
 
 impl NetThread {
-    /// Starts the thread, which from then on does nothing but cycles.
+    /// Starts the thread, which from then on only executes cycles.
     ///
     /// # Errors
-    /// If the system has no thread to give.
+    /// If the system cannot start a thread.
     pub fn start(config: NetThreadConfig, tap: Option<Tap>) -> Result<Self, Error> {
         let (commands, command_end) = takt_rt::ring::ring(COMMANDS);
         let (event_end, events) = takt_rt::ring::ring(EVENTS);
@@ -177,7 +177,7 @@ impl NetThread {
         })
     }
 
-    /// How the host granted what the thread asked for.
+    /// Settings that the host granted to the thread.
     #[must_use]
     pub fn grants(&self) -> &[takt_rt::Grant] {
         self.thread.grants()
@@ -190,15 +190,15 @@ impl NetThread {
     }
 
     /// Ends the thread after its next cycle, without waiting for that.
-    pub fn ask_to_stop(&self) {
+    pub fn request_stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }
 
     /// Ends the thread after its next cycle and waits for that.
     pub fn stop(self) {
-        self.ask_to_stop();
+        self.request_stop();
         if self.thread.join().is_err() {
-            tracing::error!("the net thread had ended by a panic");
+            tracing::error!("the net thread panicked");
         }
     }
 }
@@ -217,15 +217,15 @@ fn run(cycle: &mut Cycle, cycles: Cycles<'_>, stats: &mut StatsWriter, stop: &At
     drop(scope);
 }
 
-/// When a cycle is, to nets and to drivers.
+/// Times of a cycle for nets and drivers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Slot {
-    /// What nets see: time is logical, so that the same inputs give the same outputs.
+    /// Logical time for nets, so that equal inputs give equal outputs.
     moment: Moment,
-    /// When it began on the clock of this host, by which drivers place set-points. The same as logical
+    /// Begin on the host's clock, to which drivers refer set-points. Equal to logical
     /// time, unless the thread follows a device's clock.
     begin: takt_rt::Nanos,
-    /// When it is to be over.
+    /// Its deadline.
     end: takt_rt::Nanos,
 }
 
@@ -246,9 +246,9 @@ impl Slot {
     }
 }
 
-/// Most commands taken in one cycle; the rest waits for the next.
+/// Maximum number of commands per cycle; the rest waits for the next.
 const COMMANDS_A_CYCLE: usize = 16;
-/// So much work of waiting rules makes a command that looks at them count once more.
+/// Rule work that makes a command which reads all rules count once more.
 const WORK_A_COMMAND: usize = WORK_MAX / COMMANDS_A_CYCLE;
 
 struct Cycle {
@@ -263,10 +263,10 @@ struct Cycle {
 impl Cycle {
     fn run(&mut self, slot: &Slot) {
         let moment = slot.moment;
-        self.served.look(slot.begin);
+        self.served.poll(slot.begin);
         self.served.read(&mut self.executor);
         let halted = self.halt();
-        self.obey_commands();
+        self.handle_commands();
         for net in self.executor.running() {
             let received = net.receive();
             if let (true, Some(tap)) = (received, &mut self.tap) {
@@ -274,7 +274,7 @@ impl Cycle {
             }
         }
         if self.executor.fire_decided() {
-            self.tell_effects();
+            self.report_effects();
         }
         let tap = &mut self.tap;
         self.executor.announce_takeovers(|id, waits| {
@@ -295,19 +295,19 @@ impl Cycle {
             }
         });
         self.executor.fire_rules();
-        self.tell_effects();
+        self.report_effects();
         if !self.executor.running().is_empty() && (self.clock)() >= slot.end {
             self.executor.overran();
         }
         if let Some(tap) = &mut self.tap {
             tap.outputs(moment, &self.executor);
         }
-        // Before anyone learns that a net has ended, and after it was seen who follows it.
+        // Before the end of a net is reported, and after its successors are known.
         if self.executor.withdraw() {
             self.served.retract(&self.executor);
         }
         self.hand_back();
-        self.tell_rules();
+        self.report_rules();
         if let Some(tap) = &mut self.tap {
             tap.finish();
         }
@@ -328,21 +328,21 @@ impl Cycle {
         count
     }
 
-    /// Obeys the commands of this cycle: fewer where rules that wait make each of them dearer.
-    fn obey_commands(&mut self) {
+    /// Handles the commands of this cycle: fewer if waiting rules make each of them more expensive.
+    fn handle_commands(&mut self) {
         let mut left = COMMANDS_A_CYCLE;
         while left > 0 {
             let Some(command) = self.commands.pop() else {
                 break;
             };
-            let looks_at_rules = command.looks_at_rules();
-            self.obey(command);
+            let reads_all_rules = command.reads_all_rules();
+            self.handle(command);
             let rules = self.executor.rule_work() / WORK_A_COMMAND;
-            left = left.saturating_sub(1 + if looks_at_rules { rules } else { 0 });
+            left = left.saturating_sub(1 + if reads_all_rules { rules } else { 0 });
         }
     }
 
-    fn obey(&mut self, command: Command) {
+    fn handle(&mut self, command: Command) {
         match command {
             Command::Start(net) => self.start(net),
             Command::StartScheduled(id) => {
@@ -355,7 +355,7 @@ impl Cycle {
                     if let Some(tap) = &mut self.tap {
                         tap.cancelled(id);
                     }
-                    self.tell(Event::Cancelling(id));
+                    self.report(Event::Cancelling(id));
                 }
             }
             Command::Abort(id) => {
@@ -369,11 +369,11 @@ impl Cycle {
             | Command::AddRule(_)
             | Command::Answer(_)
             | Command::Unschedule { .. }
-            | Command::Forget(_)) => self.obey_rule(rule),
+            | Command::Forget(_)) => self.handle_rule_command(rule),
             Command::AddDevice(end) => self.served.add(end, &mut self.executor),
             Command::RemoveDevice(number) => {
                 if let Some(end) = self.served.remove(number, &mut self.executor) {
-                    self.tell(Event::DeviceRemoved(end));
+                    self.report(Event::DeviceRemoved(end));
                 }
             }
         }
@@ -382,41 +382,41 @@ impl Cycle {
     fn start(&mut self, net: Box<Running>) {
         let id = net.id;
         if !self.served.stop().permits(net.requested) {
-            return self.tell(Event::Refused(net, Refusal::Halted));
+            return self.report(Event::Refused(net, Refusal::Halted));
         }
         match self.executor.start(net) {
             Ok(()) => {
                 if let Some(tap) = &mut self.tap {
                     tap.started(id);
                 }
-                self.tell(Event::Started(id));
+                self.report(Event::Started(id));
             }
-            Err((net, refusal)) => self.tell(Event::Refused(net, refusal)),
+            Err((net, refusal)) => self.report(Event::Refused(net, refusal)),
         }
     }
 
-    fn obey_rule(&mut self, command: Command) {
+    fn handle_rule_command(&mut self, command: Command) {
         match command {
             Command::Schedule(net) => {
                 if let Err(net) = self.executor.schedule(net) {
-                    self.tell(Event::Unscheduled(net));
+                    self.report(Event::Unscheduled(net));
                 }
             }
             Command::AddRule(rule) => {
                 let id = rule.id;
                 if !self.served.stop().permits(rule.requested) {
                     let rule = crate::executor::rules::refused(rule);
-                    return self.tell(Event::RuleRefused(rule, RuleRefusal::Halted));
+                    return self.report(Event::RuleRefused(rule, RuleRefusal::Halted));
                 }
                 match self.executor.add_rule(rule) {
-                    Ok(()) => self.tell(Event::RuleAdded(id)),
-                    Err((rule, why)) => self.tell(Event::RuleRefused(rule, why)),
+                    Ok(()) => self.report(Event::RuleAdded(id)),
+                    Err((rule, why)) => self.report(Event::RuleRefused(rule, why)),
                 }
             }
-            Command::Answer(literal) => self.executor.answer_for_good(literal),
+            Command::Answer(literal) => self.executor.set_final_answer(literal),
             Command::Unschedule { net, always } => {
                 if let Some(net) = self.executor.take_unscheduled(net, always) {
-                    self.tell(Event::Unscheduled(net));
+                    self.report(Event::Unscheduled(net));
                 }
             }
             Command::Forget(id) => self.executor.forget(id),
@@ -429,9 +429,9 @@ impl Cycle {
         }
     }
 
-    /// Notes what happened to nets that they did not do themselves. Starts are told later, when the
-    /// predecessors' ends are.
-    fn tell_effects(&mut self) {
+    /// Reports effects on nets that they did not cause. Starts are reported later, after the ends of their
+    /// predecessors.
+    fn report_effects(&mut self) {
         let Self {
             executor,
             events,
@@ -448,20 +448,20 @@ impl Cycle {
                 }
             }
             if effect == Effect::Cancelled {
-                let told = events.push(Event::Cancelling(id));
-                debug_assert!(told.is_ok(), "more events than requests");
+                let pushed = events.push(Event::Cancelling(id));
+                debug_assert!(pushed.is_ok(), "more events than requests");
             }
         });
     }
 
-    /// Tells what rules started, and which rules no longer wait.
-    fn tell_rules(&mut self) {
+    /// Reports nets that rules started, and rules that no longer wait.
+    fn report_rules(&mut self) {
         let Self {
             executor, events, ..
         } = self;
         executor.started(|id| {
-            let told = events.push(Event::Started(id));
-            debug_assert!(told.is_ok(), "more events than requests");
+            let pushed = events.push(Event::Started(id));
+            debug_assert!(pushed.is_ok(), "more events than requests");
         });
         executor.take_rules(|rule| match events.push(Event::RuleDone(rule)) {
             Err(Event::RuleDone(rule)) => Err(rule),
@@ -469,14 +469,14 @@ impl Cycle {
         });
     }
 
-    /// There is room: see [`EVENTS`].
-    fn tell(&mut self, event: Event) {
-        let told = self.events.push(event);
-        debug_assert!(told.is_ok(), "more events than requests");
+    /// The queue has space: see [`EVENTS`].
+    fn report(&mut self, event: Event) {
+        let pushed = self.events.push(event);
+        debug_assert!(pushed.is_ok(), "more events than requests");
     }
 
-    /// Hands ended nets back, in the order in which they came: a predecessor's end is told before its
-    /// successor's start, and that before the successor's own end.
+    /// Returns ended nets in the order of their starts: a predecessor's end is reported before its
+    /// successor's start, and this before the successor's end.
     fn hand_back(&mut self) {
         let Self {
             executor,
@@ -487,8 +487,8 @@ impl Cycle {
         while executor.take_ended(|mut net, end| {
             let id = net.id;
             if net.take_untold() {
-                let told = events.push(Event::Started(id));
-                debug_assert!(told.is_ok(), "more events than requests");
+                let pushed = events.push(Event::Started(id));
+                debug_assert!(pushed.is_ok(), "more events than requests");
             }
             match events.push(Event::Ended(net, end)) {
                 Ok(()) => {

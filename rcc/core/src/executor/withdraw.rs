@@ -1,32 +1,32 @@
-//! What a net commanded ends with it, however it ends: its commands are withdrawn in the same cycle, and drivers brake
-//! at once instead of waiting for what a slow net would have given next. The one exception is a successor that a rule
-//! starts in its place: what that commands too stands until its first cycle, so that they are switched without a gap.
-//! Who ends and why is decided elsewhere, and what a driver does then is its own matter.
+//! The commands of a net end with the net: they are withdrawn in the same cycle, and drivers brake
+//! at once instead of waiting for the next set-point of a slow net. The only exception is a successor that a rule
+//! starts in its place: commands that the successor gives too are kept until its first cycle, without a gap.
+//! Other modules decide which nets end; drivers decide how to brake.
 
 use takt_net::Image;
 
-use super::{Executor, PLACES, Running};
+use super::{BUCKETS, Executor, Running};
 
 /// Nets that ended and whose commands are still in the image.
 #[derive(Debug)]
 pub(super) struct Leaving {
-    /// Theirs are withdrawn the next time.
+    /// Their commands are withdrawn at the next call.
     now: Vec<u32>,
-    /// Theirs stand until the next cycle: a rule that is decided in another thread may still start a successor.
+    /// Their commands are kept until the next cycle: a rule decided in another thread may still start a successor.
     later: Vec<u32>,
 }
 
 impl Default for Leaving {
     fn default() -> Self {
         Self {
-            now: Vec::with_capacity(PLACES),
-            later: Vec::with_capacity(PLACES),
+            now: Vec::with_capacity(BUCKETS),
+            later: Vec::with_capacity(BUCKETS),
         }
     }
 }
 
 impl Leaving {
-    /// Notes a net that ended, once.
+    /// Adds an ended net, once.
     pub(super) fn note(&mut self, net: &mut Running) {
         if !std::mem::replace(&mut net.leaves, true) {
             self.now.push(net.id);
@@ -35,7 +35,7 @@ impl Leaving {
 }
 
 impl Running {
-    /// After its evaluation in `cycle`: what it was to take over, and did not, ends.
+    /// After its first evaluation in `cycle`: ends commands that it did not take over.
     pub(super) fn take_over(&mut self, image: &Image, cycle: u64) {
         if std::mem::replace(&mut self.succeeds, false) {
             for target in self.plan.commands() {
@@ -46,7 +46,7 @@ impl Running {
 }
 
 impl Executor {
-    /// After evaluation: withdraws what nets commanded that ended before this cycle.
+    /// After evaluation: withdraws the commands of nets that ended before this cycle.
     pub(super) fn withdraw_ended(&mut self) {
         let Self {
             running, leaving, ..
@@ -59,8 +59,8 @@ impl Executor {
         self.withdraw_leaving();
     }
 
-    /// At the end of a cycle, when rules have fired: withdraws what nets commanded that end with it. Returns whether
-    /// there was anything, which drivers are to see at once.
+    /// At the end of a cycle, after rules have fired: withdraws the commands of nets that end with it. Returns whether
+    /// there were any, as drivers must see this at once.
     pub fn withdraw(&mut self) -> bool {
         for at in 0..self.running.len() {
             let net = &self.running[at];

@@ -1,4 +1,4 @@
-//! `CartesianPosition::*`: devices told where their tool, or they themselves, are to be.
+//! `CartesianPosition::*`: devices commanded by the pose of their tool or of themselves.
 
 use takt_net::definition::port;
 use takt_net::device::CartesianPosition as Device;
@@ -55,7 +55,7 @@ fn position(b: &mut Build<'_, '_>) -> Result<Position, Fault> {
     let device = device(b)?;
     let robot = b.text("Robot").to_owned();
     b.claim(&robot, format!("{robot}_CartesianPosition"));
-    // A base cannot be told both where to be and how fast to move.
+    // A base cannot be commanded by pose and velocity at once.
     let interfaces = b.devices().interfaces(&robot);
     if interfaces.is_some_and(|has| has.base.is_some()) {
         b.claim(&robot, format!("{robot}_Base"));
@@ -131,7 +131,7 @@ pub(super) fn table() -> Vec<Definition> {
         )),
         Definition::new(
             "CartesianPosition::CartesianMonitor",
-            "Where a device was commanded and is, as its driver last told.",
+            "Where a device was commanded and is, as its driver last reported.",
             monitor,
         )
         .text("Robot", ROBOT)

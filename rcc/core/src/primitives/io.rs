@@ -107,14 +107,14 @@ pub(super) fn table() -> Vec<Definition> {
         ),
         monitor::<bool>(
             "IO::OutBoolSensor",
-            "The present state of a digital output, whoever set it.",
+            "The present state of a digital output, whichever client set it.",
             "its state",
             "device with digital outputs",
             |io| io.bool_out.iter().map(|o| o.state).collect(),
         ),
         monitor::<f64>(
             "IO::OutRealSensor",
-            "The present value of an analogue output, whoever set it.",
+            "The present value of an analogue output, whichever client set it.",
             "its value, in the unit of the device",
             "device with analogue outputs",
             |io| io.real_out.iter().map(|o| o.state).collect(),

@@ -1,5 +1,5 @@
-//! `KUKA::LWR::*`: what lightweight robots offer beside joints: control strategies, impedances,
-//! tools, torques and forces. Kinematics is elsewhere.
+//! `KUKA::LWR::*`: functions of lightweight robots beside joints: control strategies, impedances,
+//! tools, torques and forces. Kinematics is in `takt-motion`.
 
 use takt_net::definition::port;
 use takt_net::device::{CartesianImpedance, JointImpedance, JointTorque, Order, Signal};
@@ -8,18 +8,18 @@ use takt_net::{
 };
 
 use super::order::Standing;
-use super::robot_arm::{TOOL_ERROR, TellTool, tell_tool};
+use super::robot_arm::{SetTool, TOOL_ERROR, set_tool};
 
 const ROBOT: &str = "name of the robot arm";
 const AXIS: &str = "which joint, from 0";
 const UNKNOWN: NullRule = NullRule::Own("Null while the driver does not know the value.");
-/// What became of an impedance.
-const TAKEN: &str = "the arm has taken what was ordered since this began";
+/// Outcome of an impedance order.
+const TAKEN: &str = "the arm has accepted the orders of this primitive";
 const REFUSED: &str = "0 none, 1 out of range or no number, 2 no contact to the arm, 4 the strategy in force or the \
                        robot's program does not take it, 6 not before command mode is entered anew, \
                        or the addition asked for anew, -1 concurrent access";
 const KEEPS: NullRule = NullRule::Own(
-    "A null stiffness or damping leaves what is in force; a null addition adds nothing.",
+    "A null stiffness or damping keeps the present value; a null addition adds nothing.",
 );
 
 struct ControlStrategy {
@@ -39,7 +39,7 @@ impl Primitive for ControlStrategy {
 }
 
 /// The order for the control strategy of the arm of parameter `Robot`. It is held for this net, but the
-/// net does not end with the robot: switching takes it out of command for a while.
+/// net does not end with the robot: switching interrupts commanding for a while.
 pub(super) fn strategy(b: &mut Build<'_, '_>) -> Result<Standing<i32>, Fault> {
     let kind = "robot arm with control strategies";
     let order: Order<i32> = b.interface("Robot", kind, |has| has.strategy)?;
@@ -144,9 +144,9 @@ fn cart_imp_parameters(b: &mut Build<'_, '_>) -> Result<CartImpParameters, Fault
     })
 }
 
-fn tool_parameters(b: &mut Build<'_, '_>) -> Result<TellTool<Frame>, Fault> {
+fn tool_parameters(b: &mut Build<'_, '_>) -> Result<SetTool<Frame>, Fault> {
     let tcp = b.input("inTCP")?;
-    tell_tool(b, "robot", tcp)
+    set_tool(b, "robot", tcp)
 }
 
 /// Force and torque at the tool, one out port each.
@@ -278,7 +278,7 @@ fn with_outputs(definition: Definition, ports: &[(&'static str, &'static str)]) 
 fn tool_definition(name: &'static str) -> Definition {
     Definition::new(
         name,
-        "Tells an arm what it carries and where its tool is, again whenever that changes.",
+        "Sets an arm's load and tool, again after each change.",
         tool_parameters,
     )
     .active()
@@ -293,24 +293,24 @@ fn tool_definition(name: &'static str) -> Definition {
     ))
     .input::<Frame>(port("inTCP", "tool centre point in the flange, m"))
     .text("robot", ROBOT)
-    .output::<bool>("outCompleted", "the arm has taken it")
+    .output::<bool>("outCompleted", "the arm has accepted it")
     .output::<i32>("outError", TOOL_ERROR)
     .null(NullRule::Own(
-        "While an input is null nothing is told, and the outputs are null.",
+        "While an input is null nothing is set, and the outputs are null.",
     ))
 }
 
 fn monitors() -> Vec<Definition> {
     let forces = Definition::new(
         "KUKA::LWR::FMonitor",
-        "Force and torque at the tool of an arm, as its driver last told.",
+        "Force and torque at the tool of an arm, as its driver last reported.",
         Forces::new,
     )
     .text("Robot", ROBOT)
     .null(UNKNOWN);
     let all = Definition::new(
         "KUKA::LWR::FTMonitor",
-        "Torques at all joints of an arm, and force and torque at its tool, as its driver last told.",
+        "Torques at all joints of an arm, and force and torque at its tool, as its driver last reported.",
         ft_monitor,
     )
     .text("Robot", ROBOT)
@@ -324,7 +324,7 @@ fn monitors() -> Vec<Definition> {
         ),
         Definition::new(
             "KUKA::LWR::TMonitor",
-            "Torques at a joint of an arm, as its driver last told.",
+            "Torques at a joint of an arm, as its driver last reported.",
             t_monitor,
         )
         .text("Robot", ROBOT)

@@ -1,24 +1,24 @@
-//! Orders to devices: given when they change, and what became of them. What an order means is known
-//! where it is given.
+//! Orders to devices: sent when they change, with their outcome. The primitive that sends an order
+//! defines its meaning.
 
 use takt_net::Cycle;
 use takt_net::device::{Order, Words};
 
 use super::error;
 
-/// An order as one primitive gives it.
+/// An order of one primitive.
 pub(super) struct Standing<T> {
     order: Order<T>,
-    /// What was given last, and the cycle of the first that still counts.
+    /// The last order, and the cycle of the first one that still counts.
     given: Option<(T, u64)>,
 }
 
-/// What became of an order.
+/// Outcome of an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Outcome {
-    /// The device has dealt with it, well or not.
+    /// The device has handled it, with or without error.
     pub(super) answered: bool,
-    /// 0 as far as is known.
+    /// 0 if no error is known.
     pub(super) error: i32,
 }
 
@@ -38,7 +38,7 @@ impl<T: Words + PartialEq> Standing<T> {
         Self { order, given: None }
     }
 
-    /// Gives the order if it is a new one.
+    /// Sends the order if it is new.
     pub(super) fn give(&mut self, cycle: &Cycle<'_>, value: T) -> Outcome {
         if self.order.command.is_taken(cycle) {
             return Outcome::CONCURRENT;
@@ -56,7 +56,7 @@ impl<T: Words + PartialEq> Standing<T> {
         }
     }
 
-    /// Gives the order anew in each cycle, so that it stands only as long as its net runs. An answer
+    /// Sends the order in each cycle, so that it is valid only as long as its net runs. An answer
     /// to any of them counts.
     pub(super) fn repeat(&mut self, cycle: &Cycle<'_>, value: T) -> Outcome {
         if self.order.command.is_taken(cycle) {

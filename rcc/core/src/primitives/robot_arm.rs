@@ -117,8 +117,8 @@ fn joint_monitor(b: &mut Build<'_, '_>) -> Result<JointMonitor, Fault> {
     })
 }
 
-/// Tells an arm what it carries, once for each change.
-pub(super) struct TellTool<C> {
+/// Sets an arm's load, once per change.
+pub(super) struct SetTool<C> {
     pub(super) mass: In<f64>,
     pub(super) com: In<C>,
     pub(super) moi: In<Vector>,
@@ -128,7 +128,7 @@ pub(super) struct TellTool<C> {
     error: Out<i32>,
 }
 
-/// What can be told of a centre of mass: where it is, or also how the axes of inertia lie.
+/// Centre of mass: a position, or a frame with the axes of inertia.
 pub(super) trait CentreOfMass: takt_net::Value {
     fn frame(self) -> Frame;
 }
@@ -145,7 +145,7 @@ impl CentreOfMass for Frame {
     }
 }
 
-impl<C: CentreOfMass> TellTool<C> {
+impl<C: CentreOfMass> SetTool<C> {
     /// The tool, unless a part of it is null.
     fn tool(&self, cycle: &Cycle<'_>) -> Option<Tool> {
         Some(Tool {
@@ -157,7 +157,7 @@ impl<C: CentreOfMass> TellTool<C> {
     }
 }
 
-impl<C: CentreOfMass> Primitive for TellTool<C> {
+impl<C: CentreOfMass> Primitive for SetTool<C> {
     fn step(&mut self, cycle: &Cycle<'_>) {
         let Some(tool) = self.tool(cycle) else {
             self.completed.set(cycle, None);
@@ -189,19 +189,19 @@ fn check_tool(tool: &Tool) -> i32 {
     }
 }
 
-/// Builds what tells the arm of that parameter its tool, which it carries behind its last joint.
-pub(super) fn tell_tool<C: CentreOfMass + takt_net::value::text::TextValue>(
+/// Builds the primitive that sets the tool behind the last joint of the arm of that parameter.
+pub(super) fn set_tool<C: CentreOfMass + takt_net::value::text::TextValue>(
     b: &mut Build<'_, '_>,
     robot: &'static str,
     tcp: In<Frame>,
-) -> Result<TellTool<C>, Fault> {
+) -> Result<SetTool<C>, Fault> {
     let order: Order<Tool> =
-        b.interface(robot, "robot arm that can be told its tool", |has| has.tool)?;
+        b.interface(robot, "robot arm with a configurable tool", |has| has.tool)?;
     let joints = b.arm(robot)?.limits.len();
     let name = b.text(robot).to_owned();
     b.hold(format!("{name}_ToolParam_{}", joints.saturating_sub(1)));
     b.commands(order.command.target());
-    Ok(TellTool {
+    Ok(SetTool {
         mass: b.input("inMass")?,
         com: b.input("inCOM")?,
         moi: b.input("inMOI")?,
@@ -212,7 +212,7 @@ pub(super) fn tell_tool<C: CentreOfMass + takt_net::value::text::TextValue>(
     })
 }
 
-fn tool_parameters(b: &mut Build<'_, '_>) -> Result<TellTool<Vector>, Fault> {
+fn tool_parameters(b: &mut Build<'_, '_>) -> Result<SetTool<Vector>, Fault> {
     let (arm, axis) = joint(b)?;
     let last = arm.limits.len() - 1;
     if axis != last {
@@ -220,7 +220,7 @@ fn tool_parameters(b: &mut Build<'_, '_>) -> Result<TellTool<Vector>, Fault> {
         return Err(b.parameter_fault("Axis", why));
     }
     let flange = b.constant(Frame::identity());
-    tell_tool(b, "Robot", flange)
+    set_tool(b, "Robot", flange)
 }
 
 const ROBOT: &str = "name of the robot arm";
@@ -258,7 +258,7 @@ pub(super) fn table() -> Vec<Definition> {
         )),
         Definition::new(
             "RobotArm::JointMonitor",
-            "What a joint was commanded and does, as its driver last told.",
+            "What a joint was commanded and does, as its driver last reported.",
             joint_monitor,
         )
         .text("Robot", ROBOT)
@@ -275,7 +275,7 @@ pub(super) fn table() -> Vec<Definition> {
         )),
         Definition::new(
             "RobotArm::ToolParameters",
-            "Tells an arm what its last joint carries, again whenever that changes.",
+            "Sets the load of an arm's last joint, again after each change.",
             tool_parameters,
         )
         .active()
@@ -292,10 +292,10 @@ pub(super) fn table() -> Vec<Definition> {
         )
         .text("Robot", ROBOT)
         .parameter::<i32>("Axis", "0", "which joint, from 0; it must be the last")
-        .output::<bool>("outCompleted", "the arm has taken it")
+        .output::<bool>("outCompleted", "the arm has accepted it")
         .output::<i32>("outError", TOOL_ERROR)
         .null(NullRule::Own(
-            "While an input is null nothing is told, and the outputs are null.",
+            "While an input is null nothing is set, and the outputs are null.",
         )),
     ]
 }

@@ -1,4 +1,4 @@
-//! `RobotBase::*`: mobile bases, told how fast to move in their own frame.
+//! `RobotBase::*`: mobile bases, commanded by a velocity in their own frame.
 
 use takt_net::definition::port;
 use takt_net::device::{Base, Wheel};
@@ -128,15 +128,15 @@ fn wheel_monitor(b: &mut Build<'_, '_>) -> Result<WheelMonitor, Fault> {
     })
 }
 
-/// Nearer than this in every direction is arrived, m and rad.
+/// Tolerance of the destination in every direction, m and rad.
 const ARRIVED: f64 = 0.01;
 
 struct Controller {
     destination: In<Frame>,
     position: In<Frame>,
     velocity: In<Twist>,
-    /// In x and y of the reference frame and about z: gain (1/s), and largest speed, which is also
-    /// the largest change of speed in a second.
+    /// In x and y of the reference frame and about z: gain (1/s), and maximum speed, which is also
+    /// the maximum change of speed per second.
     gain: [f64; 3],
     speed: [f64; 3],
     period_s: f64,
@@ -183,7 +183,7 @@ impl Primitive for Controller {
             let now = [now.vel.x, now.vel.y, now.rot.z];
             for (i, wanted) in wanted.iter_mut().enumerate() {
                 let change = self.speed[i] * self.period_s;
-                // No number stays none: whoever commands it is told.
+                // NaN is passed on: the commanding primitive reports it.
                 *wanted = wanted.min(now[i] + change).max(now[i] - change);
             }
         }
@@ -256,7 +256,7 @@ pub(super) fn table() -> Vec<Definition> {
         )),
         Definition::new(
             "RobotBase::BaseMonitor",
-            "Where a base is and how it moves, as its driver last told.",
+            "Where a base is and how it moves, as its driver last reported.",
             base_monitor,
         )
         .text("Robot", ROBOT)
@@ -269,7 +269,7 @@ pub(super) fn table() -> Vec<Definition> {
         )),
         Definition::new(
             "RobotBase::WheelMonitor",
-            "What a wheel of a base does, as its driver last told.",
+            "What a wheel of a base does, as its driver last reported.",
             wheel_monitor,
         )
         .text("Robot", ROBOT)

@@ -121,7 +121,7 @@ fn gripper_monitor(b: &mut Build<'_, '_>) -> Result<GripperMonitor, Fault> {
     })
 }
 
-/// Flags of a drive that are told, by their bit, and what they mean.
+/// Reported flags of a drive, by bit, with their meaning.
 const FLAGS: [(u32, &str, &str); 14] = [
     (0, "bit0", "over-current"),
     (1, "bit1", "under-voltage"),
@@ -154,7 +154,7 @@ impl Primitive for SlaveError {
 }
 
 fn slave_error(b: &mut Build<'_, '_>) -> Result<SlaveError, Fault> {
-    let kind = "device whose drives tell flags";
+    let kind = "device whose drives report flags";
     let drives = b.interface("Robot", kind, |has| {
         has.drives.clone().filter(|drives| !drives.is_empty())
     })?;
@@ -165,7 +165,7 @@ fn slave_error(b: &mut Build<'_, '_>) -> Result<SlaveError, Fault> {
     })
 }
 
-/// Brings a frame into what the arm can reach.
+/// Projects a frame to one that the arm can reach.
 struct Project {
     flange: In<Frame>,
     motion_center: In<Frame>,
@@ -246,7 +246,7 @@ fn of_arm() -> [Definition; 2] {
         .input::<f64>(
             port(
                 "inMaxTorque",
-                "largest torque of the impedance, Nm; without bound up to 0",
+                "largest torque of the impedance, Nm; unlimited up to 0",
             )
             .or("MaxTorque", "0"),
         )
@@ -254,7 +254,7 @@ fn of_arm() -> [Definition; 2] {
         .parameter::<i32>("JointIndex", "0", "which joint, from 0")
         .output::<bool>("outSuccess", "the parameters are in force")
         .null(NullRule::Own(
-            "A null input leaves what is in force; a null inAddTorque adds nothing.",
+            "A null input keeps the present value; a null inAddTorque adds nothing.",
         )),
     ]
 }
@@ -263,7 +263,7 @@ pub(super) fn table() -> Vec<Definition> {
     let mut all = Vec::from(of_arm());
     let flags = Definition::new(
         "KUKA::youBot::SlaveError",
-        "Flags of a drive, as it last told.",
+        "Flags of a drive, as last reported.",
         slave_error,
     )
     .text("Robot", ROBOT)
@@ -285,7 +285,7 @@ pub(super) fn table() -> Vec<Definition> {
         .output::<bool>("outCompleted", "the fingers are there"),
         Definition::new(
             "KUKA::youBot::GripperMonitor",
-            "The distance between the fingers of a gripper, as its driver last told.",
+            "The distance between the fingers of a gripper, as its driver last reported.",
             gripper_monitor,
         )
         .text("Robot", GRIPPER)

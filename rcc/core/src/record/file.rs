@@ -34,7 +34,7 @@ pub(super) struct DeviceNote {
     commands: [usize; 2],
     /// Model of its kinematics.
     model: String,
-    /// By joint: smallest and largest position (rad), speed (rad/s), acceleration (rad/s²).
+    /// By joint: minimum and maximum position (rad), speed (rad/s), acceleration (rad/s²).
     limits: Vec<[f64; 4]>,
     parts: Vec<Part>,
 }
@@ -87,7 +87,7 @@ impl DeviceNote {
     }
 }
 
-/// What happened to a device.
+/// Addition or removal of a device.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum DeviceEvent {
@@ -99,7 +99,7 @@ pub(super) enum DeviceEvent {
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct NetNote {
     pub(super) id: u32,
-    /// It is evaluated in every so many cycles of its thread.
+    /// Its period in cycles of its thread.
     pub(super) every: u64,
     period_ns: u64,
     pub(super) text: String,
@@ -111,11 +111,11 @@ impl NetNote {
     }
 }
 
-/// Last bytes of a file that was ended; one without them is cut off.
+/// Last bytes of a complete file; a file without them is truncated.
 const END: [u8; 8] = *b"\x89MCAP0\r\n";
 
-/// Writes the file record by record, without chunks: what a full disk or a crash leaves is whole up to its last record. That the
-/// file has no index for that costs viewers one pass over it.
+/// Writes the file record by record, without chunks: after a full disk or a crash it is readable up to the last
+/// complete record. Without an index, viewers need one pass over it.
 pub(super) struct Writer<W: Write + Seek = File> {
     /// `None` after an error: nothing follows half a record.
     mcap: Option<mcap::Writer<BufWriter<W>>>,
@@ -123,7 +123,7 @@ pub(super) struct Writer<W: Write + Seek = File> {
     channels: [u16; 3],
     bytes: Vec<u8>,
     sequence: u32,
-    /// Cycles given to the file.
+    /// Cycles written to the file.
     written: u64,
 }
 
@@ -173,7 +173,7 @@ impl<W: Write + Seek> Writer<W> {
         })
     }
 
-    /// Does something with the file; after an error it is left as it is.
+    /// Executes an operation on the file; after an error the file is not changed.
     fn try_with<T>(
         &mut self,
         act: impl FnOnce(&mut mcap::Writer<BufWriter<W>>) -> Result<T, mcap::McapError>,
@@ -181,7 +181,7 @@ impl<W: Write + Seek> Writer<W> {
         let ended = || wrong(&self.path, "the recording has ended before".to_owned());
         let mcap = self.mcap.as_mut().ok_or_else(ended)?;
         act(mcap).map_err(|error| {
-            // Dropped as they are, both would write on behind half a record.
+            // Dropping them would write further data after half a record.
             if let Some(mcap) = self.mcap.take() {
                 let _left = mcap.into_inner().into_parts();
             }
@@ -200,7 +200,7 @@ impl<W: Write + Seek> Writer<W> {
         self.try_with(|mcap| mcap.write_to_known_channel(&header, data))
     }
 
-    /// Gives what is buffered to the file.
+    /// Flushes the buffer to the file.
     pub(super) fn flush(&mut self) -> Result<(), Error> {
         self.try_with(mcap::Writer::flush)
     }
@@ -260,7 +260,7 @@ impl<W: Write + Seek> Writer<W> {
         let mut buffer = self.mcap.take().map(mcap::Writer::into_inner);
         let flushed = buffer.as_mut().map_or(Ok(()), Write::flush);
         if let Some(buffer) = buffer {
-            // Dropped as it is, it would write again.
+            // Dropping it would write again.
             let _left = buffer.into_parts();
         }
         flushed.map_err(|error| broken(&self.path, self.written, &error.into()))
@@ -278,7 +278,7 @@ fn wrong(path: &Path, what: String) -> Error {
     }
 }
 
-/// Why the file could not be written, at which cycle, and what to do.
+/// The error of a failed write, with the cycle and a hint.
 fn broken(path: &Path, cycle: u64, error: &mcap::McapError) -> Error {
     let io = if let mcap::McapError::Io(error) = error {
         Some(error)
@@ -294,9 +294,9 @@ fn broken(path: &Path, cycle: u64, error: &mcap::McapError) -> Error {
     };
     let cause = io.map_or_else(|| error.to_string(), ToString::to_string);
     let hint = if io.is_some_and(is_full) {
-        "\nhint: make room on that disk (`df -h`) and record again; what was written stays readable"
+        "\nhint: free space on that disk (`df -h`) and record again; the written part stays readable"
     } else {
-        "\nhint: see the disk (`dmesg`); what was written stays readable"
+        "\nhint: check the disk (`dmesg`); the written part stays readable"
     };
     wrong(
         path,
@@ -304,7 +304,7 @@ fn broken(path: &Path, cycle: u64, error: &mcap::McapError) -> Error {
     )
 }
 
-/// What a recording tells besides cycles.
+/// Notes of a recording besides cycles.
 #[derive(Debug)]
 pub(super) enum Told {
     Device(DeviceEvent),
@@ -314,10 +314,10 @@ pub(super) enum Told {
 /// A recording in memory.
 #[derive(Debug, Default)]
 pub(super) struct Recording {
-    /// Devices and nets as they came.
+    /// Devices and nets in order.
     pub(super) notes: Vec<Told>,
     pub(super) cycles: Vec<Vec<u64>>,
-    /// It was not ended: a full disk or a crash; it holds what is whole.
+    /// It was not finished, because of a full disk or a crash; it holds the complete records.
     pub(super) is_cut: bool,
 }
 
@@ -331,13 +331,13 @@ impl Recording {
         Self::parse(&bytes, path)
     }
 
-    /// What the bytes of that file hold.
+    /// Parses the bytes of that file.
     pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Self, Error> {
-        let cut = |e: &mcap::McapError| wrong(path, format!("no whole MCAP file: {e}"));
+        let cut = |e: &mcap::McapError| wrong(path, format!("not a complete MCAP file: {e}"));
         let mut recording = Self::default();
         let mut topics = HashMap::new();
-        // Read record by record, because only so are all check sums looked at, and because the
-        // library's own streams panic on some malformed records of kinds that are not wanted here.
+        // Read record by record, because only this checks all checksums, and because the
+        // library's own streams panic on some malformed records of kinds that are not needed here.
         let options = LinearReaderOptions::default()
             .with_prevalidate_chunk_crcs(true)
             .with_validate_data_section_crc(true)
@@ -346,7 +346,7 @@ impl Recording {
         let is_ended = bytes.ends_with(&END);
         let mut rest = bytes;
         while let Some(event) = reader.next_event() {
-            // With its end there, a record that goes beyond it is damage.
+            // In a complete file, a record beyond the end is damage.
             if matches!(event, Err(mcap::McapError::UnexpectedEof)) && !is_ended {
                 recording.is_cut = true;
                 break;

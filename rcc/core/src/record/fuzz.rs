@@ -1,4 +1,4 @@
-//! What must hold for any bytes of a recording: they are read or refused, and nothing panics. Replays nothing.
+//! Fuzz target of recordings: any bytes are read or rejected without a panic. It replays nothing.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -11,15 +11,15 @@ use super::file::{CYCLES, DEVICES, NETS, Recording};
 /// Reads the bytes of an MCAP file as a recording.
 ///
 /// # Panics
-/// If what was read holds no cycle, which reading promises.
+/// If a recording was read that contains no cycle.
 pub fn fuzz(bytes: &[u8]) {
     if let Ok(recording) = Recording::parse(bytes, Path::new("fuzz.mcap")) {
         assert!(!recording.cycles.is_empty());
     }
 }
 
-/// Small recordings for [`fuzz()`] to be damaged: with chunks and their check sums, and without, so that damage gets
-/// through to the records.
+/// Seed recordings for [`fuzz()`]: with chunks and their checksums, and without, so that mutations reach
+/// the records.
 ///
 /// # Panics
 /// If they cannot be written into memory.

@@ -26,7 +26,7 @@ pub struct Replay {
     pub bytes: u64,
     /// The first cycle, counted from 0, whose words differ.
     pub differs: Option<u64>,
-    /// The recording was not ended, by a full disk or a crash: the cycles are those that are whole in it.
+    /// The recording was not finished, because of a full disk or a crash: only its complete cycles are counted.
     pub is_cut: bool,
 }
 
@@ -84,7 +84,7 @@ impl Devices for Recorded<'_> {
     }
 }
 
-/// Loads a net of the recording as it was loaded then.
+/// Loads a net of the recording as it was loaded originally.
 fn prepare(
     net: &NetNote,
     registry: &Registry,
@@ -159,12 +159,12 @@ impl<'r> Stage<'r> {
         }
     }
 
-    /// Runs one cycle on its recorded inputs and writes it anew.
+    /// Runs one cycle on its recorded inputs and writes its words again.
     fn cycle(&mut self, recorded: &[u64]) -> Result<Vec<u64>, Error> {
         let mut words = Words::new(Vec::with_capacity(WORDS_A_CYCLE));
         let mut reader = Reader(recorded);
         let mut moment = None;
-        // Devices are as the inputs say from the start of a cycle on, also for nets that start.
+        // Device states are those of the inputs from the start of a cycle on, also for nets that start.
         let mut ahead = Reader(recorded);
         while let Some(entry) = ahead
             .next()
@@ -194,13 +194,13 @@ impl<'r> Stage<'r> {
             .map_err(|_| self.broken("a cycle is too large"))
     }
 
-    /// A net that starts now.
+    /// The net that starts now.
     fn net(&mut self, id: u32) -> Result<Box<Running>, Error> {
         let net = self.nets.remove(&id);
-        net.ok_or_else(|| self.broken("a net starts that is not in it"))
+        net.ok_or_else(|| self.broken("a net starts that it does not contain"))
     }
 
-    /// Does what an entry says and writes it anew.
+    /// Applies an entry and writes it again.
     fn enter(&mut self, entry: Entry<'_>, words: &mut Words) -> Result<(), Error> {
         match entry {
             Entry::Started(id) => {

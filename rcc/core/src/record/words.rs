@@ -1,4 +1,4 @@
-//! One cycle as words: entries of a kind, a length where it varies, and a body. The same code
+//! One cycle as words: entries with a kind, a length where it varies, and a body. The same code
 //! writes them in the net thread and in a replay; nothing here allocates.
 
 use takt_net::{JointState, Moment, Nanos};
@@ -36,7 +36,7 @@ impl Words {
         }
     }
 
-    /// The words; as an error those that fitted, if not all did.
+    /// The words; as an error the truncated words, if not all fit.
     pub(super) fn finish(self) -> Result<Vec<u64>, Vec<u64>> {
         if self.overflow {
             Err(self.buffer)
@@ -114,7 +114,7 @@ impl Words {
         self.entry([signals.len() as u64, commands.len() as u64]);
         self.entry([executor.fresh().len() as u64]);
         for device in &executor.devices {
-            // Jumps lie above the status, which leaves the format as it was.
+            // Jumps are in the bits above the status, which keeps the format compatible.
             let status = status_word(device.status) | device.jumps << 8;
             self.entry([status, device.faults]);
         }
@@ -184,18 +184,18 @@ pub(super) enum Entry<'w> {
     Takeover(u32, bool),
     Inbox(u32, &'w [u64]),
     Inputs(Inputs<'w>),
-    /// What the thread itself made of it; a replay makes it anew.
+    /// Outputs of the thread; a replay computes them again.
     Result,
 }
 
-/// What a cycle saw.
+/// Inputs of a cycle.
 #[derive(Debug)]
 pub(super) struct Inputs<'w> {
     pub(super) moment: Moment,
     devices: &'w [u64],
     joints: &'w [u64],
     signals: &'w [u64],
-    /// How many words of commands are in use.
+    /// Words of commands in use.
     commands: usize,
     /// Commands of devices that came into use: from and to.
     fresh: &'w [u64],
@@ -216,7 +216,7 @@ impl Inputs<'_> {
                 faults: pair[1],
                 jumps: pair[0] >> 8,
             }));
-        // Arms come into use while a recording runs.
+        // Arms are added while a recording runs.
         executor.use_joints(self.joints.len() / JOINT_WORDS);
         let joints = executor.image.joints.iter();
         for (joint, words) in joints.zip(self.joints.chunks_exact(JOINT_WORDS)) {
@@ -235,7 +235,7 @@ impl Inputs<'_> {
     }
 }
 
-/// Reads the entries of a cycle; `None` at the first that is broken.
+/// Reads the entries of a cycle; `None` at the first damaged one.
 pub(super) struct Reader<'w>(pub(super) &'w [u64]);
 
 impl<'w> Reader<'w> {

@@ -1,5 +1,5 @@
-//! Answers over the stop channel, written into a buffer of fixed size: a JSON object that says who stopped, when, and
-//! what each net thread did. Nothing here allocates.
+//! Responses of the stop channel, written to a buffer of fixed size: a JSON object with source and time of the stop and
+//! the answers of all net threads. Nothing here allocates.
 
 use std::fmt::{self, Write};
 
@@ -7,12 +7,12 @@ use takt_rt::Nanos;
 
 use super::switch::StopSwitch;
 
-/// Bytes of an answer's body; eight threads take about a half of it.
+/// Bytes of a response body; eight threads take about half of it.
 const BODY_BYTES: usize = 2048;
-/// Bytes of a whole answer.
+/// Bytes of a complete response.
 const ANSWER_BYTES: usize = BODY_BYTES + 512;
 
-/// Text in a buffer of fixed size; what does not fit is left out.
+/// Text in a buffer of fixed size; it is truncated if it does not fit.
 #[derive(Debug)]
 pub(super) struct Text<const N: usize> {
     bytes: [u8; N],
@@ -49,24 +49,24 @@ impl<const N: usize> Write for Text<N> {
     }
 }
 
-/// A whole answer.
+/// A complete response.
 pub(super) type Answer = Text<ANSWER_BYTES>;
 
-/// What was done.
+/// The outcome of a request.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Done {
     /// Whether this request changed the state.
     pub(super) changed: bool,
     /// When it had been received.
     pub(super) received: Nanos,
-    /// How long net threads were waited for.
+    /// How long the channel waited for net threads.
     pub(super) waited: Nanos,
 }
 
-/// The state of the controller after a request. `page` is the page that asked, if one did.
+/// The state of the controller after a request. `page` is the origin of the requesting page, if any.
 pub(super) fn of_state(switch: &StopSwitch, done: Done, page: Option<&str>) -> Answer {
     let mut body = Text::<BODY_BYTES>::new();
-    // What does not fit makes no answer at all shorter than this: eight threads at most.
+    // Eight threads at most always fit.
     let _ = write_state(&mut body, switch, done);
     http("200 OK", page, &body)
 }
@@ -99,7 +99,7 @@ fn write_state(body: &mut impl Write, switch: &StopSwitch, done: Done) -> fmt::R
     body.write_str("]}\n")
 }
 
-/// That a request is refused, and why.
+/// The response to a rejected request, with the reason.
 pub(super) fn refusal(status: &str, why: &str) -> Answer {
     let mut body = Text::<BODY_BYTES>::new();
     let _ = writeln!(body, "{{\"error\":\"{why}\"}}");
@@ -115,7 +115,7 @@ fn http(status: &str, page: Option<&str>, body: &Text<BODY_BYTES>) -> Answer {
          Cache-Control: no-store\r\nConnection: close\r\n",
         body.len()
     );
-    // Only that page may read it. It was found to be one of this host, and is shorter than a request.
+    // Only that page may read it. It was checked to be of this host, and is shorter than a request.
     if let Some(page) = page.filter(|page| page.len() < 256) {
         let _ = write!(answer, "Access-Control-Allow-Origin: {page}\r\n");
     }
@@ -131,11 +131,11 @@ mod tests {
     use crate::stop_channel::Origin;
 
     #[test]
-    fn longest_answer_fits() {
+    fn longest_stop_response_fits() {
         let switch = StopSwitch::default();
         let most = Nanos(i64::MAX);
         for thread in 0..THREADS_MAX {
-            switch.enlist(thread, most);
+            switch.register(thread, most);
         }
         switch.stop(Origin::Network(
             "[2001:db8:ffff:ffff:ffff:ffff:ffff:ffff]:65535"

@@ -1,15 +1,15 @@
-//! Where controllers of this host put the sockets of their stop channels, so that `takt stop` finds all of them
-//! without knowing a cell. Each has a file of its own, named by its process.
+//! Directories of the stop channels' sockets on this host, so that `takt stop` finds all controllers
+//! without a cell file. Each controller has its own socket, named by its process id.
 
 use std::fs::DirBuilder;
 use std::io;
 use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _};
 use std::path::{Path, PathBuf};
 
-/// The folder of services and of root.
+/// The directory for services and root.
 const SYSTEM: &str = "/run/takt";
 
-/// Folders in which there may be sockets that this user may use, the system's first.
+/// Directories with sockets that this user may use, the system's first.
 #[must_use]
 pub fn socket_folders() -> Vec<PathBuf> {
     let uid = own_uid();
@@ -21,7 +21,7 @@ pub fn socket_folders() -> Vec<PathBuf> {
     folders
 }
 
-/// A path for the socket of this process, in the first of the folders that it may write to.
+/// Path of this process's socket, in the first writable directory.
 ///
 /// # Errors
 /// If there is none.
@@ -36,7 +36,7 @@ pub fn default_socket() -> io::Result<PathBuf> {
     Err(last)
 }
 
-/// Makes a folder if it is not there. One of another user would let that one put other sockets there.
+/// Creates a directory if necessary. In one owned by another user, that user could place other sockets.
 fn prepare(folder: &Path) -> io::Result<()> {
     let mode = if folder == Path::new(SYSTEM) {
         0o755

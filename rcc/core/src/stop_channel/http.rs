@@ -1,14 +1,14 @@
 //! Requests over the stop channel: one HTTP request per connection, read from a fixed buffer without allocation. It
-//! decides nothing about who may stop.
+//! does not decide who may stop.
 
 use httparse::{EMPTY_HEADER, Status};
 
-/// Most bytes of a request's head; a browser's is about a third of it.
+/// Maximum bytes of a request head; a browser's is about a third of it.
 pub(super) const REQUEST_BYTES_MAX: usize = 4096;
-/// Most header lines.
+/// Maximum number of header lines.
 const HEADERS_MAX: usize = 48;
 
-/// What is requested.
+/// The requested action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Order {
     Stop,
@@ -17,30 +17,30 @@ pub(super) enum Order {
     Show,
 }
 
-/// A whole request.
+/// A complete request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Request<'b> {
     pub(super) order: Order,
     /// The token or key that it carries.
     pub(super) key: Option<&'b str>,
-    /// The page that sends it, as its browser says.
+    /// The page that sends it, from the browser's Origin header.
     pub(super) origin: Option<&'b str>,
-    /// Where it believes to be.
+    /// The addressed host, from the Host header.
     host: Option<&'b str>,
 }
 
-/// What bytes are so far.
+/// Result of parsing the bytes received so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Read<'b> {
-    /// Not whole yet.
+    /// Incomplete.
     Partial,
     /// A request.
     Whole(Request<'b>),
-    /// Nothing that this channel answers: status line and cause.
+    /// Not a request of this channel: status line and cause.
     Bad(&'static str, &'static str),
 }
 
-/// Reads what was received so far.
+/// Parses the bytes received so far.
 pub(super) fn read(bytes: &[u8]) -> Read<'_> {
     let mut headers = [EMPTY_HEADER; HEADERS_MAX];
     let mut head = httparse::Request::new(&mut headers);
@@ -52,7 +52,7 @@ pub(super) fn read(bytes: &[u8]) -> Read<'_> {
                 "a request has at most 4096 bytes",
             );
         }
-        Err(_) => return Read::Bad("400 Bad Request", "this is no HTTP request"),
+        Err(_) => return Read::Bad("400 Bad Request", "this is not an HTTP request"),
         Ok(Status::Complete(_)) => {}
     }
     let target = head.path.unwrap_or_default();
@@ -89,8 +89,8 @@ pub(super) fn read(bytes: &[u8]) -> Read<'_> {
 }
 
 impl Request<'_> {
-    /// Whether it comes from no page, or from one of the very host that it is sent to: that is where the
-    /// controller's own page comes from, at another port.
+    /// Whether it comes from no page, or from a page of the addressed host: the
+    /// controller's own page has the same host and another port.
     pub(super) fn is_of_own_page(&self) -> bool {
         let Some(origin) = self.origin else {
             return true;
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn foreign_page_is_seen() {
+    fn foreign_page_is_recognised() {
         let of = |origin: &str, host: &str| {
             let text = format!("POST /stop HTTP/1.1\r\nHost: {host}\r\nOrigin: {origin}\r\n\r\n");
             whole(&text).is_of_own_page()
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn other_requests_are_refused() {
+    fn other_stop_requests_are_rejected() {
         for text in [
             "GET /stop/release HTTP/1.1\r\n\r\n",
             "POST / HTTP/1.1\r\n\r\n",

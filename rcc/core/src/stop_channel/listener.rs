@@ -1,5 +1,5 @@
 //! The thread of the stop channel: it takes connections, reads one request from each, turns the switch, waits until
-//! net threads have answered, and answers. All its memory is there before it starts. It knows no nets.
+//! net threads have answered, and responds. All its memory is allocated before it starts. It does not access nets.
 
 use std::io::{self, Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -23,19 +23,19 @@ pub use super::folder::{default_socket, socket_folders};
 
 /// `SCHED_FIFO` priority of the thread: above net threads (80) and drivers (85).
 pub const PRIORITY: u8 = 95;
-/// Most connections that it takes in one turn from each of its two listeners.
+/// Maximum number of connections accepted per turn from each of its two listeners.
 const ACCEPTS_A_TURN: usize = 4;
-/// Most turns in a [`WINDOW`]; then it sleeps to its end, whatever is requested.
+/// Maximum number of turns in a [`WINDOW`]; then it sleeps until its end.
 const TURNS_A_WINDOW: u32 = 16;
 /// See [`TURNS_A_WINDOW`].
 const WINDOW: Nanos = Nanos::from_millis(10);
-/// Connections of a kind that may be open; the oldest makes room for the next.
+/// Maximum number of open connections of a kind; the oldest is closed for a new one.
 const SLOTS: usize = 8;
-/// How long a client may take to send its request.
-const REQUEST_WITHIN: Nanos = Nanos::from_millis(1000);
-/// How often it looks whether net threads have answered.
-const LOOK: Nanos = Nanos::from_micros(50);
-/// Net threads may take so much longer than three of their periods to answer.
+/// Timeout of a client's request.
+const REQUEST_TIMEOUT: Nanos = Nanos::from_millis(1000);
+/// Interval at which the answers of net threads are polled.
+const POLL_INTERVAL: Nanos = Nanos::from_micros(50);
+/// Time beyond three periods that net threads may take to answer.
 const GRACE: Nanos = Nanos::from_millis(50);
 /// Characters of the page's key: 128 bits.
 const KEY_BYTES: usize = 16;
@@ -45,7 +45,7 @@ const KEY_BYTES: usize = 16;
 pub struct StopChannelConfig {
     /// The Unix socket, for processes of the same user, of the same group, and root.
     pub socket: Option<PathBuf>,
-    /// For those who give the token; on loopback too.
+    /// TCP address; requests need the token, on loopback too.
     pub tcp: Option<SocketAddr>,
     /// The token.
     pub token: Option<String>,
@@ -62,12 +62,12 @@ impl std::fmt::Debug for StopChannelConfig {
     }
 }
 
-/// The running channel. It ends when this is dropped.
+/// The running channel; dropping it ends it.
 pub struct StopChannel {
     socket: Option<PathBuf>,
     tcp: Option<SocketAddr>,
     key: String,
-    /// The thread sees when this end is closed.
+    /// Closing this endpoint ends the thread.
     wake: Option<UnixStream>,
     thread: Option<Thread<()>>,
 }
@@ -85,7 +85,7 @@ impl StopChannel {
     /// Listens and starts the thread. To be called before a controller starts with the same switch.
     ///
     /// # Errors
-    /// If an address or path cannot be had, or there is no thread.
+    /// If an address or path cannot be bound, or the thread cannot be started.
     pub fn start(config: StopChannelConfig, switch: StopSwitch) -> Result<Self, Error> {
         let unix = config.socket.as_deref().map(listen_unix).transpose()?;
         let tcp = config.tcp.map(listen_tcp).transpose()?;
@@ -126,13 +126,13 @@ impl StopChannel {
         self.tcp
     }
 
-    /// What a page that the server gave out authenticates itself with; new at each start.
+    /// Key with which a page of the server authenticates itself; new at each start.
     #[must_use]
     pub fn key(&self) -> &str {
         &self.key
     }
 
-    /// How the host granted what the thread asked for.
+    /// Settings that the host granted to the thread.
     #[must_use]
     pub fn grants(&self) -> &[takt_rt::Grant] {
         self.thread.as_ref().map_or(&[], Thread::grants)
@@ -145,10 +145,10 @@ impl Drop for StopChannel {
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
         {
-            tracing::error!("the thread of the stop channel had ended by a panic");
+            tracing::error!("the stop channel thread panicked");
         }
         if let Some(socket) = &self.socket {
-            // It may be gone already.
+            // It may already be removed.
             let _ = std::fs::remove_file(socket);
         }
     }
@@ -169,7 +169,7 @@ fn listen_tcp(address: SocketAddr) -> Result<TcpListener, Error> {
     listener.map_err(|source| channel(&format!("{address}"), source))
 }
 
-/// Listens at a path. What a controller left there that is no more is removed.
+/// Listens at a path. Removes the stale socket of a controller that has ended.
 fn listen_unix(path: &Path) -> Result<UnixListener, Error> {
     let failed = |source| channel(&path.display().to_string(), source);
     if UnixStream::connect(path).is_ok() {
@@ -177,7 +177,7 @@ fn listen_unix(path: &Path) -> Result<UnixListener, Error> {
     }
     let _ = std::fs::remove_file(path);
     let listener = UnixListener::bind(path).map_err(failed)?;
-    // Who connects is checked by the credentials that the kernel gives, so that the refused learn why.
+    // Clients are checked by the kernel's peer credentials, so that rejected ones receive the reason.
     std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o666)).map_err(failed)?;
     listener.set_nonblocking(true).map_err(failed)?;
     Ok(listener)
@@ -208,9 +208,9 @@ impl Stream {
         }
     }
 
-    /// Sends an answer, as far as the kernel has room for it, and ends this direction.
+    /// Sends a response, as far as the kernel's buffer permits, and closes this direction.
     fn finish(&mut self, answer: &Answer) {
-        // A client that is gone has been stopped for all the same.
+        // The stop is effective even if the client has disconnected.
         let _ = match self {
             Self::Unix(stream) => stream
                 .write_all(answer.as_bytes())
@@ -229,7 +229,7 @@ impl Stream {
     }
 }
 
-/// A place for a connection.
+/// Slot of a connection.
 struct Slot {
     stream: Option<Stream>,
     since: Nanos,
@@ -250,15 +250,15 @@ impl Slot {
     }
 }
 
-/// What the thread works with.
+/// State of the thread.
 struct Listener {
     unix: Option<UnixListener>,
     tcp: Option<TcpListener>,
     woken: UnixStream,
-    /// Connections over the Unix socket; those over TCP cannot push them out.
+    /// Connections over the Unix socket; TCP connections cannot evict them.
     local: [Slot; SLOTS],
     remote: [Slot; SLOTS],
-    /// Given up for a moment when the process has no file left.
+    /// Spare descriptor, closed for a moment when the process has none left.
     spare: Option<OwnedFd>,
     keys: [Option<String>; 2],
     /// The user and group of this process.
@@ -293,7 +293,7 @@ impl Listener {
     }
 
     fn run(&mut self) {
-        // Once without waiting, so that all it needs is resident before it counts as real-time.
+        // One turn without waiting, so that all its memory is resident before it counts as real-time.
         self.wait(0);
         self.turn(takt_rt::monotonic());
         let scope = takt_rt::alloc::enter_real_time();
@@ -306,14 +306,14 @@ impl Listener {
             self.turn(now);
             turns += 1;
             if turns >= TURNS_A_WINDOW {
-                // What a flood may take from net threads and drivers is bounded.
+                // Bounds the time that a flood takes from net threads and drivers.
                 let _ = takt_rt::sleep_until(window + WINDOW);
             }
         }
         drop(scope);
     }
 
-    /// Waits until there is something to do, at most so many milliseconds; returns whether the thread goes on.
+    /// Waits for events, at most so many milliseconds; returns whether the thread continues.
     fn wait(&self, most_ms: u16) -> bool {
         let woken = self.woken.as_fd();
         let nothing = PollFd::new(woken, PollFlags::empty());
@@ -338,13 +338,13 @@ impl Listener {
         open |= slots.filter(|slot| slot.stream.is_some()).count() > 0;
         let timeout = if open { most_ms.min(100) } else { most_ms };
         let polled = polled.get_mut(..count).unwrap_or_default();
-        // A signal is as good as a timeout.
+        // A signal counts as a timeout.
         let _ = poll(polled, PollTimeout::from(timeout));
         let ended = polled.first().and_then(PollFd::revents);
         ended.is_none_or(|events| events.is_empty())
     }
 
-    /// Takes connections, reads what they send, and answers those whose requests are whole.
+    /// Accepts connections, reads from them, and answers complete requests.
     fn turn(&mut self, now: Nanos) {
         for _ in 0..ACCEPTS_A_TURN {
             let Some(stream) = self.accept_local() else {
@@ -379,12 +379,12 @@ impl Listener {
         let spare = &mut self.spare;
         let (stream, address) = accept(spare, || listener.accept())?;
         stream.set_nonblocking(true).ok()?;
-        // An answer that waits for company would be late.
+        // Send the response without delay.
         stream.set_nodelay(true).ok()?;
         Some(Stream::Tcp(stream, address))
     }
 
-    /// Reads from one connection; answers and ends it if its request is whole.
+    /// Reads from one connection; answers and closes it if its request is complete.
     fn serve(&mut self, number: usize, now: Nanos) {
         let slots = if number < SLOTS {
             &mut self.local
@@ -405,7 +405,7 @@ impl Listener {
                 true
             }
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                if now - slot.since <= REQUEST_WITHIN {
+                if now - slot.since <= REQUEST_TIMEOUT {
                     return;
                 }
                 false
@@ -438,7 +438,7 @@ impl Listener {
     }
 }
 
-/// Takes a connection, also if the process has no file left: then a spare one makes room.
+/// Accepts a connection; if the process has no descriptor left, the spare one is closed first.
 fn accept<T>(spare: &mut Option<OwnedFd>, mut accept: impl FnMut() -> io::Result<T>) -> Option<T> {
     match accept() {
         Ok(taken) => Some(taken),
@@ -451,7 +451,7 @@ fn accept<T>(spare: &mut Option<OwnedFd>, mut accept: impl FnMut() -> io::Result
     }
 }
 
-/// Puts a connection into an empty slot, or into that of the oldest.
+/// Assigns a connection to an empty slot, or to that of the oldest.
 fn place(slots: &mut [Slot; SLOTS], stream: Stream, now: Nanos) {
     let free = slots.iter().position(|slot| slot.stream.is_none());
     let oldest = || {
@@ -478,7 +478,10 @@ impl Gate<'_> {
     ) -> Result<Origin, (&'static str, &'static str)> {
         match stream {
             Stream::Unix(stream) => {
-                let unknown = ("403 Forbidden", "the kernel does not say who connects");
+                let unknown = (
+                    "403 Forbidden",
+                    "the kernel did not report the peer's credentials",
+                );
                 let peer = getsockopt(stream, PeerCredentials).map_err(|_| unknown)?;
                 let (uid, gid) = self.own;
                 if peer.uid() != 0 && peer.uid() != uid && peer.gid() != gid {
@@ -520,7 +523,7 @@ impl Gate<'_> {
     }
 }
 
-/// Turns the switch and waits until all net threads have answered, but not for ever.
+/// Operates the switch and waits for the answers of all net threads, up to a timeout.
 fn carry_out(switch: &StopSwitch, request: &Request<'_>, origin: Origin) -> Answer {
     let received = takt_rt::monotonic();
     let changed = match request.order {
@@ -535,7 +538,7 @@ fn carry_out(switch: &StopSwitch, request: &Request<'_>, origin: Origin) -> Answ
         && now < until
         && !switch.answers().all(|answer| answer.is_applied)
     {
-        if takt_rt::sleep_until(now + LOOK).is_err() {
+        if takt_rt::sleep_until(now + POLL_INTERVAL).is_err() {
             break;
         }
         now = takt_rt::monotonic();

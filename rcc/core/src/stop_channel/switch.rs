@@ -1,5 +1,5 @@
-//! What a stop is to the threads of a controller: a count that anybody may raise without waiting, and for each net
-//! thread a word with which it answers. It ends no net itself.
+//! The stop switch of a controller: a count that any thread may advance without waiting, and for each net
+//! thread a word with its answer. It does not end nets itself.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
@@ -10,7 +10,7 @@ use takt_rt::Nanos;
 
 use crate::cell::THREADS_MAX;
 
-/// Who requested a stop.
+/// Source of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Origin {
     /// A process of this host, over the Unix socket.
@@ -22,7 +22,7 @@ pub enum Origin {
     },
     /// Over TCP, with the token or the page's key.
     Network(SocketAddr),
-    /// Through the server, by the page's second way.
+    /// Through the server, the second path of the page.
     Server,
     /// The program that the controller is part of.
     Program,
@@ -79,7 +79,7 @@ impl Origin {
     }
 }
 
-/// How often a controller was stopped and released: odd while it is stopped.
+/// Generation: counts stops and releases of a controller; odd while it is stopped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Generation(u64);
 
@@ -90,51 +90,51 @@ impl Generation {
         self.0 % 2 == 1
     }
 
-    /// How many stops there were.
+    /// Number of stops.
     #[must_use]
     pub const fn stops(self) -> u64 {
         self.0.div_ceil(2)
     }
 }
 
-/// What one net thread answers.
+/// Answer words of one net thread.
 #[derive(Debug, Default)]
 struct Word {
     /// Time from one of its cycles to the next, ns.
     period: AtomicI64,
     /// The last generation that it applied.
     applied: AtomicU64,
-    /// How many nets it ended for it.
+    /// Number of nets that it ended for it.
     nets: AtomicU32,
-    /// When it had handed over the withdrawal of all commands to the drivers, ns.
+    /// When it had sent the withdrawal of all commands to the drivers, ns.
     at: AtomicI64,
 }
 
 /// The answer of a net thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ThreadAnswer {
-    /// Time from one of its cycles to the next.
+    /// Its period.
     pub period: Nanos,
     /// Whether it applied the present generation.
     pub is_applied: bool,
-    /// How many nets it ended for it.
+    /// Number of nets that it ended for it.
     pub nets: u32,
-    /// When drivers had it, on the monotonic clock of this host.
+    /// When drivers received it, on the monotonic clock of this host.
     pub at: Nanos,
 }
 
 #[derive(Debug, Default)]
 struct Shared {
     generation: AtomicU64,
-    /// Who stopped last, and the generation that this is about.
+    /// Source of the last stop, with its generation.
     origin: [AtomicU64; 3],
     origin_of: AtomicU64,
     /// When, ns.
     since: AtomicI64,
-    /// How many net threads there are.
+    /// Number of net threads.
     threads: AtomicUsize,
     words: [Word; THREADS_MAX],
-    /// Requests over the channel that were refused.
+    /// Number of rejected requests over the channel.
     refused: AtomicU64,
 }
 
@@ -145,10 +145,10 @@ pub struct StopSwitch {
 }
 
 impl StopSwitch {
-    /// Stops; returns whether it was not stopped before.
+    /// Stops; returns whether it was running before.
     pub fn stop(&self, origin: Origin) -> bool {
         let shared = &self.shared;
-        // Time first: who sees the generation finds a time that is at most a little early.
+        // Time first: a reader of the new generation finds a time that is at most slightly early.
         let now = takt_rt::monotonic();
         let raised =
             shared
@@ -179,7 +179,7 @@ impl StopSwitch {
             .is_ok()
     }
 
-    /// How often it was stopped and released.
+    /// The present generation.
     #[must_use]
     pub fn generation(&self) -> Generation {
         Generation(self.shared.generation.load(Ordering::Acquire))
@@ -191,7 +191,7 @@ impl StopSwitch {
         self.generation().is_stopped()
     }
 
-    /// Who stopped last, and when; `None` if nobody did or it happens at this moment.
+    /// Source and time of the last stop; `None` if there was none or one is being written.
     #[must_use]
     pub fn last_stop(&self) -> Option<(Origin, Nanos)> {
         let shared = &self.shared;
@@ -204,7 +204,7 @@ impl StopSwitch {
         Origin::of_words(words).map(|origin| (origin, since))
     }
 
-    /// How many requests over the channel were refused.
+    /// Number of rejected requests over the channel.
     #[must_use]
     pub fn refused(&self) -> u64 {
         self.shared.refused.load(Ordering::Relaxed)
@@ -214,20 +214,20 @@ impl StopSwitch {
         self.shared.refused.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// A net thread of that number and period is about to run; they come in order.
-    pub(crate) fn enlist(&self, thread: usize, period: Nanos) {
+    /// Registers a net thread with its number and period, in ascending order.
+    pub(crate) fn register(&self, thread: usize, period: Nanos) {
         if let Some(word) = self.shared.words.get(thread) {
             word.period.store(period.0, Ordering::Relaxed);
             self.shared.threads.store(thread + 1, Ordering::Release);
         }
     }
 
-    /// No net thread runs any more.
-    pub(crate) fn dismiss(&self) {
+    /// Unregisters all net threads.
+    pub(crate) fn unregister_all(&self) {
         self.shared.threads.store(0, Ordering::Release);
     }
 
-    /// A thread has applied a generation, and ended so many nets for it.
+    /// Records that a thread applied a generation and ended so many nets.
     pub(crate) fn answer(&self, thread: usize, applied: Generation, nets: u32, now: Nanos) {
         if let Some(word) = self.shared.words.get(thread) {
             word.nets.store(nets, Ordering::Relaxed);
@@ -236,7 +236,7 @@ impl StopSwitch {
         }
     }
 
-    /// What the net threads answer to the present generation.
+    /// Answers of the net threads to the present generation.
     pub fn answers(&self) -> impl Iterator<Item = ThreadAnswer> {
         let generation = self.generation();
         let threads = self.shared.threads.load(Ordering::Acquire);
@@ -252,7 +252,7 @@ impl StopSwitch {
         })
     }
 
-    /// The longest time from one cycle of a net thread to the next.
+    /// The longest period of a net thread.
     pub(super) fn longest_period(&self) -> Nanos {
         let periods = self.answers().map(|answer| answer.period);
         periods.max().unwrap_or(Nanos::ZERO)
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn origins_survive_their_words() {
+    fn stop_sources_round_trip() {
         for origin in [
             Origin::Process {
                 pid: u32::MAX,
@@ -298,11 +298,11 @@ mod tests {
     }
 
     #[test]
-    fn thread_that_has_not_applied_the_stop_is_seen() {
+    fn unapplied_stop_is_visible() {
         let switch = StopSwitch::default();
         let ms = Nanos::from_millis;
-        switch.enlist(0, ms(1));
-        switch.enlist(1, ms(4));
+        switch.register(0, ms(1));
+        switch.register(1, ms(4));
         switch.stop(Origin::Program);
         switch.answer(1, switch.generation(), 3, ms(5));
         let answers: Vec<_> = switch.answers().collect();

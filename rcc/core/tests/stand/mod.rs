@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use takt_core::device::{DeviceDescription, DevicePorts, DeviceState, DeviceTable, sim};
-use takt_core::executor::rules::{Failure, Literal, Orders, Question, Rule, RuleState, Step};
+use takt_core::executor::rules::{Failure, Literal, NetActions, Question, Rule, RuleState, Step};
 use takt_core::executor::serve::{DeviceEnd, Driver, Served};
 use takt_core::executor::stop::{EmergencyStop, StopPart};
 use takt_core::executor::{End, Executor, Refusal, ResourceSet, Running};
@@ -94,7 +94,7 @@ impl Stand {
         let (number, ports) = self.table.add(description).unwrap();
         let driver = Driver::Simulated {
             device,
-            told: ports.driver_state,
+            published: ports.driver_state,
         };
         self.serve(number, driver);
     }
@@ -181,24 +181,24 @@ impl Stand {
         };
         let literals: Vec<_> = predecessor.map(asked).into_iter().collect();
         let step = predecessor.map_or(Step::Constant(true), |_| Step::Literal(0));
-        let orders = Orders {
+        let orders = NetActions {
             start: vec![id],
-            ..Orders::default()
+            ..NetActions::default()
         };
         self.add_rule(id, literals, step, orders);
     }
 
     /// Has a rule stop a net after the next cycle and start others.
     pub fn stop_by_rule(&mut self, rule: u32, net: u32, start: &[u32]) {
-        let orders = Orders {
+        let orders = NetActions {
             stop: vec![net],
             start: start.to_vec(),
-            ..Orders::default()
+            ..NetActions::default()
         };
         self.add_rule(rule, Vec::new(), Step::Constant(true), orders);
     }
 
-    fn add_rule(&mut self, id: u32, literals: Vec<Literal>, step: Step, orders: Orders) {
+    fn add_rule(&mut self, id: u32, literals: Vec<Literal>, step: Step, orders: NetActions) {
         let rule = Box::new(Rule::new(id, literals, vec![step], orders));
         self.executor
             .add_rule(rule)
@@ -234,7 +234,7 @@ impl Stand {
             ..Moment::default()
         };
         let begin = takt_rt::Nanos(time.0);
-        self.served.look(begin);
+        self.served.poll(begin);
         self.served.read(&mut self.executor);
         self.executor.announce_takeovers(|_, _| ());
         self.executor.cycle(moment);

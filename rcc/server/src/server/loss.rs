@@ -114,10 +114,10 @@ mod tests {
         controller.start_net(first).unwrap();
         // Longer than this test may take, so that nothing is aborted.
         end_sessions(&controller, vec![session], Duration::from_secs(300)).await;
-        let departed = controller.departed(second).unwrap();
-        assert!(!departed.states.contains(&NetState::Running));
+        let retained = controller.retained(second).unwrap();
+        assert!(!retained.states.contains(&NetState::Running));
         assert_eq!(
-            controller.departed(first).unwrap().states.last(),
+            controller.retained(first).unwrap().states.last(),
             Some(&NetState::Terminated)
         );
         while controller.rule(rules[1]).unwrap().state == RuleState::Active {

@@ -23,7 +23,7 @@ fn begin(net: &mut Net) -> Option<Box<Running>> {
 }
 
 #[test]
-fn a_start_that_was_refused_when_nobody_waited_any_more_can_be_repeated() {
+fn start_rejected_after_timeout_can_be_repeated() {
     let mut net = ready();
     let running = begin(&mut net).unwrap();
     assert!(begin(&mut net).is_none(), "it is under way");

@@ -38,9 +38,9 @@ fn load(controller: &Controller) -> NetId {
 // Placement.
 
 #[test]
-fn a_net_runs_in_the_slowest_thread_of_which_its_period_is_a_multiple() {
+fn net_runs_in_slowest_dividing_thread() {
     let controller = controller(&[2, 8, 1, 20]);
-    let desk = controller.inner.lock();
+    let registry = controller.inner.lock();
     for (period, thread, every) in [
         (None, 0, 1),
         (Some(2), 0, 1),
@@ -52,22 +52,22 @@ fn a_net_runs_in_the_slowest_thread_of_which_its_period_is_a_multiple() {
         (Some(6), 0, 3),
         (Some(7), 2, 7),
     ] {
-        let place = desk.place(period.map(ms), &[]).unwrap();
+        let place = registry.place(period.map(ms), &[]).unwrap();
         assert_eq!((place.thread, place.every), (thread, every), "{period:?}");
         assert_eq!(place.period, ms(period.unwrap_or(2)));
     }
-    let odd = desk.place(Some(Duration::from_micros(1500)), &[]);
+    let odd = registry.place(Some(Duration::from_micros(1500)), &[]);
     let text = odd.unwrap_err().to_string();
-    let expected = "1.5ms is no whole multiple of the controller's 2ms, 8ms, 1ms and 20ms";
+    let expected = "1.5ms is not a whole multiple of the controller's 2ms, 8ms, 1ms and 20ms";
     assert!(text.contains(expected), "{text}");
 }
 
 #[test]
-fn a_net_that_commands_devices_runs_where_they_are_served() {
+fn commanding_net_runs_in_device_thread() {
     let controller = controller(&[1, 4]);
-    let mut desk = controller.inner.lock();
-    desk.serve_in("slow", 1);
-    desk.serve_in("slower", 1);
+    let mut registry = controller.inner.lock();
+    registry.serve_in("slow", 1);
+    registry.serve_in("slower", 1);
     let names =
         |names: &[&str]| -> Vec<String> { names.iter().map(|name| (*name).to_owned()).collect() };
     for (period, devices, expected) in [
@@ -78,7 +78,7 @@ fn a_net_that_commands_devices_runs_where_they_are_served() {
         (
             Some(6),
             &["slow"],
-            Err("6ms is no whole multiple of the 4ms of the net thread that serves `slow`"),
+            Err("6ms is not a whole multiple of the 4ms of the net thread that serves `slow`"),
         ),
         (
             None,
@@ -86,7 +86,7 @@ fn a_net_that_commands_devices_runs_where_they_are_served() {
             Err("`slow` is served by that of 4ms and `fast` by that of 1ms; give both"),
         ),
     ] {
-        let place = desk.place(period.map(ms), &names(devices));
+        let place = registry.place(period.map(ms), &names(devices));
         match (place, expected) {
             (Ok(place), Ok((thread, period, every))) => {
                 let expected = Place {
@@ -107,24 +107,24 @@ fn a_net_that_commands_devices_runs_where_they_are_served() {
 // Commands for which there is no room.
 
 /// Fills the ring to the first thread.
-fn fill(desk: &mut Desk) {
-    while desk.send(0, Command::Forget(u32::MAX)).is_ok() {}
+fn fill(registry: &mut Registry) {
+    while registry.send(0, Command::Forget(u32::MAX)).is_ok() {}
 }
 
 #[test]
-fn a_net_that_cannot_be_started_for_want_of_room_stays_ready() {
+fn net_stays_ready_if_command_queue_full() {
     let controller = controller(&[10]);
     let net = (0..10).find_map(|_| {
         let net = load(&controller);
-        let mut desk = controller.inner.lock();
-        fill(&mut desk);
+        let mut registry = controller.inner.lock();
+        fill(&mut registry);
         // The thread may make room before this; then it is no test.
-        let error = desk.begin(net).err()?.to_string();
+        let error = registry.begin(net).err()?.to_string();
         assert!(
             error.contains("requests to the net thread: at most 1024"),
             "{error}"
         );
-        let known = desk.net(net).unwrap();
+        let known = registry.net(net).unwrap();
         assert_eq!(known.state(), NetState::Ready);
         assert!(!known.is_to_start());
         Some(net)
@@ -136,7 +136,7 @@ fn a_net_that_cannot_be_started_for_want_of_room_stays_ready() {
 }
 
 #[test]
-fn a_rule_for_which_there_is_no_room_leaves_its_nets_alone() {
+fn rule_rejected_by_full_queue_keeps_nets() {
     let controller = controller(&[10]);
     let nets: Vec<_> = (0..40).map(|_| load(&controller)).collect();
     let request = || RuleRequest {
@@ -145,10 +145,10 @@ fn a_rule_for_which_there_is_no_room_leaves_its_nets_alone() {
         ..RuleRequest::default()
     };
     {
-        let mut desk = controller.inner.lock();
-        fill(&mut desk);
+        let mut registry = controller.inner.lock();
+        fill(&mut registry);
         // One cycle takes 16 commands: not enough for these.
-        let error = desk.install(request()).unwrap_err().to_string();
+        let error = registry.install(request()).unwrap_err().to_string();
         assert!(error.contains("requests to the net thread"), "{error}");
     }
     for net in &nets {

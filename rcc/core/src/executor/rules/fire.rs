@@ -1,5 +1,5 @@
-//! What waiting rules do between two cycles: literals are answered, conditions evaluated, and what rules
-//! order happens at once or not at all. Nothing comes or goes here.
+//! Firing of rules between two cycles: literals are answered, conditions evaluated, and the actions of a rule
+//! happen all at once or not at all.
 
 use takt_rt::Nanos;
 
@@ -7,15 +7,15 @@ use super::{Failure, Literal, Question, RuleState, Rules};
 use crate::executor::rules::shared::Decision;
 use crate::executor::{DeviceView, End, Executor, ResourceSet, Running};
 
-/// What the nets hold and cost that run on.
+/// Resources and cost of the nets that continue.
 #[derive(Clone, Copy, Default)]
-struct Standing {
+struct Usage {
     nets: usize,
     held: ResourceSet,
     load: Nanos,
 }
 
-impl Standing {
+impl Usage {
     fn end(&mut self, net: &Running) {
         self.nets -= 1;
         self.held.remove(&net.resources);
@@ -30,11 +30,11 @@ impl Standing {
 }
 
 impl Executor {
-    /// Tells each running net whether a successor waits for it; calls `changed` where that is new.
+    /// Notifies each running net whether a successor waits for it; calls `changed` on a change.
     /// Called before each cycle.
     pub fn announce_takeovers(&mut self, mut changed: impl FnMut(u32, bool)) {
         for net in &mut self.running {
-            let waits = self.rules.roll.is_followed(net.id);
+            let waits = self.rules.nets_named.is_followed(net.id);
             if std::mem::replace(&mut net.takeover, waits) != waits {
                 changed(net.id, waits);
             }
@@ -42,7 +42,7 @@ impl Executor {
     }
 
     /// Brings the literals up to date and fires the rules that hold. Called after each cycle,
-    /// before nets that ended are taken out: what they held passes to their successors, which are
+    /// before ended nets are removed: their resources pass to their successors, which are
     /// evaluated from the next cycle on.
     pub fn fire_rules(&mut self) {
         let changed = std::mem::take(&mut self.epochs_changed);
@@ -54,15 +54,15 @@ impl Executor {
             self.give_back_changed();
         }
         self.answer_literals();
-        let mut standing = self.standing();
-        self.consult(&standing);
-        // Those that start nothing cannot fail, and may free what others need.
+        let mut usage = self.usage();
+        self.exchange_literals(&usage);
+        // Rules that start nothing cannot fail, and may free resources that others need.
         for starts in [false, true] {
             for at in 0..self.rules.waiting.len() {
                 let rule = &self.rules.waiting[at];
                 let turn = rule.orders.start.is_empty() != starts;
                 if turn && rule.state == RuleState::Active && rule.is_due() {
-                    self.fire(at, &mut standing);
+                    self.fire(at, &mut usage);
                 }
             }
         }
@@ -76,31 +76,31 @@ impl Executor {
         }
     }
 
-    /// Does what was decided about rules in several threads since the last cycle. Called before each
+    /// Applies decisions about rules in several threads since the last cycle. Called before each
     /// cycle; returns whether nets may have been changed.
     pub fn fire_decided(&mut self) -> bool {
-        let mut standing = None;
+        let mut usage = None;
         for at in 0..self.rules.waiting.len() {
             let rule = &self.rules.waiting[at];
             let decided = rule.state == RuleState::Active && rule.part.is_some() && rule.is_due();
             if !decided {
                 continue;
             }
-            let mut now = standing.unwrap_or_else(|| {
+            let mut now = usage.unwrap_or_else(|| {
                 self.rules.seat(&self.running);
-                self.standing()
+                self.usage()
             });
             self.fire(at, &mut now);
-            standing = Some(now);
+            usage = Some(now);
         }
-        standing.is_some()
+        usage.is_some()
     }
 
     fn answer_literals(&mut self) {
         for rule in &mut self.rules.waiting {
             let literals = rule.literals.iter_mut().zip(&rule.slots);
             for (literal, slot) in literals.filter(|(l, _)| !l.last) {
-                let (id, at) = self.rules.roll.running(*slot);
+                let (id, at) = self.rules.nets_named.running(*slot);
                 let net = self.running.get(at).filter(|net| net.id == id);
                 if let Some(net) = net {
                     rule.changed |= answer(literal, net, net.end);
@@ -109,25 +109,25 @@ impl Executor {
         }
     }
 
-    fn standing(&self) -> Standing {
-        let mut standing = Standing::default();
-        self.going_on().for_each(|net| standing.begin(net));
-        standing
+    fn usage(&self) -> Usage {
+        let mut usage = Usage::default();
+        self.going_on().for_each(|net| usage.begin(net));
+        usage
     }
 
-    /// Exchanges literals of rules in several threads, and decides about those that are decided here.
-    fn consult(&mut self, standing: &Standing) {
+    /// Exchanges literals of rules in several threads, and decides those whose deciding part is here.
+    fn exchange_literals(&mut self, usage: &Usage) {
         for at in 0..self.rules.waiting.len() {
             let rule = &self.rules.waiting[at];
             if rule.part.is_none() || rule.state != RuleState::Active {
                 continue;
             }
-            let obstacle = self.obstacle(at, standing);
+            let start_failure = self.start_failure(at, usage);
             let rule = &mut *self.rules.waiting[at];
             let Some(part) = &rule.part else {
                 continue;
             };
-            part.exchange(&mut rule.literals, obstacle.is_none());
+            part.exchange(&mut rule.literals, start_failure.is_none());
             if part.is_to_decide() {
                 if rule.holds() {
                     part.decide_to_fire();
@@ -138,7 +138,7 @@ impl Executor {
             match part.shared().decision() {
                 Decision::Open | Decision::Fire => {}
                 Decision::Fail => {
-                    rule.failure = obstacle;
+                    rule.failure = start_failure;
                     self.rules.retire(at, RuleState::FireFailed);
                 }
                 Decision::Never => self.rules.retire(at, RuleState::Inactive),
@@ -146,13 +146,13 @@ impl Executor {
         }
     }
 
-    /// Why the nets that a rule starts here could not start now, if that is so.
-    fn obstacle(&self, at: usize, standing: &Standing) -> Option<Failure> {
+    /// Why the nets that a rule starts here cannot start now; `None` if they can.
+    fn start_failure(&self, at: usize, usage: &Usage) -> Option<Failure> {
         let rule = &self.rules.waiting[at];
         if rule.started().is_empty() {
             return None;
         }
-        let mut after = *standing;
+        let mut after = *usage;
         for slot in rule.stopped() {
             let net = self.rules.running_at(*slot, &self.running);
             let net = net.and_then(|at| self.running.get(at));
@@ -178,21 +178,21 @@ impl Executor {
             }
             after.load += net.cost;
         }
-        if !self.has_places(after.nets, rule.started().len()) {
+        if !self.has_capacity(after.nets, rule.started().len()) {
             return Some(Failure::TooMany);
         }
         (after.load > self.budget).then_some(Failure::Overload)
     }
 
-    /// A device of a scheduled net that did not go on as it was when the net was scheduled.
+    /// A device of a scheduled net whose epoch has changed since the net was scheduled.
     fn changed_device(&self, net: &Running) -> Option<usize> {
         let mut devices = net.devices.iter();
         let changed = devices.find(|(number, epoch)| self.epoch(*number) != *epoch);
         changed.map(|(number, _)| *number)
     }
 
-    /// Gives up the rules that start nets of devices which had a fault, or began to follow commands, since those nets
-    /// were scheduled: what was asked for before is not done after.
+    /// Fails the rules whose nets use devices that had a fault or were enabled since those nets
+    /// were scheduled: a request from before is not executed after.
     fn give_back_changed(&mut self) {
         for at in 0..self.rules.waiting.len() {
             let rule = &self.rules.waiting[at];
@@ -217,8 +217,8 @@ impl Executor {
         self.rules.retire(at, RuleState::FireFailed);
     }
 
-    fn fire(&mut self, at: usize, standing: &mut Standing) {
-        if let Some(why) = self.obstacle(at, standing) {
+    fn fire(&mut self, at: usize, usage: &mut Usage) {
+        if let Some(why) = self.start_failure(at, usage) {
             self.fail(at, why);
             return;
         }
@@ -231,7 +231,7 @@ impl Executor {
             let net = &mut self.running[net];
             if net.end.is_none() {
                 net.end = Some(End::Stopped);
-                standing.end(net);
+                usage.end(net);
             }
         }
         for slot in waiting[at].cancelled() {
@@ -248,17 +248,19 @@ impl Executor {
             let Some(from) = self.rules.scheduled_at(slot) else {
                 continue;
             };
-            let mut net = self.rules.unseat_scheduled(from);
+            let mut net = self.rules.clear_scheduled_index(from);
             net.fresh = true;
-            standing.begin(&net);
-            self.rules.roll.seat_running(net.id, self.running.len());
+            usage.begin(&net);
+            self.rules
+                .nets_named
+                .set_running_index(net.id, self.running.len());
             self.start_by_rule(net);
         }
     }
 }
 
-/// Answers a literal from its net, which has just ended if there is an `end`; returns whether that is
-/// news.
+/// Answers a literal from its net, which has just ended if there is an `end`; returns whether the answer
+/// changed.
 pub(super) fn answer(literal: &mut Literal, net: &Running, end: Option<End>) -> bool {
     let value = match literal.question {
         Question::Value(at) => net.plan.out_bool(at),

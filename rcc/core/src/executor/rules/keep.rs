@@ -1,5 +1,5 @@
-//! Rules and their nets come and go: the resources that are kept for nets that a rule starts, and what is
-//! refused for it. Nothing fires here, and time of the cycle is kept at the desk.
+//! Adding and removing rules and their nets: resources reserved for nets that a rule starts, and the reasons for
+//! rejection. Nothing fires here; the registry reserves cycle time.
 
 use takt_rt::Nanos;
 
@@ -9,10 +9,10 @@ use super::{
 use crate::executor::{Executor, Refusal, ResourceSet, Running};
 
 impl Executor {
-    /// Takes a net that rules may start, as long as the devices that it commands go on as they are now.
+    /// Schedules a net that rules may start, as long as the epochs of its devices do not change.
     ///
     /// # Errors
-    /// If there is no room for it.
+    /// If the limit is reached.
     pub fn schedule(&mut self, mut net: Box<Running>) -> Result<(), Box<Running>> {
         if self.rules.scheduled.len() == SCHEDULED_MAX {
             return Err(net);
@@ -24,11 +24,11 @@ impl Executor {
         Ok(())
     }
 
-    /// Gives back a scheduled net: always, or only if no rule waits to start it. Rules that lose it
-    /// can do nothing any more.
+    /// Returns a scheduled net: always, or only if no rule waits to start it. Rules that lose it
+    /// become inactive.
     pub fn take_unscheduled(&mut self, id: u32, always: bool) -> Option<Box<Running>> {
         let rules = &mut self.rules;
-        if let Some(slot) = rules.roll.find(id) {
+        if let Some(slot) = rules.nets_named.find(id) {
             for at in 0..rules.waiting.len() {
                 let rule = &rules.waiting[at];
                 if rule.state != RuleState::Active || !rule.started().contains(&slot) {
@@ -42,14 +42,14 @@ impl Executor {
             }
         }
         let at = rules.scheduled.iter().position(|net| net.id == id)?;
-        Some(rules.unseat_scheduled(at))
+        Some(rules.clear_scheduled_index(at))
     }
 
-    /// Takes a rule. What its nets need is kept for them from now on, but for nets that it follows.
+    /// Adds a rule and reserves the resources of its nets, except those held by nets that it follows.
     ///
     /// # Errors
-    /// If it cannot be kept; the rule comes back with the reason, and its parts in other threads do
-    /// nothing any more.
+    /// If it is rejected; the rule is returned with the reason, and its parts in other threads become
+    /// inactive.
     pub fn add_rule(&mut self, mut rule: Box<Rule>) -> Result<(), (Box<Rule>, RuleRefusal)> {
         if let Err(refusal) = self.take_in(&mut rule) {
             rule.state = rule.give_up();
@@ -58,7 +58,7 @@ impl Executor {
         let rules = &mut self.rules;
         if rule.starts_any() {
             let followed = rule.followed().iter();
-            followed.for_each(|slot| rules.roll.follow(*slot, true));
+            followed.for_each(|slot| rules.nets_named.follow(*slot, true));
         }
         let Rule {
             literals, slots, ..
@@ -73,7 +73,7 @@ impl Executor {
         Ok(())
     }
 
-    /// Puts the nets of a new rule on the roll and reserves what it needs.
+    /// Adds the nets of a new rule to the table and reserves its resources.
     fn take_in(&mut self, rule: &mut Rule) -> Result<(), RuleRefusal> {
         if self.rules.waiting.len() == RULES_MAX {
             return Err(RuleRefusal::TooMany);
@@ -98,7 +98,7 @@ impl Executor {
         }
     }
 
-    /// What is to be kept for a new rule. The nets that it follows are marked.
+    /// Resources to reserve for a new rule. The nets that it follows are marked.
     fn reserve(&self, rule: &Rule) -> Result<ResourceSet, RuleRefusal> {
         let rules = &self.rules;
         let mut wanted = ResourceSet::default();
@@ -112,16 +112,21 @@ impl Executor {
         }
         let claim = rules.claim(rule, wanted);
         let is_followed = |net: &Running| {
-            let slot = rules.roll.find(net.id);
-            slot.is_some_and(|slot| rules.roll.is_marked(slot))
+            let slot = rules.nets_named.find(net.id);
+            slot.is_some_and(|slot| rules.nets_named.is_marked(slot))
         };
         for net in self.running.iter().filter(|net| !is_followed(net)) {
             if let Some(held) = claim.common(&net.resources) {
                 return Err(RuleRefusal::ResourceInUse(held));
             }
         }
-        // Alternatives of one predecessor may want the same: only one of them will come to run.
-        let is_stranger = |other: &Rule| !other.followed().iter().any(|s| rules.roll.is_marked(*s));
+        // Alternatives of one predecessor may need the same resource: only one of them will run.
+        let is_stranger = |other: &Rule| {
+            !other
+                .followed()
+                .iter()
+                .any(|s| rules.nets_named.is_marked(*s))
+        };
         for other in &rules.waiting {
             if claim.common(&other.reserved).is_none() || !is_stranger(other) {
                 continue;
@@ -133,7 +138,7 @@ impl Executor {
         Ok(wanted)
     }
 
-    /// Why a net cannot start now beside those that run and those that rules are to start.
+    /// Why a net cannot start now beside running and scheduled nets.
     pub(in crate::executor) fn blocked(&mut self, net: &Running) -> Option<Refusal> {
         let held = self.held();
         if let Some(resource) = net.resources.common(&held) {
@@ -147,7 +152,7 @@ impl Executor {
             return None;
         }
         self.rules.seat(&self.running);
-        let slot = self.rules.roll.find(net.id);
+        let slot = self.rules.nets_named.find(net.id);
         let concerns = |slots: &[Slot]| slot.is_some_and(|slot| slots.contains(&slot));
         let rules = self.rules.waiting.iter().map(|rule| &**rule);
         let rules = rules.filter(|rule| net.resources.common(&rule.reserved).is_some());
@@ -159,26 +164,26 @@ impl Executor {
         })
     }
 
-    /// What all running nets cost in a cycle in which each is evaluated.
+    /// Cost of all running nets in a cycle in which each is evaluated.
     pub(super) fn load(&self) -> Nanos {
         self.going_on().fold(Nanos::ZERO, |sum, net| sum + net.cost)
     }
 
-    /// Takes out the rules that no longer wait, as far as `take` accepts them.
+    /// Removes the rules that no longer wait, as far as `take` accepts them.
     pub fn take_rules(&mut self, mut take: impl FnMut(Box<Rule>) -> Result<(), Box<Rule>>) {
         if self.rules.over == 0 {
             return;
         }
         let Rules {
             waiting,
-            roll,
+            nets_named,
             work,
             over,
             ..
         } = &mut self.rules;
         let mut back = None;
         for rule in waiting.extract_if(.., |rule| rule.state != RuleState::Active) {
-            rule.slots.iter().for_each(|slot| roll.leave(*slot));
+            rule.slots.iter().for_each(|slot| nets_named.leave(*slot));
             *work -= rule.work();
             *over -= 1;
             back = take(rule).err();
@@ -187,7 +192,7 @@ impl Executor {
             }
         }
         if let Some(mut rule) = back {
-            // Nobody has room for it now; it is offered again, and does nothing meanwhile.
+            // It is not accepted now; it is offered again and stays inactive.
             self.rules.enter(&mut rule);
             self.rules.work += rule.work();
             self.rules.over += 1;
@@ -195,21 +200,21 @@ impl Executor {
         }
     }
 
-    /// Answers for good what waiting rules ask of a net that had ended before they came.
-    pub fn answer_for_good(&mut self, told: Literal) {
+    /// Sets the final answer of literals about a net that had ended before the rule was added.
+    pub fn set_final_answer(&mut self, answer: Literal) {
         for rule in &mut self.rules.waiting {
             let asked =
-                |l: &&mut Literal| !l.last && (l.net, l.question) == (told.net, told.question);
+                |l: &&mut Literal| !l.last && (l.net, l.question) == (answer.net, answer.question);
             for literal in rule.literals.iter_mut().filter(asked) {
-                *literal = told;
+                *literal = answer;
                 rule.changed = true;
             }
         }
     }
 
-    /// Tells rules that a net will never run again, or never did.
+    /// Notifies rules that a net will never run again, or never ran.
     pub fn forget(&mut self, id: u32) {
-        if self.rules.roll.find(id).is_none() {
+        if self.rules.nets_named.find(id).is_none() {
             return;
         }
         for rule in &mut self.rules.waiting {
@@ -222,26 +227,28 @@ impl Executor {
 }
 
 impl Rules {
-    /// Puts the nets that a rule names on the roll.
+    /// Adds the nets that a rule names to the table.
     fn enter(&mut self, rule: &mut Rule) {
         let mut slots = std::mem::take(&mut rule.slots);
         for (slot, id) in slots.iter_mut().zip(rule.names()) {
-            *slot = self.roll.enter(id);
+            *slot = self.nets_named.enter(id);
         }
         rule.slots = slots;
     }
 
     fn leave(&mut self, rule: &Rule) {
-        rule.slots.iter().for_each(|slot| self.roll.leave(*slot));
+        rule.slots
+            .iter()
+            .for_each(|slot| self.nets_named.leave(*slot));
     }
 
     fn mark(&mut self, slots: &[Slot], marked: bool) {
         for slot in slots {
-            self.roll.mark(*slot, marked);
+            self.nets_named.mark(*slot, marked);
         }
     }
 
-    /// What a rule that wants this claims now: not what scheduled nets that it follows will bring.
+    /// Resources that a rule claims now, without those of scheduled nets that it follows.
     fn claim(&self, rule: &Rule, mut wanted: ResourceSet) -> ResourceSet {
         for slot in rule.followed() {
             if let Some(at) = self.scheduled_at(*slot) {

@@ -1,16 +1,16 @@
-//! A rule whose nets are in several threads: each thread has a part of it, and here is what the parts
-//! tell each other, in atomic words and without waiting. It looks at no net itself.
+//! A rule whose nets are in several threads: each thread has a part of it. This module is the exchange between
+//! the parts, by atomic words and without waiting. It does not access nets.
 //!
-//! At the end of each cycle a part says what its literals are and whether it could fire. The part of
-//! the fastest thread with a literal decides, once all parts have come: that way it sees what any
-//! other says at least once. All parts do what was decided at the next boundary of their cycles.
+//! At the end of each cycle a part publishes its literals and whether it could fire. The part of
+//! the fastest thread with a literal decides, once all parts have published: it therefore receives each state of
+//! the others at least once. All parts apply the decision at their next cycle boundary.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering, fence};
 
 use crate::executor::rules::{CONDITION_MAX, Literal};
 
-/// What becomes of a rule in several threads.
+/// Decision about a rule in several threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// Not known yet.
@@ -30,28 +30,28 @@ const DECISIONS: [Decision; 4] = [
     Decision::Never,
 ];
 
-/// A part that did not come yet, as all are at first.
+/// A part that has not published yet; the initial state.
 const ABSENT: u8 = 0;
 /// A part that could fire.
 const ABLE: u8 = 1;
 /// A part that could not.
 const UNABLE: u8 = 2;
 
-/// What one part says of itself.
+/// The published state of one part.
 #[derive(Debug, Default)]
 struct PartCell {
-    /// Whether it came, and whether it can fire.
+    /// Whether it has published, and whether it can fire.
     able: AtomicU8,
-    /// Odd while it says its literals, even when it has said them.
+    /// Sequence count: odd while it writes its literals, even otherwise.
     version: AtomicU32,
 }
 
-/// What the parts of one rule share.
+/// Shared state of the parts of one rule.
 #[derive(Debug)]
 pub struct Shared {
     /// By literal: whether it is known, its truth, and whether it is the last, as bits 0 to 2.
     literals: Box<[AtomicU8]>,
-    /// By literal, the part that answers it; `None` if it is answered for good.
+    /// By literal, the part that answers it; `None` if its answer is final.
     owners: Box<[Option<usize>]>,
     parts: Box<[PartCell]>,
     /// Number of a [`Decision`].
@@ -64,7 +64,7 @@ pub struct Shared {
 
 impl Shared {
     /// A rule in `parts` threads, of which `decider` decides. Each of `literals` comes with the part
-    /// that answers it, unless it is answered for good.
+    /// that answers it, unless its answer is final.
     #[must_use]
     pub fn new(
         literals: &[(Literal, Option<usize>)],
@@ -97,17 +97,17 @@ impl Shared {
         owned.map(|(thing, (cell, _))| (thing, cell))
     }
 
-    /// What was decided.
+    /// The decision.
     #[must_use]
     pub fn decision(&self) -> Decision {
         let number = usize::from(self.decision.load(Ordering::Acquire));
         DECISIONS.get(number).copied().unwrap_or(Decision::Never)
     }
 
-    /// Decides, unless that was done before; returns what holds from now on.
+    /// Decides, unless already decided; returns the valid decision.
     pub fn decide(&self, decision: Decision) -> Decision {
         let (order, failed) = (Ordering::AcqRel, Ordering::Acquire);
-        // Whoever comes second has lost, and reads what the first one decided.
+        // The second writer loses and reads the first decision.
         let _ = self
             .decision
             .compare_exchange(0, decision as u8, order, failed);
@@ -129,23 +129,23 @@ impl Part {
         Self { shared, number }
     }
 
-    /// What all parts share.
+    /// The shared state.
     #[must_use]
     pub fn shared(&self) -> &Shared {
         &self.shared
     }
 
-    /// How many parts the rule has.
+    /// Number of parts.
     pub(super) fn count(&self) -> usize {
         self.shared.parts.len()
     }
 
-    /// Whether the rule starts a net, be it in another thread.
+    /// Whether the rule starts a net in any thread.
     pub(super) fn starts(&self) -> bool {
         self.shared.starts
     }
 
-    /// Says what this part's literals are and whether it can fire; the part that decides takes over the
+    /// Publishes this part's literals and whether it can fire; the deciding part reads the
     /// literals of the others.
     pub(super) fn exchange(&self, literals: &mut [Literal], able: bool) {
         self.say(literals);
@@ -155,7 +155,7 @@ impl Part {
         }
         if self.number == self.shared.decider {
             let others = (0..self.shared.parts.len()).filter(|number| *number != self.number);
-            others.for_each(|number| self.hear(number, literals));
+            others.for_each(|number| self.receive(number, literals));
         }
     }
 
@@ -174,16 +174,16 @@ impl Part {
             .store(version.wrapping_add(2), Ordering::Release);
     }
 
-    /// Takes over what another part said last. While it says the next, what it said before stands:
+    /// Reads the last state of another part. While that part writes, its previous state stays valid:
     /// literals of two of its cycles are never mixed.
-    fn hear(&self, number: usize, literals: &mut [Literal]) {
+    fn receive(&self, number: usize, literals: &mut [Literal]) {
         let Some(part) = self.shared.parts.get(number) else {
             return;
         };
         let mut words = [0; CONDITION_MAX];
         let before = part.version.load(Ordering::Acquire);
-        for (heard, cell) in self.shared.literals_of(number, words.iter_mut()) {
-            *heard = cell.load(Ordering::Relaxed);
+        for (received, cell) in self.shared.literals_of(number, words.iter_mut()) {
+            *received = cell.load(Ordering::Relaxed);
         }
         fence(Ordering::Acquire);
         let after = part.version.load(Ordering::Relaxed);
@@ -197,7 +197,7 @@ impl Part {
         }
     }
 
-    /// Whether this part is to decide now.
+    /// Whether this part must decide now.
     pub(super) fn is_to_decide(&self) -> bool {
         let came = |part: &PartCell| part.able.load(Ordering::Acquire) != ABSENT;
         self.number == self.shared.decider
@@ -205,7 +205,7 @@ impl Part {
             && self.shared.parts.iter().all(came)
     }
 
-    /// Decides about a condition that holds.
+    /// Decides about a true condition.
     pub(super) fn decide_to_fire(&self) {
         let able = |part: &PartCell| part.able.load(Ordering::Acquire) == ABLE;
         let all = self.shared.parts.iter().all(able);

@@ -20,9 +20,9 @@ fn after(id: u32, followed: &[u32], start: u32) -> Box<Rule> {
     };
     let mut steps: Vec<_> = (0..followed.len()).map(Step::Literal).collect();
     steps.extend((1..followed.len()).map(|_| Step::And));
-    let orders = Orders {
+    let orders = NetActions {
         start: vec![start],
-        ..Orders::default()
+        ..NetActions::default()
     };
     Box::new(Rule::new(
         id,
@@ -59,7 +59,7 @@ impl Bench {
 }
 
 #[test]
-fn a_successor_that_waits_does_not_keep_its_predecessor_from_starting() {
+fn waiting_successor_does_not_block_predecessor() {
     let mut bench = Bench::default();
     bench.after(&[1], 2, ENDLESS).unwrap();
     assert_eq!(bench.start(9, BRIEF), Err(Refusal::ResourceKept(ARM)));
@@ -68,7 +68,7 @@ fn a_successor_that_waits_does_not_keep_its_predecessor_from_starting() {
 }
 
 #[test]
-fn a_chain_of_successors_is_taken_whether_its_first_runs_or_not() {
+fn successor_chain_is_accepted_running_or_not() {
     for runs in [false, true] {
         let mut bench = Bench::default();
         if runs {
@@ -86,7 +86,7 @@ fn a_chain_of_successors_is_taken_whether_its_first_runs_or_not() {
 }
 
 #[test]
-fn what_a_successor_needs_stays_kept_after_its_predecessor() {
+fn successor_resources_stay_reserved_after_predecessor() {
     let mut bench = Bench::default();
     bench.start(1, BRIEF).unwrap();
     bench.after(&[1, 7], 2, ENDLESS).unwrap();
@@ -99,11 +99,11 @@ fn what_a_successor_needs_stays_kept_after_its_predecessor() {
 }
 
 #[test]
-fn an_answer_that_comes_after_the_rule_is_heard() {
+fn late_final_answer_reaches_rule() {
     let mut bench = Bench::default();
     bench.after(&[1], 2, ENDLESS).unwrap();
     assert!(bench.run().is_empty());
-    bench.0.answer_for_good(Literal {
+    bench.0.set_final_answer(Literal {
         net: 1,
         question: Question::Terminated,
         value: Some(true),
@@ -113,12 +113,12 @@ fn an_answer_that_comes_after_the_rule_is_heard() {
 }
 
 #[test]
-fn rules_that_are_too_much_for_a_cycle_are_refused() {
+fn rules_exceeding_work_max_are_rejected() {
     let mut bench = Bench::default();
     let stopping = |id, first: u32, count: usize| {
-        let orders = Orders {
+        let orders = NetActions {
             stop: (first..).take(count).collect(),
-            ..Orders::default()
+            ..NetActions::default()
         };
         Box::new(Rule::new(id, vec![], vec![Step::Constant(false)], orders))
     };
@@ -164,7 +164,7 @@ fn run(executor: &mut Executor) -> Vec<u32> {
 }
 
 #[test]
-fn nets_that_cost_more_together_than_their_thread_has_do_not_start() {
+fn nets_exceeding_thread_budget_do_not_start() {
     let mut executor = loaded();
     let (running, budget) = (Nanos::from_micros(500), Nanos::from_micros(800));
     let (_, refusal) = executor.start(costing(3, 301)).unwrap_err();
@@ -173,7 +173,7 @@ fn nets_that_cost_more_together_than_their_thread_has_do_not_start() {
 }
 
 #[test]
-fn a_successor_costs_nothing_beside_the_net_that_it_follows() {
+fn successor_costs_nothing_beside_predecessor() {
     let mut executor = loaded();
     successor(&mut executor, 800).unwrap();
     // Nor does what ends in the cycle in which it starts.
@@ -183,7 +183,7 @@ fn a_successor_costs_nothing_beside_the_net_that_it_follows() {
 }
 
 #[test]
-fn a_rule_without_time_for_its_nets_fails_when_it_fires() {
+fn rule_exceeding_budget_fails_when_firing() {
     let mut executor = loaded();
     // The desk would refuse it: it does not end net 1.
     executor.schedule(costing(2, 400)).unwrap();
@@ -193,9 +193,9 @@ fn a_rule_without_time_for_its_nets_fails_when_it_fires() {
         value: None,
         last: false,
     };
-    let orders = Orders {
+    let orders = NetActions {
         start: vec![2],
-        ..Orders::default()
+        ..NetActions::default()
     };
     let steps = vec![Step::Literal(0), Step::Constant(true), Step::Or];
     let rule = Box::new(Rule::new(0, vec![asked], steps, orders));
@@ -210,14 +210,14 @@ fn a_rule_without_time_for_its_nets_fails_when_it_fires() {
 }
 
 #[test]
-fn a_rule_whose_net_is_gone_is_refused() {
+fn rule_with_missing_net_is_rejected() {
     let mut executor = Executor::default();
     let refused = executor.add_rule(after(0, &[1], 2)).unwrap_err();
     assert_eq!(refused.1, RuleRefusal::NotWaiting(2));
 }
 
 #[test]
-fn as_many_nets_as_can_run_hand_over_to_as_many_at_once() {
+fn maximum_of_nets_hand_over_at_once() {
     let mut executor = Executor::default();
     let most = u32::try_from(RUNNING_MAX).unwrap();
     for id in 0..most {
@@ -230,12 +230,12 @@ fn as_many_nets_as_can_run_hand_over_to_as_many_at_once() {
 }
 
 #[test]
-fn rules_that_nobody_has_room_for_are_offered_again() {
+fn unaccepted_rules_are_offered_again() {
     let mut bench = Bench::default();
     bench.start(1, BRIEF).unwrap();
     for id in 0..3 {
         let steps = vec![Step::Constant(true)];
-        let rule = Rule::new(id, vec![], steps, Orders::default());
+        let rule = Rule::new(id, vec![], steps, NetActions::default());
         bench.0.add_rule(Box::new(rule)).unwrap();
     }
     bench.0.fire_rules();

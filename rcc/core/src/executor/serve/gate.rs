@@ -1,13 +1,13 @@
-//! While all is to stop, nothing that moves a device is handed to its driver, whichever net still commands it; and
-//! what was commanded then is handed over again only when it was given up in between. Nets that claim a device end by
-//! themselves under a stop; those that only hold something of it, such as an impedance, go on.
+//! During a stop, no command that moves a device reaches its driver, whichever net still commands it; and
+//! a command from then passes again only after it was withdrawn in between. A stop ends nets that claim a device;
+//! those that only hold a part of it, such as an impedance, continue.
 
 use takt_net::Image;
 use takt_net::device::{self, is_in_force};
 
 use crate::device::{DeviceCommand, Place};
 
-/// What a stop keeps from the driver of one device.
+/// Commands that a stop withholds from one device's driver.
 #[derive(Debug)]
 pub(super) struct Gate {
     /// By the first word of each command.
@@ -24,7 +24,7 @@ impl Gate {
         }
     }
 
-    /// Withholds what is not to pass in the cycle of `command`.
+    /// Withholds the commands that must not pass in the cycle of `command`.
     pub(super) fn pass(
         &mut self,
         command: &mut DeviceCommand,
@@ -70,7 +70,7 @@ mod tests {
         let image = Image::default();
         let mut gate = Gate::new(layout.commands);
         let mut cycle = 10;
-        // Whether it is given in this cycle, whether all is to stop, whether it reaches the driver.
+        // Whether it is given in this cycle, whether the stop is active, whether it reaches the driver.
         for (is_given, is_stopped, passes) in [
             (true, false, true),
             (true, true, false),

@@ -12,7 +12,7 @@ use takt_rt::servo::{Servo, ServoConfig, State};
 use super::*;
 use crate::device::{DeviceCommand, DeviceTable, lwr};
 use crate::executor::figures::RUNAWAY_AFTER;
-use crate::executor::rules::{Literal, Orders, Question, Step};
+use crate::executor::rules::{Literal, NetActions, Question, Step};
 use crate::executor::serve::Driver;
 use crate::executor::stop::EmergencyStop;
 use crate::executor::tests::net;
@@ -70,7 +70,7 @@ impl Bench {
     /// Puts the thread under a switch, and gives that.
     fn switch(&mut self) -> StopSwitch {
         let switch = StopSwitch::default();
-        switch.enlist(0, PERIOD);
+        switch.register(0, PERIOD);
         let stop = Arc::new(EmergencyStop::under(false, switch.clone()));
         self.cycle.served = Served::new(PERIOD, Recorder::new()).under(StopPart::new(stop, 0));
         switch
@@ -88,9 +88,9 @@ impl Bench {
             value: None,
             last: false,
         };
-        let orders = Orders {
+        let orders = NetActions {
             start: vec![next.id],
-            ..Orders::default()
+            ..NetActions::default()
         };
         let rule = Box::new(Rule::new(7, vec![literal], vec![Step::Literal(0)], orders));
         self.command(Command::Schedule(next));
@@ -117,26 +117,27 @@ impl Bench {
     /// Runs a cycle; returns what it told.
     fn run_slot(&mut self, slot: &Slot) -> Vec<String> {
         self.cycle.run(slot);
-        let told = std::iter::from_fn(|| self.events.pop());
-        told.map(|event| match event {
-            Event::Started(id) => format!("started {id}"),
-            Event::Ended(net, end) => format!("ended {} {end:?}", net.id),
-            Event::RuleAdded(id) => format!("rule {id} added"),
-            Event::RuleDone(rule) => format!("rule {} {:?}", rule.id, rule.state),
-            Event::Cancelling(id) => format!("cancelling {id}"),
-            Event::Refused(net, why) => format!("refused {} {why:?}", net.id),
-            Event::RuleRefused(rule, why) => format!("rule {} {why:?}", rule.id),
-            Event::Unscheduled(net) => format!("unscheduled {}", net.id),
-            Event::DeviceRemoved(_) => "device removed".to_owned(),
-        })
-        .collect()
+        let reported = std::iter::from_fn(|| self.events.pop());
+        reported
+            .map(|event| match event {
+                Event::Started(id) => format!("started {id}"),
+                Event::Ended(net, end) => format!("ended {} {end:?}", net.id),
+                Event::RuleAdded(id) => format!("rule {id} added"),
+                Event::RuleDone(rule) => format!("rule {} {:?}", rule.id, rule.state),
+                Event::Cancelling(id) => format!("cancelling {id}"),
+                Event::Refused(net, why) => format!("refused {} {why:?}", net.id),
+                Event::RuleRefused(rule, why) => format!("rule {} {why:?}", rule.id),
+                Event::Unscheduled(net) => format!("unscheduled {}", net.id),
+                Event::DeviceRemoved(_) => "device removed".to_owned(),
+            })
+            .collect()
     }
 }
 
 // The order of what is told.
 
 #[test]
-fn a_successor_is_told_to_run_only_when_its_predecessor_has_ended() {
+fn successor_start_is_reported_after_predecessor_end() {
     let mut bench = Bench::new(Duration::ZERO, None);
     bench.follow(0, net(1, ENDLESS));
     bench.command(Command::Start(net(0, BRIEF)));
@@ -153,7 +154,7 @@ fn a_successor_is_told_to_run_only_when_its_predecessor_has_ended() {
 }
 
 #[test]
-fn a_successor_that_ends_at_once_is_told_to_have_run() {
+fn successor_ending_at_once_is_reported_started() {
     let mut bench = Bench::new(Duration::ZERO, None);
     bench.follow(0, net(1, BRIEF));
     bench.command(Command::Start(net(0, BRIEF)));
@@ -173,7 +174,7 @@ fn cycles_for(bench: &mut Bench, command: fn(u32) -> Command) -> usize {
 }
 
 #[test]
-fn commands_for_which_all_rules_are_looked_at_are_spread_over_cycles() {
+fn rule_reading_commands_are_spread_over_cycles() {
     let mut bench = Bench::new(Duration::ZERO, None);
     assert_eq!(cycles_for(&mut bench, Command::Forget), 1);
     let waits_for = Literal {
@@ -182,9 +183,9 @@ fn commands_for_which_all_rules_are_looked_at_are_spread_over_cycles() {
         value: None,
         last: false,
     };
-    let orders = Orders {
+    let orders = NetActions {
         stop: (100..).take(WORK_MAX - 2).collect(),
-        ..Orders::default()
+        ..NetActions::default()
     };
     let rule = Rule::new(7, vec![waits_for], vec![Step::Literal(0)], orders);
     bench.cycle.executor.add_rule(Box::new(rule)).unwrap();
@@ -219,7 +220,7 @@ fn evaluations_are_measured_and_counted() {
 }
 
 #[test]
-fn an_overrun_is_counted_with_the_nets_that_ran_and_no_other() {
+fn overrun_counts_only_evaluated_nets() {
     let mut bench = Bench::new(Duration::from_micros(600), None);
     let (fast, mut slow) = (net(0, ENDLESS), net(1, ENDLESS));
     slow.set_every(4);
@@ -239,27 +240,27 @@ fn ends_after(took: Duration) -> (u32, Vec<String>) {
     let mut bench = Bench::new(took, None);
     bench.command(Command::Start(net(0, ENDLESS)));
     for cycle in 1..=50 {
-        let mut told = bench.run();
-        told.retain(|event| !event.starts_with("started"));
-        if !told.is_empty() {
-            return (cycle, told);
+        let mut reported = bench.run();
+        reported.retain(|event| !event.starts_with("started"));
+        if !reported.is_empty() {
+            return (cycle, reported);
         }
     }
     (50, Vec::new())
 }
 
 #[test]
-fn a_net_that_takes_longer_than_its_period_again_and_again_is_ended() {
-    let (cycle, told) = ends_after(Duration::from_nanos(1_000_001));
+fn net_exceeding_period_repeatedly_is_ended() {
+    let (cycle, reported) = ends_after(Duration::from_nanos(1_000_001));
     assert_eq!(
-        (cycle, told),
+        (cycle, reported),
         (RUNAWAY_AFTER, vec!["ended 0 Runaway".to_owned()])
     );
     assert_eq!(ends_after(Duration::from_millis(1)), (50, vec![]));
 }
 
 #[test]
-fn a_net_that_takes_too_long_now_and_then_is_not_ended() {
+fn net_exceeding_period_occasionally_continues() {
     let mut bench = Bench::new(Duration::ZERO, None);
     let net = net(0, ENDLESS);
     let counters = Arc::clone(net.counters());
@@ -276,7 +277,7 @@ fn a_net_that_takes_too_long_now_and_then_is_not_ended() {
 }
 
 #[test]
-fn a_runaway_replays_the_same_without_its_clock() {
+fn runaway_net_replays_without_clock() {
     let path = std::env::temp_dir().join(format!("takt-runaway-{}.mcap", std::process::id()));
     let (recorder, tap) = crate::record::Recorder::start(&path).unwrap();
     let mut bench = Bench::new(Duration::from_millis(3), Some(tap));
@@ -284,15 +285,21 @@ fn a_runaway_replays_the_same_without_its_clock() {
         recorder.net(id, 1, Duration::from_millis(1), &text.into());
     }
     bench.command(Command::Start(net(0, ENDLESS)));
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for cycle in 0..2 * RUNAWAY_AFTER {
         if cycle == RUNAWAY_AFTER - 1 {
             bench.follow(0, net(1, BRIEF));
         }
-        told.extend(bench.run());
+        reported.extend(bench.run());
     }
-    assert!(told.contains(&"ended 0 Runaway".to_owned()), "{told:?}");
-    assert!(told.contains(&"rule 7 Inactive".to_owned()), "{told:?}");
+    assert!(
+        reported.contains(&"ended 0 Runaway".to_owned()),
+        "{reported:?}"
+    );
+    assert!(
+        reported.contains(&"rule 7 Inactive".to_owned()),
+        "{reported:?}"
+    );
     assert_eq!(recorder.finish().unwrap(), u64::from(2 * RUNAWAY_AFTER));
     let outcome = replay(&path).unwrap();
     std::fs::remove_file(&path).unwrap();
@@ -418,7 +425,7 @@ fn stopped_rules_never_fire() {
 }
 
 #[test]
-fn request_from_before_a_stop_is_refused_after_it() {
+fn request_from_before_stop_is_rejected() {
     let mut bench = Bench::new(Duration::ZERO, None);
     let switch = bench.switch();
     bench.run();

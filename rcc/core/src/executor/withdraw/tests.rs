@@ -5,7 +5,7 @@ use takt_net::device::JointCommand;
 
 use crate::executor::Executor;
 use crate::executor::rules::shared::{Decision, Part, Shared};
-use crate::executor::rules::{Literal, Orders, Question, Rule, Step};
+use crate::executor::rules::{Literal, NetActions, Question, Rule, Step};
 use crate::executor::tests::{BRIEF, ENDLESS, net};
 
 /// A slow net's set-point for joint 0, given in cycle 1.
@@ -71,9 +71,9 @@ fn commands_wait_one_cycle_for_other_threads() {
     };
     let literals = [(literal(1), Some(0)), (literal(7), Some(1))];
     let shared = std::sync::Arc::new(Shared::new(&literals, 2, 1, true));
-    let orders = Orders {
+    let orders = NetActions {
         start: vec![2],
-        ..Orders::default()
+        ..NetActions::default()
     };
     let steps = vec![Step::Literal(0), Step::Literal(1), Step::And];
     let asked = literals.iter().map(|(literal, _)| *literal).collect();
@@ -92,7 +92,7 @@ fn commands_wait_one_cycle_for_other_threads() {
 }
 
 #[test]
-fn nets_that_are_taken_out_before_leave_nothing_behind() {
+fn removed_nets_leave_no_commands() {
     let mut executor = Executor::default();
     executor.start(net(1, BRIEF)).unwrap();
     set_point(&mut executor, 1);

@@ -1,12 +1,12 @@
 //! Frames that an arm of five joints can reach: its first joint turns about the vertical through the
 //! origin, the next three bend in one vertical plane, the last turns about the flange's z axis.
-//! Whether they are near enough is not looked at.
+//! It does not check the distance to the requested frame.
 
 use takt_net::{Frame, Rotation, Vector};
 
-/// Shorter than this a direction in the plane has no heading.
+/// A direction in the plane shorter than this has no heading.
 const VERTICAL: f64 = 1e-3;
-/// Farther from the arm's plane than this (m) the flange must be turned.
+/// The flange must be turned if it is farther from the arm's plane than this (m).
 const IN_PLANE: f64 = 1e-9;
 /// How far beyond a right angle rounding may lead, as a sine.
 const ROUNDING: f64 = 1e-9;
@@ -19,7 +19,7 @@ pub(super) fn palletize(flange: &Frame, motion_center: &Frame) -> Option<Frame> 
     let x = center.rotation * Vector::x();
     let mut ahead = flat(x);
     if ahead.norm() < VERTICAL {
-        // The x axis itself is vertical; what is across y comes nearest to it.
+        // The x axis itself is vertical; the direction perpendicular to y is the closest.
         ahead = flat((center.rotation * Vector::y()).cross(&up));
     }
     let rotation = Rotation::face_towards(&up, &up.cross(&ahead));
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn palletizing_makes_z_vertical_and_keeps_the_place_of_the_centre() {
+    fn palletizing_makes_z_vertical_keeps_centre() {
         for (flange, center) in frames() {
             let projected = palletize(&flange, &center).unwrap() * center;
             let before = flange * center;
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn keeping_the_position_brings_z_into_the_plane_of_the_arm_by_the_smallest_turn() {
+    fn keep_position_turns_z_minimally_into_plane() {
         let mut turned = 0;
         for (flange, center) in frames() {
             let before = flange * center;
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn with_the_centre_in_the_flange_z_turns_towards_the_arm_or_away_from_it() {
+    fn keep_position_with_centre_in_flange() {
         let flange = frame(0.4, 0.0, 0.2, 0.0, std::f64::consts::FRAC_PI_2, 0.5);
         let projected = keep_position(&flange, &Frame::identity()).unwrap();
         let z = projected.rotation * Vector::z();
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_gives_none() {
+    fn projection_of_nan_gives_none() {
         let nan = frame(f64::NAN, 0.0, 0.0, 0.0, 1.0, 0.0);
         assert_eq!(palletize(&nan, &Frame::identity()), None);
         assert_eq!(keep_position(&nan, &Frame::identity()), None);

@@ -59,7 +59,7 @@ fn socket_stops_and_releases() {
 }
 
 #[test]
-fn port_wants_the_token_on_loopback_too() {
+fn stop_port_requires_token_on_loopback() {
     let (channel, switch) = channel();
     for (request, status) in [
         ("POST /stop".to_owned(), "401"),
@@ -84,7 +84,7 @@ fn port_wants_the_token_on_loopback_too() {
 }
 
 #[test]
-fn foreign_page_with_the_key_is_refused() {
+fn foreign_page_with_key_is_rejected() {
     let (channel, switch) = channel();
     let send = |origin: &str| {
         let mut stream = TcpStream::connect(channel.tcp_address().unwrap()).unwrap();
@@ -104,7 +104,7 @@ fn foreign_page_with_the_key_is_refused() {
 }
 
 #[test]
-fn silent_connections_keep_no_stop_away() {
+fn silent_connections_do_not_block_stop() {
     let (channel, switch) = channel();
     let silent: Vec<_> = (0..60)
         .map(|_| {
@@ -123,7 +123,7 @@ fn silent_connections_keep_no_stop_away() {
 }
 
 #[test]
-fn request_in_pieces_is_taken() {
+fn split_stop_request_is_accepted() {
     let (channel, switch) = channel();
     let mut stream = UnixStream::connect(channel.socket().unwrap()).unwrap();
     for byte in b"POST /stop HTTP/1.1\r\n\r\n" {
@@ -136,9 +136,9 @@ fn request_in_pieces_is_taken() {
 }
 
 #[test]
-fn thread_that_hangs_is_reported() {
+fn hanging_net_thread_is_reported() {
     let (channel, switch) = channel();
-    switch.enlist(0, Nanos::from_millis(1));
+    switch.register(0, Nanos::from_millis(1));
     let answer = local(&channel, "POST /stop HTTP/1.1\r\n\r\n");
     assert!(answer.contains("\"complete\":false"), "{answer}");
     assert!(answer.contains("\"answered\":false"), "{answer}");
@@ -146,7 +146,7 @@ fn thread_that_hangs_is_reported() {
 }
 
 #[test]
-fn second_controller_at_one_socket_is_refused() {
+fn second_controller_at_one_socket_is_rejected() {
     let (channel, _) = channel();
     let config = StopChannelConfig {
         socket: channel.socket().map(Path::to_owned),

@@ -206,7 +206,7 @@ fn net_period_can_be_given() {
     load("3000");
     holds(
         &get(&controller, "/nets/rpinet3/"),
-        &["REJECTED", "no whole multiple"],
+        &["REJECTED", "not a whole multiple"],
     );
     for frequency in ["x", "-1", "nan", "inf1"] {
         holds(&load(frequency), &["400 Bad Request", "frequency"]);
@@ -576,9 +576,9 @@ fn net_without_taps_has_empty_record() {
 
 #[test]
 fn nets_with_recorded_taps_are_bounded() {
-    use takt_core::controller::LOOKS_MAX;
+    use takt_core::controller::RECORDED_NETS_MAX;
     let controller = controller();
-    for _ in 0..LOOKS_MAX {
+    for _ in 0..RECORDED_NETS_MAX {
         let net = loaded(&controller, TAPPED);
         holds(
             &get(&controller, &format!("/nets/{net}/debug")),

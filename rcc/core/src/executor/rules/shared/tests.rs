@@ -7,7 +7,7 @@ use takt_net::Moment;
 
 use super::*;
 use crate::device::DeviceStatus;
-use crate::executor::rules::{Orders, Question, Rule, RuleRefusal, RuleState, Step};
+use crate::executor::rules::{NetActions, Question, Rule, RuleRefusal, RuleState, Step};
 use crate::executor::tests::net;
 use crate::executor::{DeviceView, Effect, End, Executor, Running};
 
@@ -31,11 +31,11 @@ impl Thread {
     /// Runs a cycle; returns what happened to nets and rules in it, and which nets run after it.
     fn run(&mut self) -> (Vec<String>, Vec<u32>) {
         self.cycle += 1;
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         let mut effects = |executor: &mut Executor| {
             executor.effects(|id, effect| {
                 if effect != Effect::Stopped {
-                    told.push(format!("{id} {effect:?}"));
+                    reported.push(format!("{id} {effect:?}"));
                 }
             });
         };
@@ -50,15 +50,15 @@ impl Thread {
         self.executor.fire_rules();
         effects(&mut self.executor);
         while self.executor.take_ended(|net, end| {
-            told.push(format!("{} {end:?}", net.id));
+            reported.push(format!("{} {end:?}", net.id));
             Ok(())
         }) {}
         self.executor.take_rules(|rule| {
-            told.push(format!("rule {:?}", rule.state));
+            reported.push(format!("rule {:?}", rule.state));
             Ok(())
         });
         let running = self.executor.running().iter().map(|net| net.id);
-        (told, running.collect())
+        (reported, running.collect())
     }
 }
 
@@ -92,10 +92,10 @@ fn parts_that_start(both: bool, starts: &[u32]) -> [Box<Rule>; 2] {
             0 => (vec![], starts.to_vec()),
             _ => (vec![11], vec![12]),
         };
-        let orders = Orders {
+        let orders = NetActions {
             stop,
             start,
-            ..Orders::default()
+            ..NetActions::default()
         };
         let mut rule = Rule::new(5, literals.clone(), steps.clone(), orders);
         rule.part = Some(Part::new(Arc::clone(&shared), number));
@@ -123,7 +123,7 @@ fn texts(texts: &[&str]) -> Vec<String> {
 }
 
 #[test]
-fn it_fires_in_each_thread_at_the_next_boundary_of_its_cycles() {
+fn shared_rule_fires_at_next_cycle_boundary() {
     let mut threads = threads();
     add(&mut threads, false);
     let [first, second] = &mut threads;
@@ -140,7 +140,7 @@ fn it_fires_in_each_thread_at_the_next_boundary_of_its_cycles() {
 }
 
 #[test]
-fn literals_of_all_threads_count() {
+fn shared_rule_uses_literals_of_all_threads() {
     let mut threads = threads();
     threads[1].start(net(10, ENDLESS));
     add(&mut threads, true);
@@ -156,7 +156,7 @@ fn literals_of_all_threads_count() {
 }
 
 #[test]
-fn nothing_is_decided_before_all_threads_have_it() {
+fn shared_rule_waits_for_all_threads() {
     let mut threads = threads();
     let [mine, other] = parts(false);
     let [first, second] = &mut threads;
@@ -170,7 +170,7 @@ fn nothing_is_decided_before_all_threads_have_it() {
 }
 
 #[test]
-fn what_one_thread_cannot_start_is_started_in_none() {
+fn shared_rule_starts_all_or_none() {
     let mut threads = threads();
     // A device that is not ready.
     threads[1].executor.rules.scheduled[0].devices.push((0, 0));
@@ -184,7 +184,7 @@ fn what_one_thread_cannot_start_is_started_in_none() {
 }
 
 #[test]
-fn a_condition_that_can_never_hold_ends_it_everywhere() {
+fn shared_rule_ends_if_condition_impossible() {
     let mut threads = threads();
     add(&mut threads, false);
     let [first, second] = &mut threads;
@@ -196,7 +196,7 @@ fn a_condition_that_can_never_hold_ends_it_everywhere() {
 }
 
 #[test]
-fn a_net_taken_away_in_one_thread_ends_it_everywhere() {
+fn shared_rule_ends_if_net_withdrawn() {
     let mut threads = threads();
     add(&mut threads, false);
     let [first, second] = &mut threads;
@@ -211,7 +211,7 @@ fn a_net_taken_away_in_one_thread_ends_it_everywhere() {
 }
 
 #[test]
-fn a_part_that_is_refused_ends_the_others() {
+fn shared_rule_ends_if_part_rejected() {
     let mut threads = threads();
     let [mine, other] = parts(false);
     let [first, second] = &mut threads;
@@ -227,25 +227,25 @@ fn a_part_that_is_refused_ends_the_others() {
 }
 
 #[test]
-fn the_predecessor_learns_of_a_successor_in_another_thread() {
+fn takeover_is_announced_across_threads() {
     let mut threads = threads();
     let [mine, other] = parts_that_start(false, &[]);
     let [first, second] = &mut threads;
     first.start(net(0, ENDLESS));
     first.executor.add_rule(mine).unwrap();
     second.executor.add_rule(other).unwrap();
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     first
         .executor
-        .announce_takeovers(|id, waits| told.push((id, waits)));
+        .announce_takeovers(|id, waits| reported.push((id, waits)));
     second
         .executor
-        .announce_takeovers(|id, waits| told.push((id, waits)));
-    assert_eq!(told, [(0, true), (11, true)]);
+        .announce_takeovers(|id, waits| reported.push((id, waits)));
+    assert_eq!(reported, [(0, true), (11, true)]);
 }
 
 #[test]
-fn literals_of_two_cycles_are_never_mixed() {
+fn shared_rule_never_mixes_two_cycles() {
     let owned = [(terminated(0), Some(1)), (terminated(1), Some(1))];
     let shared = Arc::new(Shared::new(&owned, 2, 0, false));
     let [decider, other] = [0, 1].map(|number| Part::new(Arc::clone(&shared), number));
@@ -274,17 +274,17 @@ fn literals_of_two_cycles_are_never_mixed() {
     }
     stop.store(true, Ordering::Relaxed);
     writer.join().unwrap();
-    assert!(changes > 0, "nothing was heard");
+    assert!(changes > 0, "nothing was received");
 }
 
 #[test]
-fn the_first_decision_stands() {
+fn shared_rule_first_decision_wins() {
     let shared = Shared::new(&[], 2, 0, false);
     assert_eq!(shared.decision(), Decision::Open);
     assert_eq!(shared.decide(Decision::Fire), Decision::Fire);
     assert_eq!(shared.decide(Decision::Never), Decision::Fire);
     let rule = |part: usize| {
-        let mut rule = Rule::new(0, vec![], vec![], Orders::default());
+        let mut rule = Rule::new(0, vec![], vec![], NetActions::default());
         rule.part = Some(Part::new(Arc::new(Shared::new(&[], 2, 0, false)), part));
         rule
     };
@@ -292,7 +292,7 @@ fn the_first_decision_stands() {
 }
 
 #[test]
-fn fault_in_one_thread_fails_rule_in_all() {
+fn shared_rule_fault_fails_all_parts() {
     let mut threads = threads();
     let mut view = DeviceView {
         status: DeviceStatus::Operational,
@@ -305,9 +305,9 @@ fn fault_in_one_thread_fails_rule_in_all() {
     second.executor.set_device(0, view);
     second.executor.schedule(arm).unwrap();
     let [one, other] = parts_that_start(false, &[1]);
-    let orders = Orders {
+    let orders = NetActions {
         start: vec![13],
-        ..Orders::default()
+        ..NetActions::default()
     };
     let mut slow = Rule::new(5, vec![terminated(0)], vec![Step::Literal(0)], orders);
     slow.part = other.part;
@@ -320,8 +320,11 @@ fn fault_in_one_thread_fails_rule_in_all() {
     second.executor.set_device(0, view);
     assert_eq!(second.run(), (texts(&["rule FireFailed"]), vec![11]));
     first.start(net(0, BRIEF));
-    let (told, runs) = first.run();
-    assert!(told.contains(&"rule FireFailed".to_owned()), "{told:?}");
+    let (reported, runs) = first.run();
+    assert!(
+        reported.contains(&"rule FireFailed".to_owned()),
+        "{reported:?}"
+    );
     assert!(runs.is_empty(), "{runs:?}");
     second.run();
     assert_eq!(second.run().1, [11]);

@@ -1,5 +1,5 @@
-//! Links between nets, and looks at their debug taps: made when a net is loaded or somebody looks, and
-//! told here what they bring. No net is evaluated here.
+//! Links between nets, and recording of debug taps. Links are created when a net is loaded, recordings when a
+//! client polls the taps. No net is evaluated here.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use takt_net::taps::{Tap, record_time};
 use takt_net::{Nanos, Plan, Rejection};
 use takt_rt::latest::LatestReader;
 
-use crate::controller::desk::Desk;
+use crate::controller::registry::Registry;
 use crate::controller::{Controller, Inner};
 use crate::device::DeviceTable;
 use crate::error::Error;
@@ -21,21 +21,21 @@ use crate::executor::links::{
 };
 use crate::ids::NetId;
 
-/// For how long a net's taps are recorded after somebody looked.
-pub const LOOK_LASTS: Duration = Duration::from_secs(10);
-/// Nets whose taps are recorded at once.
-pub const LOOKS_MAX: usize = 16;
-/// Records that wait for the supervisor, which comes every few milliseconds.
+/// How long a net's taps are recorded after the last poll.
+pub const TAPS_RECORDED_FOR: Duration = Duration::from_secs(10);
+/// Maximum number of nets whose taps are recorded.
+pub const RECORDED_NETS_MAX: usize = 16;
+/// Records that wait for the supervisor, which polls every few milliseconds.
 const WAITING: usize = 512;
-/// Bytes of the records that wait.
+/// Bytes of the waiting records.
 const WAITING_BYTES: usize = 4 << 20;
-/// Bytes of the records of one net that are remembered; the oldest make room.
+/// Bytes of the records kept of one net; the oldest are dropped.
 const REMEMBERED_BYTES: usize = 64 << 20;
 
 /// What one cycle of a net recorded.
 #[derive(Clone, Debug)]
 pub struct TapRecord {
-    /// Its number, from 0 when somebody first looked; where one is missing, it was lost.
+    /// Its number, from 0 at the first poll; gaps are lost records.
     pub number: u64,
     words: Arc<[u64]>,
 }
@@ -54,29 +54,29 @@ impl TapRecord {
     }
 }
 
-/// The debug taps of a net and what they recorded since somebody looked.
+/// The debug taps of a net and their records.
 #[derive(Clone, Debug)]
 pub struct Taps {
     /// The tapped ports.
     pub taps: Arc<[Tap]>,
-    /// What was recorded, oldest first.
+    /// The records, oldest first.
     pub records: Vec<TapRecord>,
 }
 
-/// A look at the taps of one net.
+/// The recording of one net's taps.
 #[derive(Debug)]
-pub(super) struct Look {
+pub(super) struct TapRecording {
     reader: TapReader,
     until: Instant,
-    /// For how long the longest tap remembers.
+    /// The longest time span of a tap.
     span: Duration,
     records_max: usize,
     next: u64,
     records: VecDeque<TapRecord>,
 }
 
-impl Look {
-    /// Takes what was recorded; returns whether somebody still looks.
+impl TapRecording {
+    /// Takes new records; returns whether the recording is still requested.
     pub(super) fn drain(&mut self, now: Instant) {
         let Self {
             reader,
@@ -107,13 +107,13 @@ impl Look {
     }
 }
 
-/// What the controller keeps of a net's links.
+/// The controller's side of a net's links.
 #[derive(Debug)]
 pub(super) struct NetLinks {
     pub(super) end: LinksEnd,
     taps: Arc<[Tap]>,
     record_words: usize,
-    pub(super) look: Option<Look>,
+    pub(super) tap_recording: Option<TapRecording>,
 }
 
 /// Devices and nets, as a net that is loaded may refer to them.
@@ -141,7 +141,7 @@ impl Devices for Surroundings<'_> {
     }
 }
 
-/// What a net that others read or write gives out and takes in.
+/// Out and in values of a net that other nets read or write.
 type Grouped = BTreeMap<String, Vec<Inter>>;
 
 fn grouped(values: &[Inter]) -> Grouped {
@@ -158,7 +158,7 @@ fn rejected(kind: FaultKind) -> Rejection {
     Rejection { faults }
 }
 
-fn gone(net: &str) -> Rejection {
+fn unloaded_net(net: &str) -> Rejection {
     let why = format!("net `{net}` was unloaded meanwhile");
     let parameter = "RemoteNet".to_owned();
     rejected(FaultKind::Parameter { parameter, why })
@@ -169,8 +169,8 @@ fn too_many(item: &'static str, bound: usize) -> Rejection {
     rejected(FaultKind::Bound { item, found, bound })
 }
 
-impl Desk {
-    /// Links a net that was loaded to those that it reads and writes.
+impl Registry {
+    /// Connects a loaded net to the nets that it reads and writes.
     pub(super) fn link(
         &mut self,
         plan: &Plan,
@@ -199,7 +199,7 @@ impl Desk {
             end,
             taps: Arc::clone(plan.taps()),
             record_words: plan.record_words(),
-            look: None,
+            tap_recording: None,
         };
         Ok((links, links_end))
     }
@@ -208,7 +208,7 @@ impl Desk {
         let id: Option<NetId> = name.parse().ok();
         let net = id.and_then(|id| self.nets.get_mut(&id));
         net.and_then(|net| net.links_mut())
-            .ok_or_else(|| gone(name))
+            .ok_or_else(|| unloaded_net(name))
     }
 
     #[expect(clippy::type_complexity, reason = "both go straight into a wire")]
@@ -225,11 +225,11 @@ impl Desk {
         let alive = Arc::clone(self.linked(name)?.end.alive());
         let id: Option<NetId> = name.parse().ok();
         let net = id.and_then(|id| self.nets.get(&id));
-        let given = net.ok_or_else(|| gone(name))?.another_out_reader();
+        let given = net.ok_or_else(|| unloaded_net(name))?.another_out_reader();
         Ok((given, alive))
     }
 
-    /// Gives a net that is evaluated once what other nets gave out last.
+    /// Copies the last out values of other nets to a net that is evaluated once.
     pub(super) fn give_inter(&mut self, plan: &Plan) {
         for inter in plan.inter_ins() {
             let id: Option<NetId> = inter.net.parse().ok();
@@ -240,28 +240,34 @@ impl Desk {
         }
     }
 
-    /// Takes what the nets recorded that somebody looks at.
+    /// Takes the records of all nets whose taps are recorded.
     pub(super) fn drain_taps(&mut self) {
-        if self.looks == 0 {
+        if self.recorded_nets == 0 {
             return;
         }
         let now = Instant::now();
-        let looks = self.nets.values_mut().filter_map(|net| net.look_mut());
-        self.looks = looks.map(|look| look.drain(now)).count();
+        let recorded_nets = self
+            .nets
+            .values_mut()
+            .filter_map(|net| net.tap_recording_mut());
+        self.recorded_nets = recorded_nets.map(|recording| recording.drain(now)).count();
     }
 }
 
 impl Controller {
-    /// The debug taps of a net with what they recorded from number `from` on, which is recorded from the
-    /// first look until [`LOOK_LASTS`] after the last. `None` if there is no such net or it is not ready.
+    /// The debug taps of a net with their records from number `from` on. The recording lasts from the
+    /// first poll until [`TAPS_RECORDED_FOR`] after the last. `None` if there is no such net or it is not ready.
     ///
     /// # Errors
-    /// If the taps of [`LOOKS_MAX`] other nets are recorded already.
+    /// If the taps of [`RECORDED_NETS_MAX`] other nets are recorded already.
     pub fn taps(&self, id: NetId, from: u64) -> Result<Option<Taps>, Error> {
-        let mut desk = self.inner.lock();
-        let looks = desk.nets.values_mut().filter_map(|net| net.look_mut());
-        let looks = looks.filter(|look| look.is_on()).count();
-        let Some(links) = desk.nets.get_mut(&id).and_then(|net| net.links_mut()) else {
+        let mut registry = self.inner.lock();
+        let recorded_nets = registry
+            .nets
+            .values_mut()
+            .filter_map(|net| net.tap_recording_mut());
+        let recorded_nets = recorded_nets.filter(|recording| recording.is_on()).count();
+        let Some(links) = registry.nets.get_mut(&id).and_then(|net| net.links_mut()) else {
             return Ok(None);
         };
         let taps = Arc::clone(&links.taps);
@@ -269,33 +275,41 @@ impl Controller {
             let records = Vec::new();
             return Ok(Some(Taps { taps, records }));
         }
-        if looks >= LOOKS_MAX && !links.look.as_ref().is_some_and(Look::is_on) {
-            let (what, bound) = ("nets whose debug taps are recorded", LOOKS_MAX);
+        if recorded_nets >= RECORDED_NETS_MAX
+            && !links
+                .tap_recording
+                .as_ref()
+                .is_some_and(TapRecording::is_on)
+        {
+            let (what, bound) = ("nets whose debug taps are recorded", RECORDED_NETS_MAX);
             return Err(Error::TooMany { what, bound });
         }
         let now = Instant::now();
-        let look = links.begin_look(now);
-        look.until = now + LOOK_LASTS;
-        look.drain(now);
-        let seen = look.records.iter().filter(|record| record.number >= from);
+        let recording = links.begin_recording(now);
+        recording.until = now + TAPS_RECORDED_FOR;
+        recording.drain(now);
+        let seen = recording
+            .records
+            .iter()
+            .filter(|record| record.number >= from);
         let records = seen.cloned().collect();
-        desk.looks = looks + 1;
+        registry.recorded_nets = recorded_nets + 1;
         Ok(Some(Taps { taps, records }))
     }
 }
 
 impl NetLinks {
-    /// The look at the net's taps, a new one if there is none.
-    fn begin_look(&mut self, now: Instant) -> &mut Look {
+    /// The recording of the net's taps, created if there is none.
+    fn begin_recording(&mut self, now: Instant) -> &mut TapRecording {
         let (end, words) = (&mut self.end, self.record_words.max(1));
         let seconds = self.taps.iter().map(|tap| tap.seconds);
-        self.look.get_or_insert_with(|| {
+        self.tap_recording.get_or_insert_with(|| {
             let waiting = WAITING
                 .min(WAITING_BYTES / (words * size_of::<u64>()))
                 .max(8);
             let (writer, reader) = taps(waiting, words);
-            end.look(writer);
-            Look {
+            end.record_taps(writer);
+            TapRecording {
                 reader,
                 until: now,
                 span: Duration::from_secs_f64(seconds.fold(0.0, f64::max)),

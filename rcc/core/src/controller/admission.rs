@@ -1,11 +1,11 @@
-//! What the nets of a thread can come to together, now and after whatever waiting rules do: a bound from above
-//! on their cost or their number. It knows no text, and what is refused for it is [`share`](super::share)'s.
+//! Admission control: an upper bound on the total cost or number of the nets of a thread, now and after any
+//! firing of waiting rules. The checks that use it are in [`quota`](super::quota).
 //!
-//! Nets form a forest: a net that only rules start which end net *p* hangs below *p*, as the two never run
-//! at once. So what a net and all below it can come to is the greater of the net's own weight and of what lies
-//! below it. Of what lies below, all may run at once but for alternatives. Two nets are alternatives if the
-//! conditions of their rules contradict each other in a value of a net that has ended by then, or if they and all
-//! below them need one resource. A net whose rules end several nets hangs below each with a share of its weight.
+//! Nets form a forest. A net that is started only by rules which end net *p* is a child of *p*: the two never run
+//! at once. The weight of a subtree is therefore the greater of the net's own weight and the total of its
+//! children. All children may run at once, except alternatives. Two nets are alternatives if the
+//! conditions of their rules contradict each other in a value of a net that has ended by then, or if their
+//! subtrees need the same resource. A net whose rules end several nets is a child of each, with a part of its weight.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -14,20 +14,20 @@ use crate::executor::ResourceSet;
 use crate::executor::rules::{Question, Rule};
 use crate::ids::NetId;
 
-/// Comparisons that are made to find alternatives; beyond that, nets count as if they could run at once.
+/// Maximum number of comparisons to find alternatives; beyond it, nets count as if they could run at once.
 const COMPARISONS_MAX: usize = 50_000;
 
-/// A net that runs, or that can come to run.
+/// A net that runs or may start to run.
 #[derive(Clone, Debug)]
 pub(super) struct Candidate {
-    /// What it costs, or 1 to count nets.
+    /// Its cost, or 1 to count nets.
     pub(super) weight: u64,
     /// Whether it runs now.
     pub(super) runs: bool,
     pub(super) resources: ResourceSet,
 }
 
-/// What a condition demands of a literal before it can become true.
+/// A literal that a condition requires in order to become true.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Need {
     literal: (u32, Question),
@@ -36,26 +36,26 @@ struct Need {
     settled: bool,
 }
 
-/// A waiting rule as a succession of nets.
+/// A waiting rule as a succession: nets that end and nets that follow them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Succession {
     start: Vec<NetId>,
-    /// Nets that surely have run and are over when those of `start` begin.
+    /// Nets that have certainly run and ended when those of `start` begin.
     ends: Vec<NetId>,
-    /// Nets that are over then if they run now; others may yet begin.
+    /// Nets that have ended by then if they run now; others may still begin.
     stops: Vec<NetId>,
     needs: Vec<Need>,
 }
 
 impl Succession {
-    /// What a rule does that stops and starts these nets, in one thread or in several. Only conditions and literals
-    /// of the rule are looked at.
+    /// The succession of a rule that stops and starts these nets, in one or several threads. Only conditions and literals
+    /// of the rule are used.
     pub(super) fn of(rule: &Rule, stop: &[NetId], start: &[NetId], in_one_thread: bool) -> Self {
         let needed = rule.needs();
         let terminated = |literal: &(u32, Question)| literal.1 == Question::Terminated;
         let ended = needed.iter().filter(|(l, value)| *value && terminated(l));
         let ended: BTreeSet<_> = ended.map(|(literal, _)| NetId(literal.0)).collect();
-        // A condition that needs a value of a net is not true before that runs.
+        // A condition that needs a value of a net cannot become true before that net runs.
         let asked: BTreeSet<_> = needed.iter().map(|(literal, _)| NetId(literal.0)).collect();
         let stopped: Vec<_> = stop
             .iter()
@@ -77,7 +77,7 @@ impl Succession {
         }
     }
 
-    /// Whether a net is ended or started by it.
+    /// Whether it ends or starts this net.
     pub(super) fn names(&self, id: NetId) -> bool {
         [&self.start, &self.ends, &self.stops]
             .iter()
@@ -88,7 +88,7 @@ impl Succession {
         self.ends.contains(&id) || (net.runs && self.stops.contains(&id))
     }
 
-    /// Whether it can never fire once the other has, nor the other once it has.
+    /// Whether at most one of the two rules can fire.
     fn excludes(&self, other: &Self) -> bool {
         let contradicts = |a: &Need, b: &Need| a.literal == b.literal && a.value != b.value;
         let bars = |first: &Self, second: &Self| {
@@ -99,8 +99,8 @@ impl Succession {
     }
 }
 
-/// What the nets come to together at most. Those of `nets` that neither run nor are started by a rule weigh
-/// nothing. If all of them together are within `bound`, it is not asked which of them ever run at once.
+/// Upper bound on the total weight of the nets. Nets that neither run nor are started by a rule weigh
+/// nothing. If the plain sum is within `bound`, alternatives are not searched.
 pub(super) fn most_together(
     nets: &BTreeMap<NetId, Candidate>,
     mut rules: Vec<&Succession>,
@@ -112,26 +112,26 @@ pub(super) fn most_together(
     if all <= bound { all } else { forest.most() }
 }
 
-/// Nets that the same rules start; a net of its own if there are none.
+/// Nets that the same rules start; a single net if no rule starts it.
 #[derive(Debug)]
 struct Bundle {
     members: Vec<NetId>,
     rules: Vec<usize>,
 }
 
-/// A bundle as it hangs below a net, with the share of its weight that counts there.
+/// A bundle as child of a net, with the part of its weight that counts there.
 #[derive(Clone, Copy, Debug)]
 struct Branch {
     bundle: usize,
     share: (u64, u64),
 }
 
-/// A net and all below it.
+/// A net with its subtree.
 #[derive(Debug, Default)]
 struct Lineage {
-    /// What they come to.
+    /// Their total weight.
     most: u64,
-    /// What each of them needs.
+    /// Resources that each of them needs.
     always: ResourceSet,
 }
 
@@ -140,13 +140,13 @@ struct Forest<'a> {
     nets: &'a BTreeMap<NetId, Candidate>,
     rules: &'a [&'a Succession],
     bundles: Vec<Bundle>,
-    /// The nets that rules start.
+    /// Nets that rules start.
     started: BTreeSet<NetId>,
     below: BTreeMap<NetId, Vec<Branch>>,
-    /// What hangs below no net.
+    /// Roots: bundles without a parent.
     roots: Vec<Branch>,
     done: BTreeMap<NetId, Lineage>,
-    /// Comparisons that may still be made.
+    /// Remaining comparisons.
     left: Cell<usize>,
 }
 
@@ -188,7 +188,7 @@ impl<'a> Forest<'a> {
         });
     }
 
-    /// Hangs a bundle below the nets that are over when any of its rules has fired.
+    /// Makes a bundle a child of the nets that have ended when any of its rules fires.
     fn hang(&mut self, bundle: Bundle) {
         let mut rules = bundle.rules.iter().map(|rule| self.rules[*rule]);
         let first = rules.next();
@@ -203,7 +203,7 @@ impl<'a> Forest<'a> {
                 .all(|rule| rule.ends(id, net));
             by_all && !bundle.members.contains(&id)
         };
-        // The heavier a net, the more room it leaves.
+        // The heavier a net, the more capacity its end frees.
         let parents = named.into_iter().filter_map(|id| {
             let net = self.nets.get(&id)?;
             is_ended(id, net).then_some((id, net.weight + 1))
@@ -231,7 +231,7 @@ impl<'a> Forest<'a> {
                 self.climb(self.members(self.roots[at])[number]);
             }
         }
-        // What is left are circles of nets that wait for each other: any may be started by hand.
+        // The rest are cycles of nets that wait for each other: any of them may be started directly.
         let nets = self.nets;
         for id in nets.keys() {
             if !self.done.contains_key(id) {
@@ -250,7 +250,7 @@ impl<'a> Forest<'a> {
         self.below.get(&id).map_or(&[], Vec::as_slice)
     }
 
-    /// Makes the lineages of a net and of all below it, the lowest first.
+    /// Computes the lineages of a subtree, children first.
     fn climb(&mut self, id: NetId) {
         let mut entered = BTreeSet::new();
         let mut path = vec![(id, false)];
@@ -266,7 +266,7 @@ impl<'a> Forest<'a> {
         }
     }
 
-    /// What a net comes to by itself.
+    /// The lineage of a net without children.
     fn own(&self, id: NetId) -> u64 {
         let net = self.nets.get(&id);
         let net = net.filter(|net| net.runs || self.started.contains(&id));
@@ -291,7 +291,7 @@ impl<'a> Forest<'a> {
         }
     }
 
-    /// What each net of a lineage needs; nothing is known of one that is not done.
+    /// Resources that each net of a lineage needs; empty for a lineage that is not computed yet.
     fn always(&self, id: NetId) -> ResourceSet {
         self.done
             .get(&id)
@@ -299,7 +299,7 @@ impl<'a> Forest<'a> {
             .unwrap_or_default()
     }
 
-    /// What branches come to together, of alternatives the heaviest.
+    /// Total weight of branches; of alternatives only the heaviest counts.
     fn sum(&self, branches: &[Branch]) -> u64 {
         let mut weighed: Vec<_> = branches.iter().map(|b| (self.weight(*b), *b)).collect();
         weighed.sort_by_key(|(weight, _)| std::cmp::Reverse(*weight));

@@ -1,12 +1,12 @@
-//! What drivers tell, on its way to the log: taken under the desk's lock, to be written behind it, and at most so
-//! much as people can read. What it means is the drivers' business.
+//! Notices of drivers for the log: taken under the registry's lock, written after its release, and limited in
+//! rate per driver. Drivers define their meaning.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use crate::device::driver::{Notice, Severity};
 
-/// Lines that a driver may tell in each [`SPAN`]; of the rest only the number is told.
+/// Maximum number of lines per driver and [`SPAN`]; further lines are only counted.
 const LINES: u32 = 50;
 const SPAN: Duration = Duration::from_secs(1);
 
@@ -20,45 +20,45 @@ pub(super) fn report(driver: &str, notice: &Notice) {
     }
 }
 
-/// How much a driver has told.
+/// Lines of a driver in the present span.
 #[derive(Debug)]
-struct Told {
+struct Reported {
     since: Instant,
     lines: u32,
 }
 
-/// How much drivers have told of late, by their names.
+/// Rate limits of drivers' log lines, by driver name.
 #[derive(Debug, Default)]
-pub(super) struct News(BTreeMap<String, Told>);
+pub(super) struct DriverLog(BTreeMap<String, Reported>);
 
-impl News {
-    /// Takes what a driver has to tell; returns the lines for the log.
+impl DriverLog {
+    /// Takes the notices of a driver; returns the lines for the log.
     pub(super) fn take(
         &mut self,
         driver: &str,
-        news: impl Iterator<Item = Notice>,
+        notices: impl Iterator<Item = Notice>,
         now: Instant,
     ) -> Vec<Notice> {
         let mut lines = Vec::new();
-        if let Some(told) = self.0.get(driver)
-            && now.saturating_duration_since(told.since) >= SPAN
+        if let Some(reported) = self.0.get(driver)
+            && now.saturating_duration_since(reported.since) >= SPAN
         {
-            if told.lines > LINES {
-                let left_out = told.lines - LINES;
+            if reported.lines > LINES {
+                let left_out = reported.lines - LINES;
                 lines.push(Notice::warning(format!(
-                    "{left_out} more lines were left out"
+                    "{left_out} more lines were omitted"
                 )));
             }
             self.0.remove(driver);
         }
-        for line in news {
-            let told = self.0.entry(driver.to_owned());
-            let told = told.or_insert(Told {
+        for line in notices {
+            let reported = self.0.entry(driver.to_owned());
+            let reported = reported.or_insert(Reported {
                 since: now,
                 lines: 0,
             });
-            told.lines = told.lines.saturating_add(1);
-            if told.lines <= LINES {
+            reported.lines = reported.lines.saturating_add(1);
+            if reported.lines <= LINES {
                 lines.push(line);
             }
         }
@@ -71,18 +71,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_much_news_the_first_lines_and_the_number_of_the_others_are_told() {
-        let mut news = News::default();
+    fn driver_log_keeps_first_lines_and_counts_rest() {
+        let mut log = DriverLog::default();
         let begin = Instant::now();
         let mut take = |count: u32, after: Duration| {
             let lines = (0..count).map(|n| Notice::info(n.to_string()));
-            let taken = news.take("bus", lines, begin + after).into_iter();
+            let taken = log.take("bus", lines, begin + after).into_iter();
             taken.map(|notice| notice.text).collect::<Vec<_>>()
         };
         assert_eq!(take(2, Duration::ZERO), ["0", "1"]);
         assert_eq!(take(60, SPAN / 2).len(), 48);
         assert!(take(9, SPAN * 9 / 10).is_empty());
-        assert_eq!(take(1, SPAN), ["21 more lines were left out", "0"]);
+        assert_eq!(take(1, SPAN), ["21 more lines were omitted", "0"]);
         assert_eq!(take(0, SPAN * 3), [""; 0]);
     }
 }

@@ -1,5 +1,5 @@
-//! What the controller knows: nets, sessions, devices, and the way to the net threads. Guarded by
-//! one lock that no real-time thread ever takes.
+//! The controller's registry: nets, sessions, rules, devices, and the handles of net threads. Guarded by
+//! one lock that real-time threads never take.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
@@ -12,13 +12,13 @@ use takt_rt::stats::StallReader;
 
 use crate::cell::OnLoss;
 use crate::controller::clock::FollowedClock;
-use crate::controller::departed::Departed;
+use crate::controller::driver_log::DriverLog;
 use crate::controller::faults::Faults;
 use crate::controller::limited::Reported;
 use crate::controller::net::Net;
-use crate::controller::news::News;
+use crate::controller::quota::Quota;
+use crate::controller::retained::RetainedNet;
 use crate::controller::rules::{RuleEntry, RuleId};
-use crate::controller::share::Room;
 use crate::controller::threads::busy;
 use crate::controller::{DeviceInfo, NetId, SessionId};
 use crate::device::driver::DeviceDriver;
@@ -31,9 +31,9 @@ use crate::executor::thread::{Command, NetThread};
 use crate::record::Recorder;
 use crate::stop_channel::Generation;
 
-/// Things that a driver may tell before others are looked at.
+/// Notices of one driver that are taken before the next driver is polled.
 const NEWS_AT_ONCE: usize = 32;
-/// How often requests that the stop channel refused are reported.
+/// Minimum interval between reports of requests that the stop channel rejected.
 const REFUSED_EVERY: Duration = Duration::from_secs(10);
 
 /// An open session.
@@ -46,64 +46,64 @@ pub(super) struct Session {
 type Wake = Box<dyn Fn() + Send + Sync>;
 
 /// Everything behind the lock.
-pub(super) struct Desk {
-    /// The device's clock that net threads follow.
+pub(super) struct Registry {
+    /// The device clock that net threads follow.
     pub(super) clock: Option<FollowedClock>,
     pub(super) stop: Arc<EmergencyStop>,
-    /// What all nets take together at most.
-    pub(super) room: Room,
-    /// Whether that was on when devices were last looked at.
+    /// Memory limits of all nets together.
+    pub(super) room: Quota,
+    /// Whether it was active at the last poll of devices.
     is_stopped: bool,
-    /// What was reported of the stop channel: its generation, refused requests, and when.
+    /// Last report on the stop channel: its generation, rejected requests, and when.
     stop_told: (Generation, u64, Option<Instant>),
     pub(super) nets: BTreeMap<NetId, Net>,
-    pub(super) departed: BTreeMap<NetId, Departed>,
+    pub(super) retained: BTreeMap<NetId, RetainedNet>,
     pub(super) sessions: BTreeMap<SessionId, Session>,
     pub(super) rules: BTreeMap<RuleId, RuleEntry>,
     last_rule: Option<u32>,
     pub(super) devices: DeviceTable,
     pub(super) drivers: Vec<Box<dyn DeviceDriver>>,
-    news: News,
+    news: DriverLog,
     pub(super) faults: Faults,
-    /// Other threads of this process that measure when they stood still, by name.
+    /// Other threads of this process that measure their stalls, by name.
     pub(super) watched_stalls: Vec<(String, StallReader)>,
     pub(super) recorder: Option<Recorder>,
     pub(super) watches: BTreeMap<u64, Wake>,
     pub(super) last_watch: u64,
-    /// How many nets were looked at when this was last counted.
-    pub(super) looks: usize,
+    /// Number of nets whose taps are recorded, as last counted.
+    pub(super) recorded_nets: usize,
     pub(super) last_session: u32,
     last_net: Option<u32>,
     resources: HashMap<String, usize>,
     statuses: BTreeMap<String, DeviceStatus>,
-    /// What was reported of devices' last stages.
+    /// Reported onsets of limiting by devices' last stages.
     pub(super) reported: Reported,
-    /// How many jumps of devices' positions were.
+    /// Number of reported position jumps, by device.
     pub(super) reported_jumps: BTreeMap<String, u64>,
     pub(super) threads: Vec<NetThread>,
-    /// Threads of devices, by their name; the first for those that are not here.
+    /// Net threads of devices, by device name; the first thread for devices that are not listed.
     pub(super) serving: BTreeMap<String, usize>,
-    /// Whether events were taken of which nobody was told yet.
+    /// Whether events were applied and watchers not yet notified.
     pub(super) unannounced: bool,
-    /// Whether nothing is to begin any more.
+    /// Whether the controller is shutting down: nothing starts any more.
     pub(super) closing: bool,
 }
 
-impl fmt::Debug for Desk {
+impl fmt::Debug for Registry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Desk")
+        f.debug_struct("Registry")
             .field("nets", &self.nets.len())
             .finish_non_exhaustive()
     }
 }
 
-impl Desk {
+impl Registry {
     pub(super) fn new(
         threads: Vec<NetThread>,
         clock: Option<FollowedClock>,
         stop: Arc<EmergencyStop>,
         recorder: Option<Recorder>,
-        room: Room,
+        room: Quota,
     ) -> Self {
         Self {
             clock,
@@ -112,19 +112,19 @@ impl Desk {
             is_stopped: false,
             stop_told: (Generation::default(), 0, None),
             nets: BTreeMap::new(),
-            departed: BTreeMap::new(),
+            retained: BTreeMap::new(),
             sessions: BTreeMap::new(),
             rules: BTreeMap::new(),
             last_rule: None,
             devices: DeviceTable::default(),
             drivers: Vec::new(),
-            news: News::default(),
+            news: DriverLog::default(),
             faults: Faults::default(),
             watched_stalls: Vec::new(),
             recorder,
             watches: BTreeMap::new(),
             last_watch: 0,
-            looks: 0,
+            recorded_nets: 0,
             last_session: 0,
             last_net: None,
             resources: HashMap::new(),
@@ -155,7 +155,7 @@ impl Desk {
         self.nets.get_mut(&id).ok_or(Error::NoSuchNet(id))
     }
 
-    /// The number of a resource, a new one if it is seen for the first time.
+    /// The number of a resource, assigned at first use.
     pub(super) fn resource(&mut self, name: &str) -> Result<usize, Rejection> {
         if let Some(number) = self.resources.get(name) {
             return Ok(*number);
@@ -181,7 +181,7 @@ impl Desk {
         found.map_or_else(|| format!("resource {number}"), |(name, _)| name.clone())
     }
 
-    /// Sends a net off to run.
+    /// Sends a net to its thread to run.
     pub(super) fn begin(&mut self, id: NetId) -> Result<(), Error> {
         self.refuse_if_closing()?;
         self.refuse_if_stopped()?;
@@ -201,7 +201,7 @@ impl Desk {
         })
     }
 
-    /// Takes a net that does not run away from rules that wait to start it or wait for it.
+    /// Withdraws a net that does not run from rules that wait to start it or wait for it.
     pub(super) fn withdraw(&mut self, id: NetId) -> Result<(), Error> {
         if self.net(id)?.is_with_rules() {
             self.command(Command::Unschedule {
@@ -220,16 +220,16 @@ impl Desk {
         }
     }
 
-    /// What drivers have to tell, as lines for the log with the drivers' names.
-    pub(super) fn take_news(&mut self, now: Instant) -> Vec<(String, Notice)> {
+    /// Notices of drivers as log lines, with the drivers' names.
+    pub(super) fn take_notices(&mut self, now: Instant) -> Vec<(String, Notice)> {
         let mut lines = Vec::new();
         for driver in &self.drivers {
             let news = std::iter::from_fn(|| driver.news()).take(NEWS_AT_ONCE);
             let news = self.news.take(driver.name(), news, now).into_iter();
             lines.extend(news.map(|line| (driver.name().to_owned(), line)));
         }
-        let jumps = self.look_at_jumps();
-        for (device, line) in self.look_at_limits().into_iter().chain(jumps) {
+        let jumps = self.poll_jumps();
+        for (device, line) in self.poll_limits().into_iter().chain(jumps) {
             let line = std::iter::once(Notice::warning(line));
             let news = self.news.take(&device, line, now);
             lines.extend(news.into_iter().map(|line| (device.clone(), line)));
@@ -237,9 +237,9 @@ impl Desk {
         lines
     }
 
-    /// Notes changes of devices; returns whether there were any.
-    pub(super) fn look_at_devices(&mut self) -> bool {
-        let faulted = self.look_at_faults(takt_rt::monotonic());
+    /// Logs changes of devices; returns whether there were any.
+    pub(super) fn poll_devices(&mut self) -> bool {
+        let faulted = self.poll_faults(takt_rt::monotonic());
         let is_stopped = self.stop.is_on(takt_rt::monotonic());
         let statuses: BTreeMap<String, DeviceStatus> = self
             .devices
@@ -250,7 +250,7 @@ impl Desk {
         if is_stopped != self.is_stopped {
             self.is_stopped = is_stopped;
             if self.stop.switch().is_stopped() || (is_switched && !is_stopped) {
-                // That was reported.
+                // The stop itself was reported.
             } else if is_stopped {
                 tracing::warn!(
                     "emergency stop: all devices stop, and the nets that command them end"
@@ -263,12 +263,12 @@ impl Desk {
         }
         for (name, status) in &statuses {
             let before = self.statuses.get(name).copied().unwrap_or_default();
-            // A fault was reported, with what is known of it.
+            // The fault was reported with its cause.
             if before != *status && !faulted.contains(name) {
                 let driver = self.drivers.iter().find(|driver| driver.drives(name));
                 let figures = driver.map(|driver| listed(&driver.figures()));
                 let now = status;
-                // What is turned off on purpose is no trouble.
+                // A device that was disabled on purpose is no fault.
                 if *now < before && !is_stopped && !self.closing {
                     tracing::warn!(device = name, %before, %now, figures, "device");
                 } else {
@@ -280,8 +280,8 @@ impl Desk {
         true
     }
 
-    /// Reports what the stop channel did; returns whether it did anything. Requests that it refused are reported at
-    /// most every [`REFUSED_EVERY`], with their number.
+    /// Logs the stop channel's actions; returns whether there were any. Rejected requests are logged at
+    /// most once per [`REFUSED_EVERY`], with their number.
     fn report_switch(&mut self) -> bool {
         let switch = self.stop.switch();
         let (generation, refused) = (switch.generation(), switch.refused());
@@ -291,7 +291,7 @@ impl Desk {
             let count = refused - told;
             tracing::warn!(
                 count,
-                "the stop channel refused requests: a wrong token, or a user who may not stop"
+                "the stop channel rejected requests: wrong token, or user without permission"
             );
             self.stop_told = (before, refused, Some(Instant::now()));
         }
@@ -304,11 +304,11 @@ impl Desk {
             let by = by.unwrap_or_default();
             tracing::warn!(
                 by,
-                "stopped: all nets end, all devices stop, nothing starts; release it with `takt stop --release`"
+                "stopped: all nets end, all devices stop, nothing starts\nhint: release the stop with `takt stop --release`"
             );
         }
         if !generation.is_stopped() {
-            tracing::info!("the stop is released; programs may request their nets again");
+            tracing::info!("the stop is released; programs may start nets again");
         }
         true
     }

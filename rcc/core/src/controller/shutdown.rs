@@ -1,34 +1,34 @@
-//! The way to a standstill: nothing begins any more, nets end, devices come to rest, and only then do threads end.
-//! How a device brakes is its driver's business.
+//! Shutdown: nothing starts any more, nets end, devices stop moving, and only then do threads end.
+//! Drivers brake their devices.
 
 use std::time::{Duration, Instant};
 
-use crate::controller::desk::Desk;
 use crate::controller::net::Net;
+use crate::controller::registry::Registry;
 use crate::controller::{Controller, NEVER_RAN, NetId, NetState, SessionId};
 use crate::error::Error;
 use crate::executor::thread::{Command, NetThread};
 
-/// How long devices get to come to rest before threads and drivers end. Drivers brake by themselves after that.
-const REST_WITHIN: Duration = Duration::from_secs(2);
-/// How often it is looked whether they have.
-const LOOK: Duration = Duration::from_millis(2);
+/// Grace period for devices to stop moving before threads and drivers end. Drivers brake by themselves after it.
+const REST_TIMEOUT: Duration = Duration::from_secs(2);
+/// Interval at which this is polled.
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
 impl Controller {
-    /// Refuses to load and to start nets and to install rules from now on. What is under way goes on, rules that
-    /// wait too: see [`Self::wind_down`].
+    /// Rejects loading and starting of nets and new rules from now on. Running nets and waiting rules
+    /// continue: see [`Self::wind_down`].
     pub fn close(&self) {
         self.inner.lock().closing = true;
     }
 
-    /// Brings nets to their end: those that do not run yet never will, and those that run are asked to cancel. To
-    /// be called until it returns that all of them are over, as one may just be on its way.
-    #[must_use = "it must be called again until all are over"]
+    /// Ends nets: those that do not run yet never will, running ones are requested to cancel. To
+    /// be called until it returns that all of them have ended, as a net may be in transfer to its thread.
+    #[must_use = "it must be called again until all have ended"]
     pub fn wind_down(&self, nets: &[NetId]) -> bool {
-        let mut desk = self.inner.lock();
-        desk.end_nets(nets, false);
-        self.inner.announce(&desk);
-        desk.are_over(nets)
+        let mut registry = self.inner.lock();
+        registry.end_nets(nets, false);
+        self.inner.announce(&registry);
+        registry.are_over(nets)
     }
 
     /// Aborts and unloads all nets of a session and closes it.
@@ -40,12 +40,12 @@ impl Controller {
             .session_nets(id)
             .filter(|_| id != SessionId::NONE)
             .ok_or_else(|| Error::NoSuchSession(id.to_string()))?;
-        // A net that another client unloaded meanwhile is what is wanted.
+        // A net that another client unloaded meanwhile is already done.
         let unless_gone = |result| match result {
             Ok(()) | Err(Error::NoSuchNet(_)) => Ok(()),
             Err(error) => Err(error),
         };
-        // First those that wait: the end of one that runs may be what would start them.
+        // Waiting nets first: the end of a running net could start them.
         for net in &nets {
             let state = self.net(*net).map(|net| net.state());
             if let Some(NetState::Ready | NetState::Scheduled) = state {
@@ -59,7 +59,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Whether no device moves, as far as they are in contact.
+    /// Whether no reachable device moves.
     #[must_use]
     pub fn is_at_rest(&self) -> bool {
         self.inner.lock().is_at_rest()
@@ -67,7 +67,7 @@ impl Controller {
 }
 
 impl Net {
-    /// Whether it will never run any more.
+    /// Whether it has ended for good.
     pub(super) fn is_over(&self) -> bool {
         match self.state() {
             NetState::Rejected | NetState::Terminated | NetState::Unloaded => true,
@@ -80,7 +80,7 @@ impl Net {
     }
 }
 
-impl Desk {
+impl Registry {
     /// An error if the controller is stopping.
     pub(super) const fn refuse_if_closing(&self) -> Result<(), Error> {
         if self.closing {
@@ -97,7 +97,7 @@ impl Desk {
         Ok(())
     }
 
-    /// That the controller is stopped, or was, and by whom.
+    /// The error that the controller is or was stopped, with the source of the stop.
     pub(super) fn stopped(&self) -> Error {
         let by = self.stop.switch().last_stop();
         let by = by.map_or_else(|| "its stop channel".to_owned(), |(by, _)| by.to_string());
@@ -113,11 +113,11 @@ impl Desk {
         known.all(Net::is_over)
     }
 
-    /// Ends nets, those that run by a cancel unless it is to be at once. What a net thread has no room for now is
-    /// done the next time.
+    /// Ends nets, running ones by a cancel unless `at_once`. What does not fit in a net thread's queue is
+    /// sent at the next call.
     fn end_nets(&mut self, nets: &[NetId], at_once: bool) {
-        let state = |desk: &Self, id| desk.nets.get(id).map(Net::state);
-        // First those that wait: the end of one that runs may be what would start them.
+        let state = |registry: &Self, id| registry.nets.get(id).map(Net::state);
+        // Waiting nets first: the end of a running net could start them.
         for id in nets {
             if let Some(NetState::Ready | NetState::Scheduled) = state(self, id) {
                 self.give_up(*id).ok();
@@ -134,8 +134,8 @@ impl Desk {
         }
     }
 
-    /// Ends a net that does not run, unless its thread has it: then it is asked for. Returns whether it is
-    /// over.
+    /// Ends a net that does not run, unless its thread holds it: then it is requested back. Returns whether it has
+    /// ended.
     pub(super) fn give_up(&mut self, id: NetId) -> Result<bool, Error> {
         self.withdraw(id)?;
         let net = self.net(id)?;
@@ -146,66 +146,66 @@ impl Desk {
         Ok(is_here)
     }
 
-    /// Ends all threads. Nets end and devices come to rest while they still run; drivers go last.
+    /// Ends all threads. Nets end and devices stop moving while threads still run; drivers end last.
     pub(super) fn stop(&mut self) {
         if self.threads.is_empty() {
-            // That was done already.
+            // Already stopped.
             return;
         }
         self.closing = true;
         self.rest();
-        self.threads.iter().for_each(NetThread::ask_to_stop);
+        self.threads.iter().for_each(NetThread::request_stop);
         for thread in self.threads.drain(..) {
             thread.stop();
         }
-        self.stop.switch().dismiss();
+        self.stop.switch().unregister_all();
         self.drivers.iter().for_each(|driver| driver.ask_to_stop());
         for driver in self.drivers.drain(..) {
             drop(driver.stop());
         }
     }
 
-    /// Aborts all nets and waits until no device moves, but not for ever.
+    /// Aborts all nets and waits until no device moves, at most [`REST_TIMEOUT`].
     fn rest(&mut self) {
         let nets: Vec<_> = self.nets.keys().copied().collect();
-        let until = Instant::now() + REST_WITHIN;
+        let until = Instant::now() + REST_TIMEOUT;
         loop {
             self.take_events();
             self.end_nets(&nets, true);
-            // The nets of a thread that is dead never end.
+            // The nets of a dead thread never end.
             let over = self.are_over(&nets) || self.threads.iter().any(NetThread::is_dead);
             if over && self.is_at_rest() {
                 return;
             }
             if Instant::now() >= until {
-                self.tell_restless();
+                self.log_unfinished();
                 return;
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 }
 
-impl Desk {
-    /// Says what nobody waits for any longer.
-    fn tell_restless(&self) {
+impl Registry {
+    /// Logs devices that still move and nets that still run when the timeout expires.
+    fn log_unfinished(&self) {
         let moving = self
             .devices
             .all()
             .filter(|(_, device)| !device.is_at_rest());
         for (_, device) in moving {
             let (name, status) = (&device.name, device.status());
-            tracing::warn!(device = name, %status, "still moves after {REST_WITHIN:?}; its driver is to brake it");
+            tracing::warn!(device = name, %status, "still moves after {REST_TIMEOUT:?}; its driver brakes it");
         }
         let running = self.nets.iter().filter(|(_, net)| !net.is_over());
         for (id, net) in running {
-            tracing::warn!(net = %id, state = %net.state(), "did not end within {REST_WITHIN:?}");
+            tracing::warn!(net = %id, state = %net.state(), "did not end within {REST_TIMEOUT:?}");
         }
     }
 }
 
-impl Drop for Desk {
-    /// Also a controller that could not be started ends what it did start.
+impl Drop for Registry {
+    /// Also stops what a controller had started whose start failed.
     fn drop(&mut self) {
         self.stop();
     }

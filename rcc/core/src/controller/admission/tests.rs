@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::controller::condition::Parser;
-use crate::executor::rules::{Literal, Orders};
+use crate::executor::rules::{Literal, NetActions};
 
 /// A rule as its condition, the nets that it stops and those that it starts.
 type Given<'t> = (&'t str, &'t [u32], &'t [u32]);
@@ -20,7 +20,12 @@ fn succession((condition, stop, start): Given<'_>, in_one_thread: bool) -> Succe
         value: None,
         last: false,
     });
-    let rule = Rule::new(0, literals.collect(), condition.steps, Orders::default());
+    let rule = Rule::new(
+        0,
+        literals.collect(),
+        condition.steps,
+        NetActions::default(),
+    );
     let ids = |nets: &[u32]| nets.iter().copied().map(NetId).collect::<Vec<_>>();
     Succession::of(&rule, &ids(stop), &ids(start), in_one_thread)
 }
@@ -50,13 +55,13 @@ fn most(weights: &[u64], running: &[u32], rules: &[Given<'_>]) -> u64 {
 // Successors.
 
 #[test]
-fn a_net_that_neither_runs_nor_is_to_be_started_weighs_nothing() {
+fn idle_net_weighs_nothing() {
     assert_eq!(most(&[100, 30], &[0], &[]), 100);
     assert_eq!(most(&[100, 30], &[0], &[("n1.x", &[], &[])]), 100);
 }
 
 #[test]
-fn a_successor_weighs_nothing_beside_the_net_whose_end_it_needs() {
+fn successor_adds_nothing_to_its_predecessor() {
     assert_eq!(most(&[100, 30], &[0], &[("n0.terminated", &[], &[1])]), 100);
     assert_eq!(most(&[30, 100], &[0], &[("n0.x", &[0], &[1])]), 100);
     assert_eq!(
@@ -66,14 +71,14 @@ fn a_successor_weighs_nothing_beside_the_net_whose_end_it_needs() {
 }
 
 #[test]
-fn a_net_that_is_to_be_stopped_may_begin_later_unless_it_runs() {
+fn stopped_net_counts_unless_running() {
     let rules: [Given<'_>; 2] = [("n0.terminated", &[], &[1]), ("t", &[1], &[2])];
     assert_eq!(most(&[10, 50, 20], &[0], &rules), 70);
     assert_eq!(most(&[10, 50, 20], &[1], &rules[1..]), 50);
 }
 
 #[test]
-fn a_net_that_may_start_beside_the_other_adds_to_it() {
+fn concurrent_net_adds_its_weight() {
     for condition in ["n0.x", "t", "n0.x | n0.terminated", "!n0.terminated"] {
         assert_eq!(
             most(&[100, 30], &[0], &[(condition, &[], &[1])]),
@@ -84,7 +89,7 @@ fn a_net_that_may_start_beside_the_other_adds_to_it() {
 }
 
 #[test]
-fn a_chain_comes_to_its_heaviest_net() {
+fn chain_weighs_its_heaviest_net() {
     let chain: [Given<'_>; 3] = [
         ("n0.terminated", &[], &[1]),
         ("n1.terminated", &[], &[2]),
@@ -98,14 +103,14 @@ fn a_chain_comes_to_its_heaviest_net() {
 }
 
 #[test]
-fn a_net_that_follows_several_takes_the_place_of_all() {
+fn successor_of_several_replaces_all() {
     let joined: [Given<'_>; 1] = [("n0.terminated & n1.terminated", &[], &[2])];
     assert_eq!(most(&[400, 400, 800], &[0, 1], &joined), 800);
     assert_eq!(most(&[400, 400, 700], &[0, 1], &joined), 800);
 }
 
 #[test]
-fn several_that_follow_one_run_together() {
+fn several_successors_of_one_add_up() {
     assert_eq!(
         most(&[100, 60, 70], &[0], &[("n0.terminated", &[], &[1, 2])]),
         130
@@ -113,7 +118,7 @@ fn several_that_follow_one_run_together() {
 }
 
 #[test]
-fn nets_that_wait_for_each_other_count_once() {
+fn circular_waiting_nets_count_once() {
     let circle: [Given<'_>; 2] = [("n0.terminated", &[], &[1]), ("n1.terminated", &[], &[0])];
     assert_eq!(most(&[10, 30], &[], &circle), 30);
     assert_eq!(most(&[10, 30], &[0], &circle), 30);
@@ -122,13 +127,13 @@ fn nets_that_wait_for_each_other_count_once() {
 // Rules that fit one by one.
 
 #[test]
-fn two_rules_that_may_both_fire_count_both() {
+fn compatible_rules_count_both() {
     let both: [Given<'_>; 2] = [("n0.terminated", &[], &[1]), ("n0.x", &[0], &[2])];
     assert_eq!(most(&[500, 300, 600], &[0], &both), 900);
 }
 
 #[test]
-fn of_rules_that_exclude_each_other_the_heavier_counts() {
+fn exclusive_rules_count_the_heavier() {
     let chosen: [Given<'_>; 3] = [
         ("n0.terminated & n0.x", &[], &[1]),
         ("n0.terminated & !n0.x & n0.y", &[], &[2]),
@@ -140,7 +145,7 @@ fn of_rules_that_exclude_each_other_the_heavier_counts() {
 }
 
 #[test]
-fn values_that_may_change_between_the_rules_exclude_nothing() {
+fn changeable_values_exclude_nothing() {
     // Net 0 is stopped by one of them only; net 3 runs on and may say either.
     let one_sided: [Given<'_>; 2] = [("n0.x", &[0], &[1]), ("!n0.x", &[], &[2])];
     assert_eq!(most(&[500, 300, 600], &[0], &one_sided), 1100);
@@ -149,7 +154,7 @@ fn values_that_may_change_between_the_rules_exclude_nothing() {
 }
 
 #[test]
-fn over_several_threads_values_of_a_stopped_net_may_still_change() {
+fn stopped_net_values_may_change_across_threads() {
     let given: [Given<'_>; 2] = [("n0.x", &[0], &[1]), ("!n0.x", &[0], &[2])];
     let rules = given.map(|rule| succession(rule, false));
     let nets = nets(&[500, 300, 600], &[0]);
@@ -157,7 +162,7 @@ fn over_several_threads_values_of_a_stopped_net_may_still_change() {
 }
 
 #[test]
-fn nets_that_need_one_resource_never_run_at_once() {
+fn nets_with_common_resource_are_alternatives() {
     let mut nets = nets(&[500, 300, 600, 50], &[0]);
     for id in [1, 2] {
         nets.get_mut(&NetId(id)).unwrap().resources.insert(7);
@@ -175,7 +180,7 @@ fn nets_that_need_one_resource_never_run_at_once() {
 }
 
 #[test]
-fn a_net_that_two_rules_start_counts_once() {
+fn net_started_by_two_rules_counts_once() {
     let either: [Given<'_>; 2] = [("n0.x", &[0], &[2]), ("n1.x", &[1], &[2])];
     assert_eq!(most(&[10, 20, 300], &[0, 1], &either), 330);
     let same: [Given<'_>; 2] = [("n0.x", &[0], &[2]), ("n0.y", &[0], &[2])];
@@ -183,7 +188,7 @@ fn a_net_that_two_rules_start_counts_once() {
 }
 
 #[test]
-fn a_sum_within_the_bound_is_good_enough() {
+fn sum_within_bound_skips_search() {
     let rule = succession(("n0.terminated", &[], &[1]), true);
     let nets = nets(&[100, 30], &[0]);
     assert_eq!(most_together(&nets, vec![&rule], 130), 130);
@@ -191,7 +196,7 @@ fn a_sum_within_the_bound_is_good_enough() {
 }
 
 #[test]
-fn of_very_many_rules_some_count_that_could_be_left_out_and_none_that_could_not() {
+fn many_rules_are_bounded_from_above() {
     let nets = nets(&[10; 1001], &[0]);
     let conditions: Vec<_> = (1..=1000)
         .map(|id| {
@@ -286,7 +291,7 @@ fn simple() -> impl Strategy<Value = Simple> {
 
 proptest! {
     #[test]
-    fn no_order_of_rules_comes_to_more(
+    fn no_firing_order_exceeds_bound(
         weights in prop::collection::vec(1..100_u64, 6),
         rules in prop::collection::vec(simple(), 1..8),
         turns in prop::collection::vec((0..8_usize, any::<bool>()), 0..16),

@@ -1,5 +1,5 @@
-//! What nets take together: time of a cycle of their thread and places in it, memory, and text, each with its bound
-//! and the texts of refusals. What rules may yet start counts as [`outlook`](super::outlook) says.
+//! Quotas that nets share: cycle time and slots of their thread, memory, and text, with their limits
+//! and error texts. Nets that rules may still start count as [`admission`](super::admission) computes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -8,9 +8,9 @@ use takt_net::fault::{Fault, FaultKind};
 use takt_net::{Plan, Rejection};
 
 use crate::controller::NetState;
-use crate::controller::desk::Desk;
+use crate::controller::admission::{Candidate, Succession, most_together};
 use crate::controller::net::{Counted, Net};
-use crate::controller::outlook::{Candidate, Succession, most_together};
+use crate::controller::registry::Registry;
 use crate::controller::threads::busy;
 use crate::error::Error;
 use crate::executor::RUNNING_MAX;
@@ -19,19 +19,19 @@ use crate::executor::links::OUT_READERS;
 use crate::executor::rules::RuleState;
 use crate::ids::NetId;
 
-/// Running nets that a refusal names.
+/// Number of running nets that an error names.
 const HEAVIEST: usize = 3;
 
-/// What all nets take together at most, bytes.
+/// Memory limits of all nets together, bytes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Room {
-    /// Those that can run, and those being loaded.
+pub(super) struct Quota {
+    /// Nets that can run, and nets being loaded.
     pub(super) memory: usize,
-    /// The texts of all.
+    /// Texts of all nets.
     text: usize,
 }
 
-impl Room {
+impl Quota {
     pub(super) const fn of_mib(mib: u32) -> Self {
         let memory = (mib as usize) << 20;
         Self {
@@ -41,27 +41,27 @@ impl Room {
     }
 }
 
-/// Bytes that a net takes with the boxes by which programs and other nets see it.
+/// Bytes of a net with the boxes through which programs and other nets access it.
 pub(super) fn memory(plan: &Plan) -> usize {
     let boxes = (OUT_READERS + 2) * plan.outbox().words() + 3 * plan.inbox().words();
     plan.memory() + boxes * size_of::<u64>()
 }
 
-/// Unloaded nets that took at least this are worth the time of returning memory to the host, bytes.
+/// Memory is returned to the host after unloaded nets took at least this, bytes.
 const RETURN_BYTES_MIN: usize = 16 << 20;
-/// How often that is checked.
+/// Interval of that check.
 const RETURN_EVERY: Duration = Duration::from_secs(1);
 
-/// When memory of nets that are no longer there goes back to the host.
+/// Decides when memory of unloaded nets is returned to the host.
 #[derive(Debug, Default)]
 pub(super) struct MemoryReturn {
-    /// What nets took together at most since the last return, bytes.
+    /// Peak memory of all nets since the last return, bytes.
     peak: usize,
     checked: Option<Instant>,
 }
 
 impl MemoryReturn {
-    /// Whether a check is due.
+    /// Whether the next check is due.
     pub(super) fn is_due(&mut self, now: Instant) -> bool {
         let due = self
             .checked
@@ -72,7 +72,7 @@ impl MemoryReturn {
         due
     }
 
-    /// Whether so much was unloaded that memory is to be returned, when nets take `taken` bytes now.
+    /// Whether enough was unloaded to return memory; `taken` is what nets take now, bytes.
     pub(super) fn check(&mut self, taken: usize) -> bool {
         let returns = self.peak >= taken.saturating_add(RETURN_BYTES_MIN);
         self.peak = if returns { taken } else { self.peak.max(taken) };
@@ -80,11 +80,11 @@ impl MemoryReturn {
     }
 }
 
-impl Desk {
-    /// Makes room for the text of one more net, for which nets that are over may have to go.
+impl Registry {
+    /// Reserves text quota for one more net; ended nets may be unloaded for it.
     ///
     /// # Errors
-    /// If the texts of the others leave none.
+    /// If the texts of the other nets exhaust the quota.
     pub(super) fn take_text(&mut self, bytes: usize) -> Result<(), Error> {
         let bound = self.room.text;
         let text = |net: &Net| net.text().len();
@@ -103,8 +103,8 @@ impl Desk {
         Ok(())
     }
 
-    /// Keeps memory for a net while it is loaded: `most`, or all that is left if no other is being loaded.
-    /// Returns how much; `None` if it has to wait for others.
+    /// Reserves memory for a net while it is loaded: `most`, or all that is left if no other net is being loaded.
+    /// Returns the amount; `None` if the net has to wait for others.
     pub(super) fn keep_memory(&mut self, id: NetId, most: usize) -> Option<usize> {
         let free = self.room.memory.saturating_sub(self.memory_taken());
         let is_alone = self.nets.values().all(|net| net.reserved == 0);
@@ -122,17 +122,17 @@ impl Desk {
         self.nets.values().map(Net::memory).sum()
     }
 
-    /// Keeps none any more for a net that was loaded.
+    /// Ends the reservation of a net that was loaded.
     pub(super) fn release_memory(&mut self, id: NetId) {
         if let Some(net) = self.nets.get_mut(&id) {
             net.reserved = 0;
         }
     }
 
-    /// Whether one more net can have its memory.
+    /// Checks the memory quota for one more net.
     ///
     /// # Errors
-    /// If the other nets leave too little.
+    /// If the other nets leave too little memory.
     pub(super) fn check_memory(&self, plan: &Plan) -> Result<(), Rejection> {
         let found = self.memory_taken() + memory(plan);
         let bound = self.room.memory;
@@ -146,7 +146,7 @@ impl Desk {
         })
     }
 
-    /// Why a net cannot start beside those that run.
+    /// The error for a net that cannot start beside the running nets.
     pub(super) fn overload(&self, net: NetId, running: Duration, budget: Duration) -> Error {
         Error::Overload {
             net,
@@ -157,7 +157,7 @@ impl Desk {
         }
     }
 
-    /// Whether a net can start and leave what rules need that wait: time of its thread's cycle, and places.
+    /// Checks that a net can start and still leave cycle time and slots for the nets of waiting rules.
     ///
     /// # Errors
     /// If not.
@@ -180,7 +180,7 @@ impl Desk {
         })
     }
 
-    /// Whether the nets that a new rule starts can be sure of time of their threads' cycles and of places.
+    /// Checks that cycle time and slots are guaranteed for the nets that a new rule starts.
     ///
     /// # Errors
     /// If not.
@@ -220,7 +220,7 @@ impl Desk {
         })
     }
 
-    /// What the nets of a thread may cost together, and what they can come to with one more to run now, or
+    /// The budget of a thread's nets, and the bound on their total cost with one more net running now, or
     /// one more rule.
     fn most_cost(
         &self,
@@ -247,7 +247,7 @@ impl Desk {
         waiting.map(|rule| &rule.succession).chain(new).collect()
     }
 
-    /// All nets that can run, as a thread sees them: those of others weigh nothing.
+    /// All nets that can run, from the view of a thread: nets of other threads weigh nothing.
     fn candidates(
         &self,
         thread: usize,
@@ -288,7 +288,7 @@ impl Desk {
         format!("net {net} with {:?}", self.cost_of(net))
     }
 
-    /// The nets of a thread that cost most, of those that are meant.
+    /// The most expensive nets of a thread among those selected.
     fn heaviest(&self, thread: usize, is_meant: impl Fn(NetId, &Net) -> bool) -> String {
         let nets = self.nets.iter();
         let nets = nets.filter(|(id, net)| net.thread == thread && is_meant(**id, net));
@@ -316,7 +316,7 @@ impl Net {
         self.state() == NetState::Scheduled
     }
 
-    /// Bytes that it takes, or that are kept for it.
+    /// Bytes that it takes or that are reserved for it.
     fn memory(&self) -> usize {
         match self.state() {
             NetState::Loading => self.reserved,
@@ -341,29 +341,33 @@ mod tests {
     use crate::ids::SessionId;
 
     #[test]
-    fn memory_is_kept_for_nets_while_they_are_loaded() {
-        let room = Room {
+    fn memory_is_reserved_while_loading() {
+        let room = Quota {
             memory: 100,
             text: 10,
         };
         let stop = Arc::new(EmergencyStop::new(false));
-        let mut desk = Desk::new(Vec::new(), None, stop, None, room);
+        let mut registry = Registry::new(Vec::new(), None, stop, None, room);
         let [first, second] = [NetId(0), NetId(1)];
         for id in [first, second] {
             let net = Net::new(SessionId::NONE, String::new(), "".into());
-            desk.nets.insert(id, net);
+            registry.nets.insert(id, net);
         }
-        assert_eq!(desk.keep_memory(first, 60), Some(60));
-        assert_eq!(desk.keep_memory(second, 60), None, "it waits for the other");
-        assert_eq!(desk.keep_memory(second, 40), Some(40));
+        assert_eq!(registry.keep_memory(first, 60), Some(60));
+        assert_eq!(
+            registry.keep_memory(second, 60),
+            None,
+            "it waits for the other"
+        );
+        assert_eq!(registry.keep_memory(second, 40), Some(40));
         for id in [first, second] {
-            desk.release_memory(id);
+            registry.release_memory(id);
         }
-        assert_eq!(desk.keep_memory(second, 200), Some(100), "all there is");
-        assert_eq!(desk.keep_memory(first, 1), None);
+        assert_eq!(registry.keep_memory(second, 200), Some(100), "all there is");
+        assert_eq!(registry.keep_memory(first, 1), None);
         // One that is rejected keeps none.
-        desk.release_memory(second);
-        assert_eq!(desk.keep_memory(first, 1), Some(1));
+        registry.release_memory(second);
+        assert_eq!(registry.keep_memory(first, 1), Some(1));
     }
 
     #[test]
