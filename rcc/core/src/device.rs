@@ -33,17 +33,17 @@ use last_stage::Limited;
 pub use parts::Part;
 pub use table::{Device, DevicePorts, DeviceTable};
 
-/// Least and most of what is to be above zero, such as a joint's speed: beyond these, products with the cycle would
-/// be zero or infinite.
+/// Bounds for positive parameters, such as the speed of a joint; beyond them, products with the cycle time would be
+/// zero or infinite.
 const LEAST: f64 = 1e-6;
 const MOST: f64 = 1e9;
 
 /// Most joints of one robot arm.
 pub const ARM_JOINTS_MAX: usize = 8;
 
-/// Below this a joint or a base counts as resting by what it is commanded, rad/s and m/s.
+/// A joint or base counts as at rest below this commanded velocity, rad/s and m/s.
 const RESTS_COMMANDED: f64 = 1e-3;
-/// Below this a base counts as resting by what its wheels measure, m/s and rad/s: a few of their increments.
+/// A base counts as at rest below this measured velocity, m/s and rad/s: a few increments of its wheels.
 const RESTS_MEASURED: f64 = 1e-2;
 
 /// Whether a device can be used.
@@ -59,7 +59,7 @@ pub enum DeviceStatus {
 }
 
 impl DeviceStatus {
-    /// The word for it on the wire.
+    /// Its name on the wire.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -69,7 +69,7 @@ impl DeviceStatus {
         }
     }
 
-    /// The same, or what becomes of it while an emergency stop is on.
+    /// Status during an emergency stop, if one is active.
     #[must_use]
     pub const fn under(self, is_stopped: bool) -> Self {
         match self {
@@ -91,27 +91,27 @@ impl fmt::Display for DeviceStatus {
     }
 }
 
-/// What a driver tells nets.
+/// State of a device, as its driver reports it to nets.
 #[derive(Clone, Debug, Default)]
 pub struct DeviceState {
     /// When the measurement arrived.
     pub stamp: Nanos,
     /// Whether the device follows commands.
     pub status: DeviceStatus,
-    /// How often it left [`DeviceStatus::Operational`]; a net that commands it ends then.
+    /// Number of times it left [`DeviceStatus::Operational`]; nets that command it end then.
     pub faults: u64,
     /// Its joints.
     pub joints: [JointState; ARM_JOINTS_MAX],
-    /// What the last stages of its driver held back: by joint, or of a base along the floor and turning.
+    /// What the last stages of its driver limited: by joint, or of a base along the floor and turning.
     pub limited: [Limited; ARM_JOINTS_MAX],
-    /// Positions that stood elsewhere all of a sudden; nets that were scheduled before are given back.
+    /// Position jumps; nets that were scheduled before a jump are returned.
     pub jumped: Jumped,
-    /// What else it tells, in the places of its interfaces.
+    /// Further values, in the words of its interfaces.
     pub signals: Box<[u64]>,
 }
 
 impl DeviceState {
-    /// One that knows nothing yet, with so many words for what is told beside joints.
+    /// An offline state with `signals` words for values besides joints.
     #[must_use]
     pub fn new(signals: usize) -> Self {
         Self {
@@ -120,11 +120,11 @@ impl DeviceState {
         }
     }
 
-    /// Puts it into the image, at the place of its device.
+    /// Writes it to the image, to the slots of its device.
     pub fn show(&self, place: &Place, image: &Image) {
         let joints = image.joints.iter().skip(place.first_joint);
-        for (joint, told) in joints.take(place.joints).zip(&self.joints) {
-            joint.state.set(*told);
+        for (joint, reported) in joints.take(place.joints).zip(&self.joints) {
+            joint.state.set(*reported);
         }
         let cells = image.signals.get(place.signals.clone());
         for (cell, word) in cells.into_iter().flatten().zip(&self.signals) {
@@ -132,16 +132,16 @@ impl DeviceState {
         }
     }
 
-    /// Notes how the device is at that instant; one that leaves [`DeviceStatus::Operational`] has one fault more.
+    /// Sets status and stamp; leaving [`DeviceStatus::Operational`] counts as a fault.
     pub fn enter(&mut self, status: DeviceStatus, stamp: Nanos) {
         let left = self.status == DeviceStatus::Operational && status != self.status;
         self.faults += u64::from(left);
         (self.status, self.stamp) = (status, stamp);
     }
 
-    /// Whether nothing of it moves: no joint is commanded to, whose measured velocity would never be without noise,
-    /// and its base, if it is one, neither is nor does. What is out of contact cannot be waited for and counts as
-    /// resting. `base` is where a base lies in [`Self::signals`].
+    /// Whether nothing moves: no joint and no base is commanded to move, and the base does not measure motion.
+    /// Measured joint velocities are not checked: their noise never ends. An offline device counts as at rest,
+    /// because waiting for it would be pointless. `base` is where a base lies in [`Self::signals`].
     #[must_use]
     pub fn is_at_rest(&self, base: Option<&Base>) -> bool {
         let joints = self.joints.iter().filter_map(|j| j.commanded_velocity);
@@ -156,13 +156,13 @@ impl DeviceState {
             || (joints.into_iter().all(|v| v.abs() < RESTS_COMMANDED) && base.is_none_or(rests))
     }
 
-    /// Becomes like another of the same device, in the memory it has.
+    /// Copies another state of the same device without allocating.
     pub fn copy_from(&mut self, other: &Self) {
         (self.stamp, self.status, self.faults) = (other.stamp, other.status, other.faults);
         (self.joints, self.limited) = (other.joints, other.limited);
         self.jumped = other.jumped;
-        for (word, told) in self.signals.iter_mut().zip(&other.signals) {
-            *word = *told;
+        for (word, reported) in self.signals.iter_mut().zip(&other.signals) {
+            *word = *reported;
         }
     }
 }
@@ -179,7 +179,7 @@ const fn seconds(span: Nanos) -> f64 {
 /// A position at an instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SetPoint {
-    /// When the cycle that made it began on this host's clock, without jitter.
+    /// Start of the cycle that computed it, on this host's clock, without jitter.
     pub time: Nanos,
     /// Position, rad.
     pub position: f64,
@@ -196,14 +196,14 @@ pub struct JointSetPoints {
     pub active: bool,
     /// Time from one set-point to the next, by the net that gives them.
     pub period: Nanos,
-    /// How many of `points` are of the present run of set-points.
+    /// Number of `points` that belong to the current run of set-points.
     pub count: usize,
     /// The set-points, newest first.
     pub points: [SetPoint; SET_POINTS],
 }
 
 impl JointSetPoints {
-    /// Adds the set-point of a new cycle, or notes that there is none.
+    /// Appends the set-point of a new cycle; `None` ends the run.
     pub fn advance(&mut self, point: Option<SetPoint>) {
         self.active = point.is_some();
         match point {
@@ -217,22 +217,21 @@ impl JointSetPoints {
     }
 }
 
-/// What nets command to a device, handed over once a cycle.
+/// What nets command to a device, transferred once per cycle.
 #[derive(Clone, Debug, Default)]
 pub struct DeviceCommand {
-    /// When the cycle began on this host's clock, without jitter; a driver that sees it stand still
-    /// stops the device.
+    /// Start of the cycle on this host's clock, without jitter; if it stops advancing, the driver stops the device.
     pub time: Nanos,
     /// Number of the cycle, to which the stamps of commands refer.
     pub cycle: u64,
     /// By joint.
     pub joints: [JointSetPoints; ARM_JOINTS_MAX],
-    /// What else is commanded, in the places of its interfaces.
+    /// Further commands, in the words of its interfaces.
     pub words: Box<[u64]>,
 }
 
 impl DeviceCommand {
-    /// One that commands nothing, with so many words for what is commanded beside joints.
+    /// An empty command with `words` words for commands besides joints.
     #[must_use]
     pub fn new(words: usize) -> Self {
         Self {
@@ -241,16 +240,16 @@ impl DeviceCommand {
         }
     }
 
-    /// Becomes like another for the same device, in the memory it has.
+    /// Copies another command for the same device without allocating.
     pub fn copy_from(&mut self, other: &Self) {
         (self.time, self.cycle, self.joints) = (other.time, other.cycle, other.joints);
-        for (word, told) in self.words.iter_mut().zip(&other.words) {
-            *word = *told;
+        for (word, reported) in self.words.iter_mut().zip(&other.words) {
+            *word = *reported;
         }
     }
 }
 
-/// What is known of an arm before it is in contact.
+/// Description of an arm, known before contact.
 #[derive(Clone, Debug)]
 pub struct ArmDescription {
     /// Name by which nets find it.
@@ -264,7 +263,7 @@ pub struct ArmDescription {
 }
 
 impl ArmDescription {
-    /// The arm as a device that offers this beside its joints.
+    /// The arm as a device with these parts besides its joints.
     #[must_use]
     pub fn with(self, parts: &[Part]) -> DeviceDescription {
         DeviceDescription {
@@ -277,7 +276,7 @@ impl ArmDescription {
     }
 }
 
-/// What is known of a device before it is in contact.
+/// Description of a device, known before contact.
 #[derive(Clone, Debug)]
 pub struct DeviceDescription {
     /// Name by which nets find it.
@@ -288,7 +287,7 @@ pub struct DeviceDescription {
     pub limits: Vec<JointLimits>,
     /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
     pub model: Cow<'static, str>,
-    /// What it offers beside joints.
+    /// Parts besides joints.
     pub parts: Vec<Part>,
 }
 
@@ -299,8 +298,8 @@ pub struct Place {
     pub first_joint: usize,
     /// How many joints it has.
     pub joints: usize,
-    /// The words of what else it tells.
+    /// Signal words that it reports besides joints.
     pub signals: Range<usize>,
-    /// The words of what else it is told.
+    /// Command words besides joints.
     pub commands: Range<usize>,
 }

@@ -17,7 +17,7 @@ use takt_rt::servo::State;
 use takt_tests::steady;
 
 #[test]
-fn a_net_moves_an_arm_and_ends() {
+fn lwr_net_moves_arm_and_ends() {
     steady(|| {
         let cell = Cell::new(&["left"]);
         let before = cell.robots[0].status.measured()[6];
@@ -50,7 +50,7 @@ fn a_net_moves_an_arm_and_ends() {
 }
 
 #[test]
-fn a_robot_that_vanishes_ends_its_net_and_no_other() {
+fn lwr_lost_robot_ends_only_its_net() {
     steady(|| {
         let mut cell = Cell::new(&["left", "right"]);
         let (left, right) = (
@@ -82,7 +82,7 @@ fn slow_net_ends_lwr_brakes_at_once() {
             // At its fastest 0.04 rad/s, with a set-point each second.
             let net = cell.load_every(&swing("left", 20.0), Duration::from_secs(1));
             cell.controller.start_net(net).unwrap();
-            cell.wait("the arm well under way", |_| {
+            cell.wait("the arm in motion", |_| {
                 (cell.position("left", 6) - before).abs() > 0.03 || cell.is_over(net)
             });
             match ending {
@@ -105,7 +105,7 @@ fn slow_net_ends_lwr_brakes_at_once() {
 }
 
 #[test]
-fn drives_that_lose_power_end_the_net_and_nothing_moves_when_they_come_back() {
+fn lwr_power_loss_ends_net_recovers_at_rest() {
     steady(|| {
         let cell = Cell::new(&["left"]);
         let net = cell.load(&swing("left", 3.0));
@@ -128,13 +128,13 @@ fn drives_that_lose_power_end_the_net_and_nothing_moves_when_they_come_back() {
 }
 
 #[test]
-fn a_controller_that_ends_in_mid_swing_leaves_its_arm_at_rest() {
+fn lwr_controller_shutdown_in_motion_leaves_arm_resting() {
     steady(|| {
         let cell = Cell::new(&["left"]);
         let before = cell.position("left", 6);
         let net = cell.load(&swing("left", 2.0));
         cell.controller.start_net(net).unwrap();
-        cell.wait("the arm well under way", |_| {
+        cell.wait("the arm in motion", |_| {
             (cell.position("left", 6) - before).abs() > 0.1 || cell.is_over(net)
         });
         assert!(!cell.is_over(net), "it was lost before");
@@ -153,7 +153,7 @@ fn a_controller_that_ends_in_mid_swing_leaves_its_arm_at_rest() {
 }
 
 #[test]
-fn a_joint_belongs_to_one_running_net() {
+fn arm_joint_belongs_to_one_running_net() {
     steady(|| {
         let cell = Cell::new(&["left"]);
         let (first, second) = (
@@ -175,7 +175,7 @@ fn a_joint_belongs_to_one_running_net() {
 }
 
 #[test]
-fn an_arm_that_is_not_ready_cannot_be_commanded() {
+fn arm_not_ready_cannot_be_commanded() {
     let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
     let config = CellConfig {
         controller: ControllerConfig::default(),
@@ -192,7 +192,7 @@ fn an_arm_that_is_not_ready_cannot_be_commanded() {
 }
 
 #[test]
-fn net_threads_follow_the_clock_of_a_robot_and_of_its_successor() {
+fn net_threads_follow_robot_clock_and_its_successor() {
     let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
     let mut config = CellConfig {
         devices: vec![DeviceConfig::Lwr(LwrConfig::new("left", anywhere))],
@@ -218,7 +218,7 @@ fn net_threads_follow_the_clock_of_a_robot_and_of_its_successor() {
                 .all(|t| t.clock.as_ref().is_some_and(is_followed))
         });
         let before = phases(cell);
-        cell.wait("phases to be told", |_| {
+        cell.wait("phases to be published", |_| {
             phases(cell)
                 .iter()
                 .zip(&before)
@@ -231,13 +231,13 @@ fn net_threads_follow_the_clock_of_a_robot_and_of_its_successor() {
         .threads()
         .into_iter()
         .map(|t| t.clock.unwrap());
-    let told: Vec<_> = clocks.map(|clock| (clock.device, clock.phase)).collect();
+    let reported: Vec<_> = clocks.map(|clock| (clock.device, clock.phase)).collect();
     let [short, long] = [300, 2_000].map(Duration::from_micros);
     assert_eq!(
-        told,
+        reported,
         [("left".to_owned(), short), ("left".to_owned(), long)]
     );
-    // Its driver goes and comes anew, as when the cell's file is read again.
+    // Its driver is removed and added again, as when the cell's file is read again.
     cell.robots.clear();
     cell.wait("the arm at rest", Controller::is_at_rest);
     cell.controller.remove_cell_device("left").unwrap();
@@ -252,7 +252,7 @@ fn net_threads_follow_the_clock_of_a_robot_and_of_its_successor() {
 }
 
 #[test]
-fn torques_and_forces_are_told_while_the_robot_is_there() {
+fn lwr_torques_and_forces_reported_while_online() {
     let mut cell = Cell::new(&["left"]);
     let watched = |kind: &str, key: &str, port: &str| {
         format!(

@@ -130,7 +130,7 @@ impl Yard {
 }
 
 #[test]
-fn a_net_moves_a_segway_which_rests_when_the_net_is_over() {
+fn rmp_net_moves_base_which_rests_after_net() {
     steady(|| {
         let yard = Yard::new(Model::Rmp200, 1);
         let net = yard.start("{vel:{x:0.5},rot:{z:0.3}}", 2.0);
@@ -147,7 +147,7 @@ fn a_net_moves_a_segway_which_rests_when_the_net_is_over() {
 }
 
 #[test]
-fn a_platform_that_loses_one_power_base_stops_and_its_net_ends() {
+fn rmp_platform_lost_power_base_stops_and_ends_net() {
     steady(|| {
         let yard = Yard::new(Model::Rmp50, 2);
         let net = yard.start("{vel:{y:0.3}}", 60.0);

@@ -252,7 +252,7 @@ impl Stage {
 }
 
 #[test]
-fn scheduled_in_time_the_second_net_takes_over_at_b() {
+fn blending_net_scheduled_in_time_takes_over_at_b() {
     let stage = Stage::run(500);
     stage.assert_smooth();
     assert!(
@@ -265,7 +265,7 @@ fn scheduled_in_time_the_second_net_takes_over_at_b() {
 }
 
 #[test]
-fn scheduled_too_late_the_second_net_starts_at_c() {
+fn blending_net_scheduled_late_starts_at_c() {
     let stage = Stage::run(1_500);
     stage.assert_smooth();
     assert!(

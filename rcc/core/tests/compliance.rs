@@ -380,7 +380,7 @@ impl Seen {
         assert!(settled.iter().all(|s| (s.force - FORCE).abs() <= BAND));
     }
 
-    /// The arm gave way where the wall had been by no more than its springs had been strained, and stopped.
+    /// The arm moved into the place of the wall by no more than the strain of its springs, and stopped.
     fn stops(&self) {
         let before = self.samples[self.vanished - 1].height;
         let after = &self.samples[self.vanished..];
@@ -552,11 +552,11 @@ fn retried(attempt: impl Fn() -> Result<(), String>) {
 }
 
 #[test]
-fn an_lwr_touches_a_wall_presses_and_stops_when_it_vanishes() {
+fn lwr_presses_wall_stops_when_wall_vanishes() {
     retried(press_with_lwr);
 }
 
 #[test]
-fn an_iiwa_touches_a_wall_presses_and_stops_when_it_vanishes() {
+fn iiwa_presses_wall_stops_when_wall_vanishes() {
     retried(press_with_iiwa);
 }

@@ -73,7 +73,7 @@ struct Rig<P, C> {
     stand: Stand,
     driven: Driven,
     taken: DeviceCommand,
-    told: DeviceState,
+    reported: DeviceState,
     has: Interfaces,
     end: P,
     robot: C,
@@ -93,7 +93,7 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
             stand,
             driven,
             taken: DeviceCommand::new(layout.commands),
-            told: DeviceState::new(layout.signals),
+            reported: DeviceState::new(layout.signals),
             has,
             end,
             robot,
@@ -111,7 +111,7 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
             .read_with(|command| taken.copy_from(command));
         let (mut buffer, now) = ([0; MESSAGE_MAX], self.robot.due());
         while let Some(len) = self.robot.send(now, &mut buffer) {
-            self.end.hear(&buffer[..len], now).unwrap();
+            self.end.receive(&buffer[..len], now).unwrap();
             if !self.end.is_due() {
                 continue;
             }
@@ -124,20 +124,22 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
                 moves: false,
                 now,
             };
-            self.end.obey(&self.has, &orders);
+            self.end.apply(&self.has, &orders);
             self.followed = follows;
             let rest = self.end.rest();
             let len = self.end.reply(&rest, &mut buffer).unwrap();
             self.answer = buffer[..len].to_vec();
             self.robot.take(&buffer[..len], now);
         }
-        self.told.status = self.end.status();
-        self.end.report(&self.has, &mut self.told.signals);
+        self.reported.status = self.end.status();
+        self.end.report(&self.has, &mut self.reported.signals);
         if let Some(place) = &self.has.wrench {
-            place.report(&mut self.told.signals, self.end.wrench());
+            place.report(&mut self.reported.signals, self.end.wrench());
         }
-        let told = &self.told;
-        self.driven.state.write_with(|state| state.copy_from(told));
+        let reported = &self.reported;
+        self.driven
+            .state
+            .write_with(|state| state.copy_from(reported));
     }
 
     fn steps(&mut self, count: usize) {
@@ -191,7 +193,7 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
 }
 
 /// With its outcome under `done` and `error`.
-fn told(order: &str) -> String {
+fn ordered(order: &str) -> String {
     format!(
         "{order},{},{}",
         watch("Core::Boolean", "done", "order.outCompleted"),
@@ -200,7 +202,7 @@ fn told(order: &str) -> String {
 }
 
 fn strategy(number: i32) -> String {
-    told(&format!(
+    ordered(&format!(
         "n=Core::IntValue(Value='{number}'),
         order=KUKA::LWR::ControlStrategy(inStrategy=n.outValue,Robot='arm')"
     ))
@@ -214,14 +216,14 @@ fn joint(inputs: &[(&str, f64)]) -> String {
         values += &format!("v_{port}=Core::DoubleValue(Value='{value}'),");
         links += &format!("{port}=v_{port}.outValue,");
     }
-    told(&format!(
+    ordered(&format!(
         "{values}order=KUKA::LWR::JointImpParameters({links}Robot='arm',Axis='1')"
     ))
 }
 
 /// Orders an input of the impedance of the tool.
 fn tool_gives_way(port: &str, value: &str) -> String {
-    told(&format!(
+    ordered(&format!(
         "w=World::WrenchValue(Value='{value}'),
         order=KUKA::LWR::CartImpParameters({port}=w.outValue,Robot='arm')"
     ))
@@ -266,7 +268,7 @@ impl Lwr {
 }
 
 #[test]
-fn a_net_switches_the_control_strategy_through_the_krl_program() {
+fn lwr_net_switches_strategy_through_krl_program() {
     for protocol in [Handshake::Rcc, Handshake::Stanford, Handshake::KukaLwr] {
         let mut rig = Lwr::new(Script::Handshake(protocol), Control::Position);
         rig.steps(200);
@@ -292,11 +294,11 @@ fn a_net_switches_the_control_strategy_through_the_krl_program() {
 }
 
 #[test]
-fn a_net_takes_an_arm_into_command_mode_and_out_of_it() {
+fn lwr_net_enters_and_leaves_command_mode() {
     for protocol in [Handshake::Stanford, Handshake::KukaLwr, Handshake::Tum] {
         let mut rig = Lwr::new(Script::Handshake(protocol), Control::Position);
         rig.steps(200);
-        assert_eq!(rig.robot.state(), State::Mon, "{protocol}: nobody asked");
+        assert_eq!(rig.robot.state(), State::Mon, "{protocol}: not requested");
         for _ in 0..2 {
             assert_eq!(rig.ordered(&strategy(1)), "0", "{protocol}");
             rig.until_operational();
@@ -312,7 +314,7 @@ fn a_net_takes_an_arm_into_command_mode_and_out_of_it() {
 }
 
 #[test]
-fn a_strategy_that_nobody_can_switch_to_is_refused() {
+fn lwr_impossible_strategy_is_refused() {
     let mut rig = Lwr::new(Script::default(), Control::Position);
     rig.until_operational();
     assert_eq!(rig.ordered(&strategy(1)), "0", "it is in force");
@@ -329,7 +331,7 @@ fn a_strategy_that_nobody_can_switch_to_is_refused() {
 }
 
 #[test]
-fn a_program_that_does_not_react_is_told_and_the_next_order_is_taken() {
+fn lwr_unresponsive_program_is_reported_next_order_accepted() {
     // The program is of another convention than the one that the cell names.
     let mut rig = Lwr::new(Script::default(), Control::Position);
     rig.end = lwr::End::new(Some(Handshake::Rcc));
@@ -339,7 +341,7 @@ fn a_program_that_does_not_react_is_told_and_the_next_order_is_taken() {
 }
 
 #[test]
-fn a_strategy_is_not_switched_without_power_or_away_from_the_set_point() {
+fn lwr_strategy_needs_power_and_set_point() {
     let mut rig = Lwr::new(Script::Handshake(Handshake::Rcc), Control::Position);
     rig.until_operational();
     rig.robot.set_power(false);
@@ -349,7 +351,7 @@ fn a_strategy_is_not_switched_without_power_or_away_from_the_set_point() {
 }
 
 #[test]
-fn what_a_net_orders_before_command_mode_is_in_force_with_it() {
+fn lwr_orders_before_command_mode_apply_with_it() {
     let mut rig = Lwr::manual(Control::JointImpedance);
     let net = rig.start(&joint(&[("inStiffness", 300.0), ("inDamping", 0.5)]));
     assert_eq!(rig.outcome(net), "0");
@@ -366,7 +368,7 @@ fn what_a_net_orders_before_command_mode_is_in_force_with_it() {
 }
 
 #[test]
-fn fields_that_are_not_chosen_wait_until_command_mode_is_entered_anew() {
+fn lwr_unselected_fields_wait_for_next_command_mode() {
     let mut rig = Lwr::manual(Control::JointImpedance);
     rig.enter();
     let net = rig.start(&joint(&[("inStiffness", 300.0)]));
@@ -381,7 +383,7 @@ fn fields_that_are_not_chosen_wait_until_command_mode_is_entered_anew() {
 }
 
 #[test]
-fn impedances_that_the_strategy_does_not_take_say_so() {
+fn lwr_impedance_in_wrong_strategy_is_refused() {
     let mut rig = Lwr::manual(Control::CartesianImpedance);
     let soft = "{force:{x:500,y:600,z:700},torque:{x:50,y:60,z:70}}";
     assert_eq!(rig.ordered(&joint(&[("inStiffness", 300.0)])), "4");
@@ -395,7 +397,7 @@ fn impedances_that_the_strategy_does_not_take_say_so() {
 }
 
 #[test]
-fn a_torque_is_added_while_its_net_runs_and_not_unasked_after_a_fault() {
+fn lwr_torque_needs_running_net_and_renewal_after_fault() {
     let mut rig = Lwr::manual(Control::JointImpedance);
     // Chooses the field.
     assert_eq!(rig.ordered(&joint(&[("inAddTorque", 0.0)])), "0");
@@ -412,7 +414,7 @@ fn a_torque_is_added_while_its_net_runs_and_not_unasked_after_a_fault() {
     rig.robot.set_power(true);
     rig.until_operational();
     rig.steps(5);
-    assert_eq!(rig.cmd().joint_torque, [0.0; 7], "nobody asked anew");
+    assert_eq!(rig.cmd().joint_torque, [0.0; 7], "not requested again");
     assert_eq!(rig.stand.out(net, "error"), "6");
     rig.stand.end(net);
     rig.steps(2);
@@ -425,7 +427,7 @@ fn a_torque_is_added_while_its_net_runs_and_not_unasked_after_a_fault() {
 }
 
 #[test]
-fn a_torque_beyond_the_joint_is_refused_and_nothing_is_added() {
+fn lwr_torque_beyond_guard_is_refused() {
     let mut rig = Lwr::manual(Control::JointImpedance);
     assert_eq!(rig.ordered(&joint(&[("inAddTorque", 0.0)])), "0");
     rig.enter();
@@ -434,7 +436,7 @@ fn a_torque_beyond_the_joint_is_refused_and_nothing_is_added() {
 }
 
 #[test]
-fn a_force_is_added_at_the_tool_in_cartesian_impedance() {
+fn lwr_force_is_added_in_cartesian_impedance() {
     let mut rig = Lwr::manual(Control::CartesianImpedance);
     assert_eq!(rig.ordered(&tool_gives_way("inAddTorque", "{}")), "0");
     rig.enter();
@@ -447,10 +449,10 @@ fn a_force_is_added_at_the_tool_in_cartesian_impedance() {
 }
 
 #[test]
-fn a_net_tells_the_krl_program_what_the_arm_carries() {
+fn lwr_net_sends_tool_to_krl_program() {
     let mut rig = Lwr::new(Script::Handshake(Handshake::Rcc), Control::Position);
     rig.until_operational();
-    let tool = told(
+    let tool = ordered(
         "m=Core::DoubleValue(Value='1.5'),
         com=World::FrameValue(Value='{pos:{x:0.01,z:0.1}}'),
         moi=World::VectorValue(Value='{x:0.1,y:0.2,z:0.3}'),
@@ -466,7 +468,7 @@ fn a_net_tells_the_krl_program_what_the_arm_carries() {
 }
 
 #[test]
-fn user_data_are_inputs_and_outputs_but_for_those_of_the_handshake() {
+fn lwr_user_data_outside_handshake_are_io() {
     let mut rig = Lwr::new(Script::Handshake(Handshake::Rcc), Control::Position);
     rig.until_operational();
     let ports = |ports: [u32; 2]| {
@@ -558,7 +560,7 @@ const SOFT_TOOL: Mode = Mode::CartesianImpedance {
 };
 
 #[test]
-fn torques_go_on_top_of_an_overlay_that_takes_them() {
+fn iiwa_torques_are_added_in_torque_overlay() {
     for dialect in [Dialect::V1, Dialect::V2, Dialect::V3] {
         let mut rig = Iiwa::new(dialect, SPRINGS, CommandMode::Torque);
         let net = rig.start(&joint(&[("inAddTorque", 5.0)]));
@@ -572,13 +574,13 @@ fn torques_go_on_top_of_an_overlay_that_takes_them() {
         rig.robot.set_power(true);
         rig.until_operational();
         rig.steps(5);
-        assert_eq!(rig.data().torque, Some([0.0; AXES]), "nobody asked anew");
+        assert_eq!(rig.data().torque, Some([0.0; AXES]), "not requested again");
         assert_eq!(rig.stand.out(net, "error"), "6");
     }
 }
 
 #[test]
-fn a_wrench_goes_on_top_of_an_overlay_that_takes_it() {
+fn iiwa_wrench_is_added_in_wrench_overlay() {
     let mut rig = Iiwa::new(Dialect::V2, SOFT_TOOL, CommandMode::Wrench);
     let net = rig.start(&tool_gives_way(
         "inAddTorque",
@@ -593,7 +595,7 @@ fn a_wrench_goes_on_top_of_an_overlay_that_takes_it() {
 }
 
 #[test]
-fn what_an_overlay_does_not_take_is_refused() {
+fn iiwa_orders_unsupported_by_overlay_are_refused() {
     let mut rig = Iiwa::new(Dialect::V1, Mode::Position, CommandMode::Position);
     assert_eq!(rig.ordered(&strategy(1)), "0", "it is in force");
     assert_eq!(rig.ordered(&strategy(3)), "4", "only its program switches");
@@ -607,7 +609,7 @@ fn what_an_overlay_does_not_take_is_refused() {
 }
 
 #[test]
-fn inputs_and_outputs_that_the_robot_program_shares_are_those_of_nets() {
+fn iiwa_shared_signals_are_io_of_nets() {
     let mut rig = Iiwa::new(Dialect::V2, Mode::Position, CommandMode::Position);
     let net = rig.start(&format!(
         "t=Core::BooleanValue(Value='true'),r=Core::DoubleValue(Value='2.5'),
@@ -636,7 +638,7 @@ fn inputs_and_outputs_that_the_robot_program_shares_are_those_of_nets() {
 }
 
 #[test]
-fn the_force_at_the_tool_is_told_where_fri_has_it() {
+fn iiwa_tool_force_is_reported_since_fri_2_7() {
     let force = format!(
         "f=KUKA::LWR::FMonitor(Robot='arm'),{}",
         watch("Core::Double", "z", "f.outTcpFz")

@@ -49,7 +49,7 @@ fn assert_used(value: impl Fn(&str) -> String) {
 }
 
 #[test]
-fn all_devices_are_stepped_without_an_allocation() {
+fn sim_devices_step_without_allocation() {
     let _alone = COUNTER.lock().unwrap_or_else(PoisonError::into_inner);
     let mut stand = Stand::default();
     for (name, kind, parameters) in cell::devices() {
@@ -115,7 +115,7 @@ fn record(path: &Path) -> Result<u64, takt_core::Error> {
 }
 
 #[test]
-fn a_cell_of_all_devices_runs_allocates_nothing_and_replays_the_same() {
+fn sim_cell_allocates_nothing_and_replays_identically() {
     let _alone = COUNTER.lock().unwrap_or_else(PoisonError::into_inner);
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("devices.mcap");
     let before = real_time_allocations();
@@ -129,7 +129,7 @@ fn a_cell_of_all_devices_runs_allocates_nothing_and_replays_the_same() {
 }
 
 #[test]
-fn devices_tell_programs_the_interfaces_that_clients_know() {
+fn devices_list_interfaces_that_clients_know() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     for (name, kind, parameters) in cell::devices() {
         controller.add_device(name, kind, &parameters).unwrap();
@@ -137,8 +137,9 @@ fn devices_tell_programs_the_interfaces_that_clients_know() {
     let devices = controller.devices();
     let interfaces = |name: &str| {
         let device = devices.iter().find(|d| d.name == name).unwrap();
-        let told = device.interfaces.iter();
-        told.map(|(name, parameters)| format!("{name}{parameters:?}"))
+        let interfaces = device.interfaces.iter();
+        interfaces
+            .map(|(name, parameters)| format!("{name}{parameters:?}"))
             .collect::<Vec<_>>()
     };
     assert_eq!(interfaces("base"), ["cartesianposition{}", "robotbase{}"]);

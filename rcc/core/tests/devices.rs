@@ -71,7 +71,7 @@ fn position(controller: &Controller, name: &str) -> f64 {
 }
 
 #[test]
-fn a_simulated_arm_is_where_its_set_points_say() {
+fn sim_arm_is_at_its_set_points() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     controller
         .add_device("arm", "kuka_lwr_sim", &parameters(7))
@@ -82,7 +82,7 @@ fn a_simulated_arm_is_where_its_set_points_say() {
 }
 
 #[test]
-fn a_slower_net_moves_an_arm_as_far() {
+fn sim_arm_slower_net_reaches_same_position() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     controller
         .add_device("arm", "kuka_lwr_sim", &parameters(7))
@@ -97,7 +97,7 @@ fn a_slower_net_moves_an_arm_as_far() {
 }
 
 #[test]
-fn a_period_that_is_no_whole_multiple_is_refused_with_the_figure() {
+fn net_period_not_multiple_is_rejected_with_figure() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let request = LoadRequest {
         text: "{f=Core::BooleanValue(),outTerminate=f.outValue}".to_owned(),
@@ -114,7 +114,7 @@ fn a_period_that_is_no_whole_multiple_is_refused_with_the_figure() {
 }
 
 #[test]
-fn devices_come_and_go() {
+fn sim_devices_are_created_and_removed() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let add = |name, kind, joints| controller.add_device(name, kind, &parameters(joints));
     for round in 0..3 {
@@ -135,12 +135,12 @@ fn devices_come_and_go() {
         controller.remove_device("b").unwrap();
         assert!(controller.devices().is_empty());
     }
-    let gone = controller.remove_device("a").unwrap_err().to_string();
-    assert!(gone.contains("no device `a`"), "{gone}");
+    let error = controller.remove_device("a").unwrap_err().to_string();
+    assert!(error.contains("no device `a`"), "{error}");
 }
 
 #[test]
-fn wrong_parameters_are_told() {
+fn sim_device_wrong_parameters_are_reported() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let refused = |kind: &str, change: (&str, &str)| {
         let mut parameters = parameters(7);
@@ -163,7 +163,7 @@ fn wrong_parameters_are_told() {
 }
 
 #[test]
-fn a_net_that_cannot_fit_its_period_is_refused_with_the_figure() {
+fn net_above_period_budget_is_rejected_with_figure() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let mut text = String::from("{f=Core::BooleanValue(),outTerminate=f.outValue");
     for i in 0..30_000 {
@@ -180,12 +180,12 @@ fn a_net_that_cannot_fit_its_period_is_refused_with_the_figure() {
         })
         .unwrap();
     let rejection = controller.net(id).unwrap().rejection.unwrap().to_string();
-    for told in [
+    for text in [
         "costs up to 1.20044ms",
         "the limit is 800µs of its period of 1ms",
         "the heaviest are 30000 `Core::DoubleAdd` 100 %",
         "`takt net calibrate`",
     ] {
-        assert!(rejection.contains(told), "{told} is missing in {rejection}");
+        assert!(rejection.contains(text), "{text} is missing in {rejection}");
     }
 }

@@ -125,7 +125,7 @@ fn orders() -> String {
 }
 
 #[test]
-fn the_driver_of_an_lwr_allocates_nothing_whatever_nets_order() {
+fn lwr_driver_allocates_nothing_for_any_orders() {
     let count = steady(|| {
         let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
         let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
@@ -158,7 +158,7 @@ fn the_driver_of_an_lwr_allocates_nothing_whatever_nets_order() {
 }
 
 #[test]
-fn the_driver_of_an_iiwa_allocates_nothing_whatever_nets_order() {
+fn iiwa_driver_allocates_nothing_for_any_orders() {
     let count = steady(|| {
         let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
         let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
@@ -220,7 +220,7 @@ fn joint(of: &str, drive: &str, axis: usize) -> String {
 }
 
 #[test]
-fn the_driver_of_a_canopen_network_allocates_nothing() {
+fn canopen_driver_allocates_nothing() {
     let count = steady(|| {
         let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
         let joints: String = ["1", "2"].map(|drive| joint("canopen", drive, 0)).concat();
@@ -270,7 +270,7 @@ fn the_driver_of_a_canopen_network_allocates_nothing() {
 }
 
 #[test]
-fn the_driver_of_an_ethercat_segment_allocates_nothing() {
+fn ethercat_driver_allocates_nothing() {
     let count = steady(|| {
         let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
         let joints = (0..6).map(|axis| joint("ethercat", "\"drives\"", axis));
@@ -320,7 +320,7 @@ fn the_driver_of_an_ethercat_segment_allocates_nothing() {
 }
 
 #[test]
-fn the_driver_of_a_segway_allocates_nothing() {
+fn rmp_driver_allocates_nothing() {
     let count = steady(|| {
         let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
         let config = RmpConfig {

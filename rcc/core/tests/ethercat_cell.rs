@@ -1,4 +1,4 @@
-//! What a cell's file can say of an EtherCAT segment, against emulated slaves at the end of a cable inside of this
+//! EtherCAT segments of cell files, against emulated slaves at the end of a cable inside of this
 //! process: how slaves are found and set up, a ring, inputs and outputs, and a segment that is not as expected at first.
 
 #![expect(
@@ -6,9 +6,9 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
+#[path = "common/bench.rs"]
+mod bench;
 mod common;
-#[path = "common/hall.rs"]
-mod hall;
 
 use std::time::Duration;
 
@@ -23,7 +23,7 @@ use takt_ethercat::emulator::{Coupler, Io, PdoImage, Segment, ServoConfig, Servo
 use takt_ethercat::linux::monotonic;
 use takt_tests::steady;
 
-use hall::{Hall, Log};
+use bench::{Log, TestBench};
 
 fn config(text: &str) -> EthercatConfig {
     let text = format!(
@@ -54,7 +54,7 @@ fn value(drive: &ServoDrive, index: u16, sub: u8) -> Vec<u8> {
 }
 
 #[test]
-fn a_slave_is_found_by_its_name_and_set_up_by_objects() {
+fn ethercat_slave_found_by_name_configured_by_objects() {
     let config = config(
         "[[ethercat.slave]]\nname = 'head'\nposition = 0\n\
          [[ethercat.slave]]\nname = 'drive'\nsii_name = 'TK4021 servo'\nvendor = 0x7A87\nproduct = 0x4021\naxes = 1\n\
@@ -65,13 +65,13 @@ fn a_slave_is_found_by_its_name_and_set_up_by_objects() {
          ]\n",
     );
     let (slave, drive) = servo();
-    let hall = Hall::start(&config, Segment::line([Coupler::slave(), slave]));
-    hall.wait_until_operational();
+    let bench = TestBench::start(&config, Segment::line([Coupler::slave(), slave]));
+    bench.wait_until_operational();
     assert_eq!(value(&drive, 0x6083, 0), 54_321_u32.to_le_bytes());
 }
 
 #[test]
-fn all_that_a_file_says_of_a_slave_reaches_the_master() {
+fn ethercat_slave_configuration_reaches_master() {
     let config = config(
         "second = 'far'\nspin = '200us'\nclocks = { window = '3us', lock = '8s', unlocked = 'start' }\n\
          [[ethercat.slave]]\nname = 'tool'\nalias = 7\nrevision = 0x10000\noptional = true\ngroup = 2\ngoal = 'SAFE-OP'\n\
@@ -109,7 +109,7 @@ fn all_that_a_file_says_of_a_slave_reaches_the_master() {
 
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table of cells")]
-fn what_cannot_be_is_refused_with_its_slave() {
+fn ethercat_invalid_configuration_is_rejected_with_slave() {
     let slave = |rest: &str| refused(&format!("[[ethercat.slave]]\nname = 'a'\n{rest}\n"));
     let io = |rest: &str| {
         refused(&format!(
@@ -117,7 +117,7 @@ fn what_cannot_be_is_refused_with_its_slave() {
         ))
     };
     let usize_max = i64::MAX;
-    for (told, why) in [
+    for (reported, why) in [
         (
             slave(""),
             "slave a: it needs one of `position`, `alias` and `sii_name`",
@@ -138,7 +138,7 @@ fn what_cannot_be_is_refused_with_its_slave() {
             slave(
                 "position = 0\naxes = 1\noutputs = [{ pdo = 0x1600, entries = [[0x6040, 0, 16]] }]",
             ),
-            "axis 0 cannot be led without 607A",
+            "axis 0 cannot be controlled without 607A",
         ),
         (
             slave("position = 0\nstartup = [{ index = 0x6060, value = { i8 = 200 } }]"),
@@ -179,12 +179,12 @@ fn what_cannot_be_is_refused_with_its_slave() {
             "1 to 32 are possible",
         ),
     ] {
-        assert!(told.contains(why), "{why}: {told}");
+        assert!(reported.contains(why), "{why}: {reported}");
     }
 }
 
 #[test]
-fn nets_read_and_set_analogue_channels_in_their_units() {
+fn ethercat_nets_use_analogue_channels_in_units() {
     let config = config(
         "[[ethercat.slave]]\nname = 'volts'\nposition = 0\n\
          [[ethercat.io]]\nname = 'io'\n\
@@ -193,19 +193,19 @@ fn nets_read_and_set_analogue_channels_in_their_units() {
     );
     steady(|| {
         let (terminal, io) = Io::analogue(2, 2);
-        let hall = Hall::start(&config, Segment::line([terminal]));
-        hall.cell().wait_for("io", DeviceStatus::Operational);
-        let net = hall.cell().load(
+        let bench = TestBench::start(&config, Segment::line([terminal]));
+        bench.cell().wait_for("io", DeviceStatus::Operational);
+        let net = bench.cell().load(
             "{ in=IO::InReal(DeviceID='io',Port='0'),
            out=IO::OutReal(inIO=in.outIO,DeviceID='io',Port='0'),
            cancel=Cancel(),outTerminate=cancel.outCancel }",
         );
-        hall.cell().controller.start_net(net).unwrap();
+        bench.cell().controller.start_net(net).unwrap();
         for (raw, value) in [(100_i16, 98_i16), (-7, -9), (i16::MIN, i16::MIN)] {
             let [low, high] = raw.to_le_bytes();
             io.set_inputs(&[0, 0, low, high]);
             let [low, high] = value.to_le_bytes();
-            hall.cell().wait("the output as the input", |_| {
+            bench.cell().wait("the output as the input", |_| {
                 io.outputs() == [0, 0, low, high]
             });
         }
@@ -213,7 +213,7 @@ fn nets_read_and_set_analogue_channels_in_their_units() {
 }
 
 #[test]
-fn a_ring_of_two_interfaces_goes_on_when_a_cable_is_cut() {
+fn ethercat_ring_survives_cut_cable() {
     let config = config(
         "second = 'far'\n\
          [[ethercat.slave]]\nname = 'a'\nposition = 0\n\
@@ -222,31 +222,32 @@ fn a_ring_of_two_interfaces_goes_on_when_a_cable_is_cut() {
     );
     steady(|| {
         let ((a, _a), (b, io)) = (Io::digital(8, 8), Io::digital(8, 8));
-        let hall = Hall::start(&config, Segment::line([a, b]));
-        hall.cell().wait_for("io", DeviceStatus::Operational);
-        let net = hall.cell().load(
+        let bench = TestBench::start(&config, Segment::line([a, b]));
+        bench.cell().wait_for("io", DeviceStatus::Operational);
+        let net = bench.cell().load(
             "{ in=IO::InBool(DeviceID='io',Port='8'),
            out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='15'),
            cancel=Cancel(),outTerminate=cancel.outCancel }",
         );
-        hall.cell().controller.start_net(net).unwrap();
+        bench.cell().controller.start_net(net).unwrap();
         let follows = |value: u8| {
             io.set_inputs(&[value]);
-            hall.cell()
+            bench
+                .cell()
                 .wait("the output as the input", |_| io.outputs() == [value << 7]);
         };
         follows(1);
-        hall.segment().set_link(1, false);
+        bench.segment().set_link(1, false);
         follows(0);
         follows(1);
-        assert!(hall.figures().operational);
-        hall.segment().set_link(1, true);
+        assert!(bench.figures().operational);
+        bench.segment().set_link(1, true);
         follows(0);
     });
 }
 
 #[test]
-fn a_slave_without_power_at_start_is_missed_once_and_taken_when_it_comes() {
+fn ethercat_unpowered_slave_reported_once_then_accepted() {
     let log = Log::start();
     let config = config(
         "[[ethercat.slave]]\nname = 'a'\nposition = 0\n\
@@ -255,17 +256,20 @@ fn a_slave_without_power_at_start_is_missed_once_and_taken_when_it_comes() {
     );
     let mut segment = Segment::line([Io::digital(8, 8).0, Io::digital(8, 8).0]);
     segment.set_power(1, false);
-    let hall = Hall::start(&config, segment);
-    hall.cell()
-        .wait("it is told", |_| log.text().contains("\"late\" is missing"));
-    hall.segment().set_power(1, true);
-    hall.wait_until_operational();
-    let told = [
+    let bench = TestBench::start(&config, segment);
+    bench
+        .cell()
+        .wait("its report", |_| log.text().contains("\"late\" is missing"));
+    bench.segment().set_power(1, true);
+    bench.wait_until_operational();
+    let reported = [
         "as the cell expects them",
         "it has 8 bits of outputs, 9 are named",
     ];
-    for told in told {
-        hall.cell().wait(told, |_| log.text().contains(told));
+    for reported in reported {
+        bench
+            .cell()
+            .wait(reported, |_| log.text().contains(reported));
     }
     assert_eq!(
         log.text().matches("\"late\" is missing").count(),
@@ -276,7 +280,7 @@ fn a_slave_without_power_at_start_is_missed_once_and_taken_when_it_comes() {
 }
 
 /// What becomes of an arm in mid swing when the clock of its drive jumps, by a policy.
-fn jumps(policy: &str, judge: impl Fn(&Hall, &ServoDrive, NetId, u64)) {
+fn jumps(policy: &str, judge: impl Fn(&TestBench, &ServoDrive, NetId, u64)) {
     let config = config(&format!(
         "clocks = {{ window = '50us', lost = '{policy}' }}\n\
          [[ethercat.slave]]\nname = 'first'\nposition = 0\naxes = 1\nsync0 = true\n\
@@ -286,22 +290,23 @@ fn jumps(policy: &str, judge: impl Fn(&Hall, &ServoDrive, NetId, u64)) {
     ));
     steady(|| {
         let (slave, drive) = servo();
-        let hall = Hall::start(&config, Segment::line([servo().0, slave]));
-        hall.cell().wait_for("arm", DeviceStatus::Operational);
-        let net = hall.cell().swinging("arm", 0);
-        let events = hall.figures().events;
+        let bench = TestBench::start(&config, Segment::line([servo().0, slave]));
+        bench.cell().wait_for("arm", DeviceStatus::Operational);
+        let net = bench.cell().swinging("arm", 0);
+        let events = bench.figures().events;
         let now = u64::try_from(monotonic().unwrap().as_nanos()).unwrap();
-        hall.segment()
+        bench
+            .segment()
             .slave(1)
             .unwrap()
             .clock()
             .unwrap()
             .jump(400_000, now);
-        judge(&hall, &drive, net, events);
+        judge(&bench, &drive, net, events);
     });
 }
 
-fn stands(drive: &ServoDrive) -> bool {
+fn is_at_rest(drive: &ServoDrive) -> bool {
     drive.axis(0, |drive| drive.motor().velocity.abs()).unwrap() < 0.5
 }
 
@@ -310,43 +315,46 @@ fn state(drive: &ServoDrive) -> State {
 }
 
 #[test]
-fn an_arm_whose_clock_is_lost_is_held_until_it_is_back() {
-    jumps("hold", |hall, drive, net, _| {
-        hall.cell().wait_for("arm", DeviceStatus::SafeOperational);
-        hall.cell().wait_for_end(net);
-        hall.cell().wait("the motor standing", |_| stands(drive));
+fn ethercat_lost_clock_holds_arm_until_recovery() {
+    jumps("hold", |bench, drive, net, _| {
+        bench.cell().wait_for("arm", DeviceStatus::SafeOperational);
+        bench.cell().wait_for_end(net);
+        bench
+            .cell()
+            .wait("standstill of the motor", |_| is_at_rest(drive));
         assert_eq!(state(drive), State::OperationEnabled);
-        hall.cell().wait_for("arm", DeviceStatus::Operational);
-        hall.cell().swinging("arm", 0);
+        bench.cell().wait_for("arm", DeviceStatus::Operational);
+        bench.cell().swinging("arm", 0);
     });
 }
 
 #[test]
-fn an_arm_whose_clock_is_lost_is_stopped_until_it_is_back() {
-    jumps("stop", |hall, drive, net, _| {
-        hall.cell().wait_for_end(net);
-        hall.cell()
+fn ethercat_lost_clock_stops_arm_until_recovery() {
+    jumps("stop", |bench, drive, net, _| {
+        bench.cell().wait_for_end(net);
+        bench
+            .cell()
             .wait("power off", |_| state(drive) == State::SwitchOnDisabled);
-        assert!(stands(drive), "power went off while it turned");
-        hall.cell().wait_for("arm", DeviceStatus::Operational);
-        hall.cell().swinging("arm", 0);
+        assert!(is_at_rest(drive), "power went off while it turned");
+        bench.cell().wait_for("arm", DeviceStatus::Operational);
+        bench.cell().swinging("arm", 0);
     });
 }
 
 #[test]
-fn an_arm_whose_clock_is_lost_goes_on_if_the_cell_says_so() {
-    jumps("ignore", |hall, drive, net, events| {
-        hall.cell().wait("its loss and its return", |_| {
-            hall.figures().events >= events + 2
+fn ethercat_lost_clock_continues_if_configured() {
+    jumps("ignore", |bench, drive, net, events| {
+        bench.cell().wait("its loss and its return", |_| {
+            bench.figures().events >= events + 2
         });
-        assert!(!hall.cell().is_over(net), "the net was ended");
-        assert_eq!(hall.cell().status("arm"), DeviceStatus::Operational);
+        assert!(!bench.cell().is_over(net), "the net was ended");
+        assert_eq!(bench.cell().status("arm"), DeviceStatus::Operational);
         assert_eq!(state(drive), State::OperationEnabled);
     });
 }
 
 #[test]
-fn an_optional_terminal_that_comes_later_is_read_by_its_objects() {
+fn ethercat_optional_terminal_later_is_read_by_objects() {
     let entries = (0..2).map(|n| format!("[{}, 17, 16]", 0x6000 + 0x10 * n));
     let config = config(&format!(
         "[[ethercat.slave]]\nname = 'gate'\nposition = 0\n\
@@ -368,10 +376,10 @@ fn an_optional_terminal_that_comes_later_is_read_by_its_objects() {
     );
     let mut segment = Segment::line([Coupler::slave(), terminal]);
     segment.set_power(1, false);
-    let hall = Hall::start(&config, segment);
-    hall.wait_until_operational();
-    assert_eq!(hall.cell().status("io"), DeviceStatus::Offline);
-    hall.segment().set_power(1, true);
+    let bench = TestBench::start(&config, segment);
+    bench.wait_until_operational();
+    assert_eq!(bench.cell().status("io"), DeviceStatus::Offline);
+    bench.segment().set_power(1, true);
     io.set_inputs(&[0, 0, 7, 0]);
-    hall.cell().wait_for("io", DeviceStatus::Operational);
+    bench.cell().wait_for("io", DeviceStatus::Operational);
 }

@@ -69,7 +69,7 @@ impl Drop for Sunrise {
     }
 }
 
-/// A cabinet with more patience than a real one: a host without `PREEMPT_RT` may stall for tens of
+/// A cabinet with longer timeouts than a real one: a host without `PREEMPT_RT` may stall for tens of
 /// milliseconds, and that is no reason to stop here.
 fn patient(dialect: Dialect) -> CabinetConfig {
     CabinetConfig {
@@ -110,7 +110,7 @@ fn wait_for(cell: &Cell, status: DeviceStatus) {
     cell.wait(&status.to_string(), |c| c.devices()[0].status == status);
 }
 
-/// A net moves the arm by half a radian, and what the cabinet measures says so.
+/// A net moves the arm by half a radian, as the cabinet measures.
 fn move_it(config: CabinetConfig) {
     steady(|| {
         let (cell, address) = cell();
@@ -134,14 +134,14 @@ fn move_it(config: CabinetConfig) {
 }
 
 #[test]
-fn a_net_moves_an_iiwa_in_every_dialect() {
+fn iiwa_net_moves_arm_in_every_dialect() {
     for dialect in [Dialect::V1, Dialect::V2, Dialect::V3] {
         move_it(patient(dialect));
     }
 }
 
 #[test]
-fn a_net_moves_an_iiwa_whose_overlay_adds_torques() {
+fn iiwa_net_moves_arm_in_torque_overlay() {
     let overlay = Overlay {
         control: Control::JointImpedance {
             stiffness: [2000.0; 7],
@@ -157,7 +157,7 @@ fn a_net_moves_an_iiwa_whose_overlay_adds_torques() {
 }
 
 #[test]
-fn answers_are_given_only_when_the_cabinet_wants_them() {
+fn iiwa_answers_only_when_cabinet_requests() {
     move_it(CabinetConfig {
         receive_multiplier: 3,
         ..patient(Dialect::V1)
@@ -165,7 +165,7 @@ fn answers_are_given_only_when_the_cabinet_wants_them() {
 }
 
 #[test]
-fn an_overlay_of_poses_is_no_arm_that_follows_joints() {
+fn iiwa_pose_overlay_is_not_operational() {
     steady(|| {
         let (cell, address) = cell();
         let overlay = Overlay {
@@ -190,7 +190,7 @@ fn an_overlay_of_poses_is_no_arm_that_follows_joints() {
 }
 
 #[test]
-fn a_cabinet_that_vanishes_ends_the_net_and_a_new_one_in_another_dialect_is_taken() {
+fn iiwa_lost_cabinet_ends_net_accepts_new_dialect() {
     steady(|| {
         let (cell, address) = cell();
         let mut cabinet = Sunrise::start(address, patient(Dialect::V1));
@@ -207,7 +207,7 @@ fn a_cabinet_that_vanishes_ends_the_net_and_a_new_one_in_another_dialect_is_take
 }
 
 #[test]
-fn an_iiwa_that_loses_power_ends_the_net_and_rests_when_it_comes_back() {
+fn iiwa_power_loss_ends_net_recovers_at_rest() {
     steady(|| {
         let (cell, address) = cell();
         let cabinet = Sunrise::start(address, patient(Dialect::V2));
@@ -226,7 +226,7 @@ fn an_iiwa_that_loses_power_ends_the_net_and_rests_when_it_comes_back() {
 }
 
 #[test]
-fn torques_of_an_iiwa_are_told_while_it_is_there() {
+fn iiwa_torques_reported_while_online() {
     let (cell, address) = cell();
     let mut cabinet = Sunrise::start(address, patient(Dialect::V1));
     let net = cell.load(

@@ -87,10 +87,10 @@ impl Link for Gate {
 }
 
 /// Drives in a thread of their own, and a controller that leads them.
-struct Hall {
+struct TestBench {
     cell: Option<Cell>,
     drives: Arc<Mutex<Vec<DriveNode>>>,
-    /// The identifier of frames that drives send and nobody gets.
+    /// The identifier of frames of drives that are dropped.
     muted: Arc<AtomicU32>,
     /// Whether the thread of the master hangs.
     held: Arc<AtomicBool>,
@@ -106,7 +106,7 @@ fn drive(node: u8, axes: usize) -> DriveNode {
     DriveNode::power_on(config, monotonic()).unwrap()
 }
 
-impl Hall {
+impl TestBench {
     fn new() -> Self {
         let drives = (1..=JOINTS).map(|node| drive(node, 1)).collect();
         Self::of(&config(), drives)
@@ -183,7 +183,7 @@ impl Hall {
             .all(|drive| holds(drive.application().axis(0).unwrap()))
     }
 
-    /// What an axis of a drive is asked or told; drives count from 0.
+    /// Accesses an axis of a drive; drives count from 0.
     fn axis<R>(&self, drive: usize, axis: usize, use_it: impl FnOnce(&mut Drive) -> R) -> R {
         let mut drives = self.drives.lock().unwrap();
         use_it(drives[drive].application_mut().axis_mut(axis).unwrap())
@@ -194,7 +194,7 @@ impl Hall {
     }
 }
 
-impl Drop for Hall {
+impl Drop for TestBench {
     fn drop(&mut self) {
         self.held.store(false, Ordering::Relaxed);
         self.cell = None;
@@ -206,16 +206,16 @@ impl Drop for Hall {
 }
 
 #[test]
-fn a_net_moves_an_arm_over_canopen() {
+fn canopen_net_moves_arm() {
     steady(|| {
-        let hall = Hall::new();
-        let moved = hall.cell().swung("arm", 1);
+        let bench = TestBench::new();
+        let moved = bench.cell().swung("arm", 1);
         assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
         assert!(
-            hall.cell().position("arm", 0).abs() < 1e-3,
-            "nobody moved it"
+            bench.cell().position("arm", 0).abs() < 1e-3,
+            "not commanded"
         );
-        for drive in hall.drives.lock().unwrap().iter() {
+        for drive in bench.drives.lock().unwrap().iter() {
             let bytes = |index, sub| drive.dictionary().bytes(Address::new(index, sub)).unwrap();
             assert_eq!(bytes(0x60C2, 1), [4], "SYNC every 4");
             assert_eq!(bytes(0x60C2, 2), (-3_i8).to_le_bytes(), "ms");
@@ -228,55 +228,55 @@ fn a_net_moves_an_arm_over_canopen() {
 }
 
 #[test]
-fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
+fn drive_fault_ends_net_arm_recovers_at_rest() {
     steady(|| {
-        let hall = Hall::new();
-        let net = hall.cell().swinging("arm", 0);
-        hall.axis(2, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
-        hall.cell().wait_for_end(net);
-        hall.axis(2, 0, Drive::clear_cause);
-        hall.cell().wait_for("arm", DeviceStatus::Operational);
-        let rest = hall.cell().position("arm", 0);
+        let bench = TestBench::new();
+        let net = bench.cell().swinging("arm", 0);
+        bench.axis(2, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
+        bench.cell().wait_for_end(net);
+        bench.axis(2, 0, Drive::clear_cause);
+        bench.cell().wait_for("arm", DeviceStatus::Operational);
+        let rest = bench.cell().position("arm", 0);
         std::thread::sleep(Duration::from_millis(300));
-        assert!((hall.cell().position("arm", 0) - rest).abs() < 1e-3);
+        assert!((bench.cell().position("arm", 0) - rest).abs() < 1e-3);
     });
 }
 
 /// A cable that shakes: the node itself is well and goes on running.
 #[test]
-fn an_arm_whose_process_data_were_gone_for_a_while_comes_back() {
+fn canopen_arm_recovers_after_lost_process_data() {
     steady(|| {
-        let hall = Hall::new();
+        let bench = TestBench::new();
         for _ in 0..2 {
-            hall.muted.store(0x182, Ordering::Relaxed);
-            hall.cell().wait_for("arm", DeviceStatus::Offline);
-            hall.muted.store(u32::MAX, Ordering::Relaxed);
-            hall.cell().wait_for("arm", DeviceStatus::Operational);
+            bench.muted.store(0x182, Ordering::Relaxed);
+            bench.cell().wait_for("arm", DeviceStatus::Offline);
+            bench.muted.store(u32::MAX, Ordering::Relaxed);
+            bench.cell().wait_for("arm", DeviceStatus::Operational);
         }
     });
 }
 
-/// These drives do not mind missing set-points: only the heartbeat tells them.
+/// These drives tolerate missing set-points: only the heartbeat stops them.
 #[test]
-fn drives_stop_when_the_thread_of_their_master_hangs_and_follow_it_again() {
+fn canopen_drives_stop_when_master_hangs_then_recover() {
     steady(|| {
-        let hall = Hall::new();
-        let net = hall.cell().swinging("arm", 0);
-        hall.held.store(true, Ordering::Relaxed);
-        hall.cell().wait("drives that stop by themselves", |_| {
-            hall.all(|drive| {
+        let bench = TestBench::new();
+        let net = bench.cell().swinging("arm", 0);
+        bench.held.store(true, Ordering::Relaxed);
+        bench.cell().wait("drives that stop by themselves", |_| {
+            bench.all(|drive| {
                 drive.state() != State::OperationEnabled && drive.motor().velocity.abs() < 0.01
             })
         });
-        hall.held.store(false, Ordering::Relaxed);
-        hall.cell().wait_for_end(net);
-        hall.cell().wait_for("arm", DeviceStatus::Operational);
+        bench.held.store(false, Ordering::Relaxed);
+        bench.cell().wait_for_end(net);
+        bench.cell().wait_for("arm", DeviceStatus::Operational);
     });
 }
 
-/// A controller is not needed for that; what a driver tells is what its log then says.
+/// No controller is needed: events of the driver are checked directly.
 #[test]
-fn a_network_tells_why_its_arm_is_not_operational() {
+fn canopen_network_reports_why_arm_not_operational() {
     let mut config = config();
     config.arms[0].joints.truncate(2);
     let ours = LivePort::first_of(Bus::new(Config::default()));
@@ -296,10 +296,10 @@ fn a_network_tells_why_its_arm_is_not_operational() {
     let mut of_drive = DriveNodeConfig::new(NodeId::new(1).unwrap());
     of_drive.axes[0].quirks.missing_set_points = None;
     let mut drive = DriveNode::power_on(of_drive, monotonic()).unwrap();
-    let mut heard: Vec<String> = Vec::new();
+    let mut texts: Vec<String> = Vec::new();
     let mut faulted = false;
     let wanted = [
-        "node 1: it runs",
+        "node 1: running",
         "node 2: no boot-up message 5s after reset communication",
         "node 1: EMCY 2320h",
         "node 1, axis 0: the drive is in fault",
@@ -307,9 +307,9 @@ fn a_network_tells_why_its_arm_is_not_operational() {
     let until = std::time::Instant::now() + Duration::from_secs(30);
     while !wanted
         .iter()
-        .all(|text| heard.iter().any(|h| h.starts_with(text)))
+        .all(|text| texts.iter().any(|h| h.starts_with(text)))
     {
-        assert!(std::time::Instant::now() < until, "{heard:#?}");
+        assert!(std::time::Instant::now() < until, "{texts:#?}");
         if let Some(received) = port.receive(Duration::from_micros(300)).unwrap()
             && let Some(frame) = received.frame.classic()
         {
@@ -318,8 +318,8 @@ fn a_network_tells_why_its_arm_is_not_operational() {
         while let Some(frame) = drive.poll_transmit(monotonic()) {
             let _ = port.send(&frame.into());
         }
-        heard.extend(network.news().map(|notice| notice.text));
-        if !faulted && heard.iter().any(|h| h == "node 1: it runs") {
+        texts.extend(network.news().map(|notice| notice.text));
+        if !faulted && texts.iter().any(|h| h == "node 1: running") {
             faulted = true;
             let axis = drive.application_mut().axis_mut(0).unwrap();
             axis.fault(FaultCode::SHORT_CIRCUIT);
@@ -348,36 +348,35 @@ fn cell_of(arms: &[(&str, &[(u8, u8)])]) -> CanopenConfig {
 
 /// Joint 1 is axis 2, and axis 0 has no joint: places in the arm and numbers in the drive differ.
 #[test]
-fn axes_of_one_drive_are_joints_of_one_arm() {
+fn canopen_axes_of_one_drive_form_arm() {
     steady(|| {
         let config = cell_of(&[("arm", &[(9, 1), (9, 2), (9, 3)])]);
-        let hall = Hall::of(&config, vec![drive(9, 4)]);
-        let turned = |axis| hall.axis(0, axis, |drive| drive.motor().position);
+        let bench = TestBench::of(&config, vec![drive(9, 4)]);
+        let turned = |axis| bench.axis(0, axis, |drive| drive.motor().position);
         let before = [0, 1, 2, 3].map(turned);
-        let moved = hall.cell().swung("arm", 1);
+        let moved = bench.cell().swung("arm", 1);
         assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
         for (axis, before) in before.into_iter().enumerate() {
             let turned = (turned(axis) - before).abs() > 1.0;
             assert_eq!(turned, axis == 2, "axis {axis}");
         }
-        let unasked = hall.axis(0, 0, |drive| drive.state());
-        assert_ne!(unasked, State::OperationEnabled, "nobody asked it");
+        let unasked = bench.axis(0, 0, |drive| drive.state());
+        assert_ne!(unasked, State::OperationEnabled, "not requested");
     });
 }
 
 #[test]
-fn six_axes_of_one_drive_are_an_arm() {
+fn canopen_six_axis_drive_forms_arm() {
     steady(|| {
         let config = cell_of(&[("arm", &[(9, 0), (9, 1), (9, 2), (9, 3), (9, 4), (9, 5)])]);
-        let hall = Hall::of(&config, vec![drive(9, 6)]);
+        let bench = TestBench::of(&config, vec![drive(9, 6)]);
         for joint in [0, 5] {
-            let moved = hall.cell().swung("arm", joint);
+            let moved = bench.cell().swung("arm", joint);
             assert!((moved - 0.5).abs() < 0.01, "joint {joint} moved {moved}");
         }
         for joint in 1..5 {
-            let stayed = || hall.cell().position("arm", joint).abs() < 1e-3;
-            hall.cell()
-                .wait("what nobody moved at its place", |_| stayed());
+            let stayed = || bench.cell().position("arm", joint).abs() < 1e-3;
+            bench.cell().wait("the other joints in place", |_| stayed());
         }
     });
 }
@@ -385,25 +384,25 @@ fn six_axes_of_one_drive_are_an_arm() {
 /// Both arms have an axis in each of two drives. That is begun again if the host stalls and the other arm is
 /// lost for that.
 #[test]
-fn a_fault_of_one_axis_leaves_the_other_arm_of_its_drives_alone() {
+fn canopen_axis_fault_spares_other_arm_of_drive() {
     let config = cell_of(&[("left", &[(3, 0), (4, 1)]), ("right", &[(3, 1), (4, 0)])]);
-    let hall = Hall::of(&config, vec![drive(3, 2), drive(4, 2)]);
-    let cell = hall.cell();
+    let bench = TestBench::of(&config, vec![drive(3, 2), drive(4, 2)]);
+    let cell = bench.cell();
     let faults = |arm| cell.controller.arm_state(arm).unwrap().faults;
     for _ in 0..10 {
         let (left, right) = (cell.swinging("left", 0), cell.swinging("right", 1));
         let before = faults("right");
-        hall.axis(0, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
+        bench.axis(0, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
         cell.wait_for_end(left);
         let place = cell.position("right", 1);
         cell.wait("the other arm to move on", |_| {
             (cell.position("right", 1) - place).abs() > 0.01 || cell.is_over(right)
         });
-        let its_axes = [(0, 1), (1, 0)].map(|(at, axis)| hall.axis(at, axis, |d| d.state()));
+        let its_axes = [(0, 1), (1, 0)].map(|(at, axis)| bench.axis(at, axis, |d| d.state()));
         let undisturbed = !cell.is_over(right) && faults("right") == before;
         let _ = cell.controller.abort(right);
         cell.wait_for_end(right);
-        hall.axis(0, 0, Drive::clear_cause);
+        bench.axis(0, 0, Drive::clear_cause);
         cell.wait_for("left", DeviceStatus::Operational);
         cell.wait_for("right", DeviceStatus::Operational);
         if undisturbed {
@@ -415,7 +414,7 @@ fn a_fault_of_one_axis_leaves_the_other_arm_of_its_drives_alone() {
 }
 
 #[test]
-fn what_a_network_cannot_be_is_told() {
+fn canopen_invalid_configurations_are_reported() {
     let mut twice = config();
     twice.arms[0].joints[1].drive = 1;
     let mut master = config();
@@ -444,8 +443,8 @@ fn what_a_network_cannot_be_is_told() {
         (twice, "axis 0 of node 1 drives two joints"),
         (node, "200"),
         (next, "node 10: 18Ah is used already"),
-        (last, "node 127 drives 5 joints; from the fifth on"),
-        (cycle, "cycle is 3.333ms; drives can be told at most 255 of"),
+        (last, "node 127 drives 5 joints; the fifth and later ones"),
+        (cycle, "cycle is 3.333ms; drives support at most 255 times"),
         (number, "master: 200 is no node number"),
         (master, "node 3 has the master's number"),
         (beat, "heartbeat is 7ms; it must be two cycles to 20s"),
@@ -454,7 +453,7 @@ fn what_a_network_cannot_be_is_told() {
             "joint 2: increments_per_turn must not be 0, range must go up",
         ),
     ] {
-        let told = check(&config).unwrap_err();
-        assert!(told.contains(wanted), "{told}");
+        let reported = check(&config).unwrap_err();
+        assert!(reported.contains(wanted), "{reported}");
     }
 }

@@ -6,9 +6,9 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
+#[path = "common/bench.rs"]
+mod bench;
 mod common;
-#[path = "common/hall.rs"]
-mod hall;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -21,8 +21,8 @@ use takt_ethercat::emulator::{Coupler, Io, Segment, ServoConfig, ServoDrive};
 use takt_rt::thread::{ThreadConfig, spawn};
 use takt_tests::steady;
 
+use bench::Log;
 use common::Cell;
-use hall::Log;
 
 /// One turn of a joint, increments.
 const TURN: f64 = 4096.0 * 50.0;
@@ -79,18 +79,18 @@ fn config() -> EthercatConfig {
     }
 }
 
-/// A hall with a coupler, a terminal and the drives of the arm.
-struct Hall {
-    hall: hall::Hall,
+/// A test bench with a coupler, a terminal and the drives of the arm.
+struct TestBench {
+    bench: bench::TestBench,
     drives: ServoDrive,
     io: Io,
 }
 
-impl Hall {
+impl TestBench {
     fn new() -> Self {
-        let hall = Self::start(&config());
-        hall.cell().wait_for("tx90", DeviceStatus::Operational);
-        hall
+        let bench = Self::start(&config());
+        bench.cell().wait_for("tx90", DeviceStatus::Operational);
+        bench
     }
 
     /// Whose devices are not waited for.
@@ -103,33 +103,33 @@ impl Hall {
         }
         let (slave, drives) = ServoDrive::slave(tx90).unwrap();
         let segment = Segment::line([Coupler::slave(), terminal, slave]);
-        let hall = hall::Hall::start(config, segment);
-        Self { hall, drives, io }
+        let bench = bench::TestBench::start(config, segment);
+        Self { bench, drives, io }
     }
 
     fn cell(&self) -> &Cell {
-        self.hall.cell()
+        self.bench.cell()
     }
 }
 
 #[test]
-fn what_differs_from_the_configuration_is_told_slave_by_slave() {
+fn segment_differences_are_reported_per_slave() {
     let log = Log::start();
     let mut config = config();
     config.slaves[1].product = Some(0xBAD);
     config.slaves.remove(0);
-    let hall = Hall::start(&config);
-    for told in [
+    let bench = TestBench::start(&config);
+    for text in [
         "\"terminal\" should have product 00000BADh",
         "is not in the configuration",
     ] {
-        hall.cell().wait(told, |_| log.text().contains(told));
+        bench.cell().wait(text, |_| log.text().contains(text));
     }
-    assert_eq!(hall.cell().status("tx90"), DeviceStatus::Offline);
+    assert_eq!(bench.cell().status("tx90"), DeviceStatus::Offline);
 }
 
 #[test]
-fn start_up_burst_reads_its_last_answer() {
+fn segment_start_up_burst_reads_last_answer() {
     steady(|| {
         // An answer takes longer than what a cycle of start-up leaves after the one before.
         let (terminal, _) = Io::digital(8, 8);
@@ -137,91 +137,94 @@ fn start_up_burst_reads_its_last_answer() {
         let mut config = config();
         config.slaves.truncate(2);
         config.arms.clear();
-        let hall = hall::Hall::start_late(&config, segment, Duration::from_micros(800));
-        hall.wait_until_operational();
-        let figures = hall.figures();
+        let bench = bench::TestBench::start_late(&config, segment, Duration::from_micros(800));
+        bench.wait_until_operational();
+        let figures = bench.figures();
         assert!(figures.lost < 10, "{figures:?}");
     });
 }
 
 #[test]
-fn a_net_moves_a_tx90_over_ethercat() {
+fn ethercat_net_moves_tx90() {
     steady(|| {
-        let hall = Hall::new();
-        let moved = hall.cell().swung("tx90", 3);
+        let bench = TestBench::new();
+        let moved = bench.cell().swung("tx90", 3);
         assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
-        let figures = hall.hall.figures();
+        let figures = bench.bench.figures();
         assert!(figures.operational && figures.cycles > 100, "{figures:?}");
     });
 }
 
 #[test]
-fn a_net_reads_inputs_and_sets_outputs() {
+fn ethercat_net_reads_inputs_sets_outputs() {
     steady(|| {
-        let hall = Hall::new();
-        hall.cell().wait_for("io", DeviceStatus::Operational);
-        let net = hall.cell().load(
+        let bench = TestBench::new();
+        bench.cell().wait_for("io", DeviceStatus::Operational);
+        let net = bench.cell().load(
             "{ in=IO::InBool(DeviceID='io',Port='2'),
            out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='5'),
            cancel=Cancel(),outTerminate=cancel.outCancel }",
         );
-        hall.cell().controller.start_net(net).unwrap();
-        let output = || hall.io.outputs().first().map(|byte| byte >> 5 & 1 == 1);
+        bench.cell().controller.start_net(net).unwrap();
+        let output = || bench.io.outputs().first().map(|byte| byte >> 5 & 1 == 1);
         for value in [true, false, true] {
-            hall.io.set_inputs(&[if value { 0b100 } else { 0 }]);
-            hall.cell().wait("the output as the input", |_| {
-                output() == Some(value) || hall.cell().is_over(net)
+            bench.io.set_inputs(&[if value { 0b100 } else { 0 }]);
+            bench.cell().wait("the output as the input", |_| {
+                output() == Some(value) || bench.cell().is_over(net)
             });
-            assert!(!hall.cell().is_over(net), "the net was ended");
+            assert!(!bench.cell().is_over(net), "the net was ended");
         }
     });
 }
 
 #[test]
-fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
+fn drive_fault_ends_net_arm_recovers_at_rest() {
     steady(|| {
-        let hall = Hall::new();
-        let net = hall.cell().swinging("tx90", 3);
+        let bench = TestBench::new();
+        let net = bench.cell().swinging("tx90", 3);
         let too_hot = takt_can::cia402::emulator::FaultCode::TEMPERATURE;
-        hall.drives.axis(1, |drive| drive.fault(too_hot));
-        hall.cell().wait_for_end(net);
-        assert_ne!(hall.cell().status("tx90"), DeviceStatus::Operational);
-        hall.drives
+        bench.drives.axis(1, |drive| drive.fault(too_hot));
+        bench.cell().wait_for_end(net);
+        assert_ne!(bench.cell().status("tx90"), DeviceStatus::Operational);
+        bench
+            .drives
             .axis(1, takt_can::cia402::emulator::Drive::clear_cause);
-        hall.cell().wait_for("tx90", DeviceStatus::Operational);
-        let rest = hall.cell().position("tx90", 3);
+        bench.cell().wait_for("tx90", DeviceStatus::Operational);
+        let rest = bench.cell().position("tx90", 3);
         std::thread::sleep(Duration::from_millis(300));
-        assert!((hall.cell().position("tx90", 3) - rest).abs() < 1e-3);
+        assert!((bench.cell().position("tx90", 3) - rest).abs() < 1e-3);
     });
 }
 
 #[test]
-fn a_cut_cable_takes_the_arm_offline_and_a_mended_one_brings_it_back() {
+fn ethercat_cut_cable_offline_repaired_cable_recovers() {
     steady(|| {
-        let hall = Hall::new();
-        hall.hall.segment().set_link(2, false);
-        hall.cell().wait_for("tx90", DeviceStatus::Offline);
-        hall.hall.segment().set_link(2, true);
-        hall.cell().wait_for("tx90", DeviceStatus::Operational);
+        let bench = TestBench::new();
+        bench.bench.segment().set_link(2, false);
+        bench.cell().wait_for("tx90", DeviceStatus::Offline);
+        bench.bench.segment().set_link(2, true);
+        bench.cell().wait_for("tx90", DeviceStatus::Operational);
     });
 }
 
 #[test]
-fn a_joint_takes_no_other_place_under_a_load_when_the_drive_of_another_faults() {
+fn ethercat_joint_holds_under_load_when_other_faults() {
     steady(|| {
-        let hall = Hall::new();
+        let bench = TestBench::new();
         let motor = |number| {
-            hall.drives
+            bench
+                .drives
                 .axis(number, |drive| drive.motor().position)
                 .unwrap()
         };
         let before = motor(0);
         let too_hot = takt_can::cia402::emulator::FaultCode::TEMPERATURE;
-        hall.drives.axis(2, |drive| drive.fault(too_hot));
-        hall.cell().wait("the fault", |_| {
-            hall.cell().status("tx90") != DeviceStatus::Operational
+        bench.drives.axis(2, |drive| drive.fault(too_hot));
+        bench.cell().wait("the fault", |_| {
+            bench.cell().status("tx90") != DeviceStatus::Operational
         });
-        hall.drives
+        bench
+            .drives
             .axis(0, |drive| drive.motor_mut().external = -1.0);
         std::thread::sleep(Duration::from_secs(1));
         let sagged = (motor(0) - before) / 50.0;
@@ -238,23 +241,23 @@ fn look(drives: &ServoDrive, axis: usize) -> Seen {
 }
 
 #[test]
-fn a_controller_that_ends_in_mid_swing_takes_no_power_from_a_motor_that_turns() {
+fn ethercat_shutdown_in_motion_powers_off_at_standstill() {
     steady(|| {
         use takt_can::cia402::State;
-        let mut hall = Hall::new();
+        let mut bench = TestBench::new();
         // Faster than 0.2 rad/s at the joint; again if the host stalled meanwhile.
-        let turns = |hall: &Hall| look(&hall.drives, 3).1 > 10.0;
-        while !turns(&hall) {
-            hall.cell().wait_for("tx90", DeviceStatus::Operational);
-            let net = hall.cell().load(&common::swing_joint("tx90", 3, 2.0));
-            if hall.cell().controller.start_net(net).is_ok() {
-                let moves = |_: &Controller| turns(&hall) || hall.cell().is_over(net);
-                hall.cell().wait("the motor turning", moves);
+        let turns = |bench: &TestBench| look(&bench.drives, 3).1 > 10.0;
+        while !turns(&bench) {
+            bench.cell().wait_for("tx90", DeviceStatus::Operational);
+            let net = bench.cell().load(&common::swing_joint("tx90", 3, 2.0));
+            if bench.cell().controller.start_net(net).is_ok() {
+                let moves = |_: &Controller| turns(&bench) || bench.cell().is_over(net);
+                bench.cell().wait("the motor turning", moves);
             }
         }
-        let seen = Arc::new(Mutex::new(vec![look(&hall.drives, 3)]));
+        let seen = Arc::new(Mutex::new(vec![look(&bench.drives, 3)]));
         let ended = Arc::new(AtomicBool::new(false));
-        let (drives, until, to) = (hall.drives.clone(), Arc::clone(&ended), Arc::clone(&seen));
+        let (drives, until, to) = (bench.drives.clone(), Arc::clone(&ended), Arc::clone(&seen));
         let config = ThreadConfig {
             priority: Some(87),
             ..ThreadConfig::new("watch")
@@ -265,7 +268,7 @@ fn a_controller_that_ends_in_mid_swing_takes_no_power_from_a_motor_that_turns() 
                 to.lock().unwrap().push(look(&drives, 3));
             }
         });
-        hall.hall.end_controller();
+        bench.bench.end_controller();
         ended.store(true, Ordering::Relaxed);
         watch.unwrap().join().unwrap();
         let seen = seen.lock().unwrap();

@@ -1,14 +1,14 @@
 //! A KUKA youBot on an EtherCAT segment, moved by nets: the emulated one at the end of a cable inside of this process.
-//! What is true, its motors and bars say.
+//! Motors and bars of the emulator are the ground truth.
 
 #![expect(
     clippy::unwrap_used,
     reason = "a test may fail anywhere, its helpers too"
 )]
 
+#[path = "common/bench.rs"]
+mod bench;
 mod common;
-#[path = "common/hall.rs"]
-mod hall;
 
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
@@ -27,7 +27,7 @@ use takt_tests::steady;
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// The segment as a cell's file tells it.
+/// The segment as a cell file configures it.
 fn config() -> EthercatConfig {
     let text = r#"
         [[ethercat]]
@@ -47,31 +47,31 @@ fn config() -> EthercatConfig {
 }
 
 /// A youBot, and a controller that leads it.
-struct Hall {
-    hall: hall::Hall,
+struct TestBench {
+    bench: bench::TestBench,
     bot: YouBot,
 }
 
-impl Deref for Hall {
-    type Target = hall::Hall;
+impl Deref for TestBench {
+    type Target = bench::TestBench;
 
-    fn deref(&self) -> &hall::Hall {
-        &self.hall
+    fn deref(&self) -> &bench::TestBench {
+        &self.bench
     }
 }
 
-impl DerefMut for Hall {
-    fn deref_mut(&mut self) -> &mut hall::Hall {
-        &mut self.hall
+impl DerefMut for TestBench {
+    fn deref_mut(&mut self) -> &mut bench::TestBench {
+        &mut self.bench
     }
 }
 
-impl Hall {
+impl TestBench {
     fn new(firmware: Firmware, config: &EthercatConfig) -> Self {
-        let hall = Self::start(firmware, config);
-        hall.cell().wait_for("arm", DeviceStatus::Operational);
-        hall.cell().wait_for("base", DeviceStatus::Operational);
-        hall
+        let bench = Self::start(firmware, config);
+        bench.cell().wait_for("arm", DeviceStatus::Operational);
+        bench.cell().wait_for("base", DeviceStatus::Operational);
+        bench
     }
 
     /// Whose devices are not waited for.
@@ -80,8 +80,8 @@ impl Hall {
             firmware,
             ..YouBotConfig::default()
         });
-        let hall = hall::Hall::start(config, segment);
-        Self { hall, bot }
+        let bench = bench::TestBench::start(config, segment);
+        Self { bench, bot }
     }
 
     fn faults(&self, device: &str) -> u64 {
@@ -108,7 +108,7 @@ impl Hall {
         joint.bars().unwrap().iter().map(Bar::opening).sum()
     }
 
-    /// Runs a net to its end. Gives what `before` said before it.
+    /// Runs a net to its end. Returns the result of `before`, evaluated before it.
     fn runs<T>(&self, device: &str, text: &str, before: impl Fn(&Self) -> T) -> T {
         steady(|| {
             self.cell().wait_for(device, DeviceStatus::Operational);
@@ -122,8 +122,8 @@ impl Hall {
         })
     }
 
-    /// Waits for the gripper. Emulated fingers stand still while the host stalls; those that are late for it get what
-    /// is told to do then: the arm's power goes off and on.
+    /// Waits for the gripper. Emulated fingers stop while the host stalls; for those that are late, the power of the
+    /// arm is switched off and on, as the event text advises.
     fn wait_for_hand(&self) {
         let is_late = || {
             let why = self.cell().controller.with_drivers(Ethercat::waits_for)[0].clone();
@@ -201,20 +201,23 @@ fn grip(distance: f64) -> String {
 fn moves(firmware: Firmware, control: YouBotControl) {
     let mut config = config();
     config.youbot_arms[0].control = control;
-    let hall = Hall::new(firmware, &config);
+    let bench = TestBench::new(firmware, &config);
     // Homed at its stops before anything.
     for joint in 0..5 {
-        let told = hall.cell().position("arm", joint);
+        let reported = bench.cell().position("arm", joint);
         let sign = if joint == 2 { -1.0 } else { 1.0 };
-        assert!((told - sign * hall.angle(joint)).abs() < 0.03, "{joint}");
+        assert!(
+            (reported - sign * bench.angle(joint)).abs() < 0.03,
+            "{joint}"
+        );
     }
-    let before = hall.runs("arm", &common::swing_joint("arm", 3, 1.0), |hall| {
-        hall.angle(3)
+    let before = bench.runs("arm", &common::swing_joint("arm", 3, 1.0), |bench| {
+        bench.angle(3)
     });
-    let moved = hall.angle(3) - before;
+    let moved = bench.angle(3) - before;
     assert!((moved - 0.5).abs() < 0.02, "moved {moved} rad");
-    let before = hall.runs("base", &drive("{vel:{x:0.2}}", 1.0), Hall::wheels);
-    let after = hall.wheels();
+    let before = bench.runs("base", &drive("{vel:{x:0.2}}", 1.0), TestBench::wheels);
+    let after = bench.wheels();
     for (n, sign) in [-1.0, 1.0, -1.0, 1.0].into_iter().enumerate() {
         // 0.2 m/s for a second on wheels of 0.0475 m; the ramp's lag at the start is made up at the end.
         let turned = sign * (after[n] - before[n]);
@@ -223,86 +226,94 @@ fn moves(firmware: Firmware, control: YouBotControl) {
             "wheel {n}: {turned} rad"
         );
     }
-    hall.wait_for_hand();
-    hall.runs("hand", &grip(0.018), |_| ());
-    assert!((hall.opening() - 0.018).abs() < 1e-3, "{}", hall.opening());
+    bench.wait_for_hand();
+    bench.runs("hand", &grip(0.018), |_| ());
+    assert!(
+        (bench.opening() - 0.018).abs() < 1e-3,
+        "{}",
+        bench.opening()
+    );
     // From homing to the last order, no cycle of driver or nets allocated.
-    assert!(hall.figures().cycles > 1000);
+    assert!(bench.figures().cycles > 1000);
     assert_eq!(real_time_allocations(), 0);
 }
 
 #[test]
-fn a_net_moves_arm_base_and_gripper_with_firmware_2_00() {
+fn youbot_net_moves_all_with_firmware_2_00() {
     moves(Firmware::V200, YouBotControl::Position);
 }
 
 #[test]
-fn a_net_moves_arm_base_and_gripper_with_firmware_1_48() {
+fn youbot_net_moves_all_with_firmware_1_48() {
     moves(Firmware::V148, YouBotControl::Velocity);
 }
 
 #[test]
-fn without_leave_an_arm_does_not_move_to_find_its_stops() {
+fn youbot_arm_without_permission_does_not_home() {
     let mut config = config();
     config.youbot_arms[0].homing = false;
-    let hall = Hall::start(Firmware::V200, &config);
-    hall.cell().wait_for("base", DeviceStatus::Operational);
-    let before: [f64; 5] = std::array::from_fn(|joint| hall.angle(joint));
+    let bench = TestBench::start(Firmware::V200, &config);
+    bench.cell().wait_for("base", DeviceStatus::Operational);
+    let before: [f64; 5] = std::array::from_fn(|joint| bench.angle(joint));
     std::thread::sleep(Duration::from_millis(500));
-    assert_eq!(hall.cell().status("arm"), DeviceStatus::SafeOperational);
-    assert_eq!(hall.cell().status("hand"), DeviceStatus::SafeOperational);
-    let why = hall.cell().controller.with_drivers(Ethercat::waits_for);
+    assert_eq!(bench.cell().status("arm"), DeviceStatus::SafeOperational);
+    assert_eq!(bench.cell().status("hand"), DeviceStatus::SafeOperational);
+    let why = bench.cell().controller.with_drivers(Ethercat::waits_for);
     let why = why[0].clone().unwrap();
     assert!(
         why.starts_with("arm joint 0: its commutation is unknown"),
         "{why}"
     );
     for (joint, before) in before.into_iter().enumerate() {
-        assert!((hall.angle(joint) - before).abs() < 0.05, "{joint}");
+        assert!((bench.angle(joint) - before).abs() < 0.05, "{joint}");
     }
 }
 
 #[test]
-fn a_cut_cable_ends_the_net_and_a_mended_one_brings_all_back_at_rest() {
-    let hall = Hall::new(Firmware::V200, &config());
-    let net = hall.goes("base", &drive("{vel:{y:0.2}}", 60.0));
+fn youbot_cut_cable_ends_net_repair_recovers_at_rest() {
+    let bench = TestBench::new(Firmware::V200, &config());
+    let net = bench.goes("base", &drive("{vel:{y:0.2}}", 60.0));
     std::thread::sleep(Duration::from_millis(500));
     // Between the second and the third wheel: the arm is behind it too.
-    hall.segment().set_link(3, false);
-    hall.cell().wait_for("base", DeviceStatus::Offline);
-    hall.cell().wait_for("arm", DeviceStatus::Offline);
-    hall.cell().wait_for_end(net);
+    bench.segment().set_link(3, false);
+    bench.cell().wait_for("base", DeviceStatus::Offline);
+    bench.cell().wait_for("arm", DeviceStatus::Offline);
+    bench.cell().wait_for_end(net);
     std::thread::sleep(Duration::from_millis(300));
-    hall.segment().set_link(3, true);
-    hall.cell().wait_for("base", DeviceStatus::Operational);
-    hall.cell().wait_for("arm", DeviceStatus::Operational);
+    bench.segment().set_link(3, true);
+    bench.cell().wait_for("base", DeviceStatus::Operational);
+    bench.cell().wait_for("arm", DeviceStatus::Operational);
     assert_eq!(real_time_allocations(), 0);
-    // The drives behind the cut saw no frames for longer than they bear.
-    assert!(hall.figures().youbots.timeouts >= 7, "{:?}", hall.figures());
-    let (wheels, angle) = (hall.wheels(), hall.angle(1));
+    // The drives behind the cut saw no frames for longer than they tolerate.
+    assert!(
+        bench.figures().youbots.timeouts >= 7,
+        "{:?}",
+        bench.figures()
+    );
+    let (wheels, angle) = (bench.wheels(), bench.angle(1));
     std::thread::sleep(Duration::from_millis(300));
-    for (now, then) in hall.wheels().into_iter().zip(wheels) {
+    for (now, then) in bench.wheels().into_iter().zip(wheels) {
         assert!((now - then).abs() < 0.01, "nothing moves by itself");
     }
-    assert!((hall.angle(1) - angle).abs() < 0.01);
+    assert!((bench.angle(1) - angle).abs() < 0.01);
 }
 
 /// The angles of the arm's joints, rad away from their stops.
-fn angles(hall: &Hall) -> [f64; 5] {
-    std::array::from_fn(|joint| hall.angle(joint))
+fn angles(bench: &TestBench) -> [f64; 5] {
+    std::array::from_fn(|joint| bench.angle(joint))
 }
 
-/// Waits for the arm and asserts that no joint moved on the way there, nor moves for a while after it.
-fn stays(hall: &Hall, before: [f64; 5]) {
+/// Waits for the arm and asserts that no joint moved before, nor moves for a while after it.
+fn stays(bench: &TestBench, before: [f64; 5]) {
     let near = || {
         for (joint, before) in before.into_iter().enumerate() {
-            let away = hall.angle(joint) - before;
+            let away = bench.angle(joint) - before;
             assert!(away.abs() < 0.02, "joint {joint} moved by {away} rad");
         }
     };
-    hall.cell().wait("the arm, resting", |_| {
+    bench.cell().wait("the arm, resting", |_| {
         near();
-        hall.cell().status("arm") == DeviceStatus::Operational
+        bench.cell().status("arm") == DeviceStatus::Operational
     });
     for _ in 0..60 {
         std::thread::sleep(Duration::from_millis(5));
@@ -311,81 +322,81 @@ fn stays(hall: &Hall, before: [f64; 5]) {
 }
 
 #[test]
-fn an_arm_that_knows_where_it_is_rests_there_when_another_controller_takes_it() {
+fn youbot_homed_arm_rests_under_next_controller() {
     for control in [YouBotControl::Position, YouBotControl::Velocity] {
         let mut config = config();
         config.youbot_arms[0].control = control;
-        let mut hall = Hall::new(Firmware::V200, &config);
+        let mut bench = TestBench::new(Firmware::V200, &config);
         for _ in 0..2 {
-            hall.runs("arm", &common::swing_joint("arm", 3, 1.0), |_| ());
-            hall.runs("arm", &common::swing_joint("arm", 4, 1.0), |_| ());
+            bench.runs("arm", &common::swing_joint("arm", 3, 1.0), |_| ());
+            bench.runs("arm", &common::swing_joint("arm", 4, 1.0), |_| ());
         }
-        assert!(hall.angle(3) > 0.9 && hall.angle(4) > 0.9);
-        let before = angles(&hall);
-        hall.leave();
-        hall.lead(&config);
-        stays(&hall, before);
+        assert!(bench.angle(3) > 0.9 && bench.angle(4) > 0.9);
+        let before = angles(&bench);
+        bench.leave();
+        bench.lead(&config);
+        stays(&bench, before);
     }
 }
 
 #[test]
-fn an_arm_behind_a_cable_that_was_cut_rests_where_it_is() {
-    let hall = Hall::new(Firmware::V200, &config());
+fn youbot_arm_behind_cut_cable_rests_in_place() {
+    let bench = TestBench::new(Firmware::V200, &config());
     for _ in 0..2 {
-        hall.runs("arm", &common::swing_joint("arm", 4, 1.0), |_| ());
+        bench.runs("arm", &common::swing_joint("arm", 4, 1.0), |_| ());
     }
-    assert!(hall.angle(4) > 0.9);
-    let before = angles(&hall);
-    hall.segment().set_link(3, false);
-    hall.cell().wait_for("arm", DeviceStatus::Offline);
-    hall.segment().set_link(3, true);
-    stays(&hall, before);
+    assert!(bench.angle(4) > 0.9);
+    let before = angles(&bench);
+    bench.segment().set_link(3, false);
+    bench.cell().wait_for("arm", DeviceStatus::Offline);
+    bench.segment().set_link(3, true);
+    stays(&bench, before);
 }
 
 #[test]
-fn fingers_that_do_not_reach_their_stops_are_told() {
-    let hall = Hall::start(Firmware::V200, &config());
-    hall.joint(4).lock().bars_mut().unwrap()[0].jammed = true;
-    let why = || hall.cell().controller.with_drivers(Ethercat::waits_for)[0].clone();
-    hall.cell().wait("the reason", |_| {
+fn youbot_fingers_missing_stops_are_reported() {
+    let bench = TestBench::start(Firmware::V200, &config());
+    bench.joint(4).lock().bars_mut().unwrap()[0].jammed = true;
+    let why = || bench.cell().controller.with_drivers(Ethercat::waits_for)[0].clone();
+    bench.cell().wait("the reason", |_| {
         why().is_some_and(|why| why.starts_with("arm joint 4: its gripper: a finger"))
     });
-    assert_eq!(hall.cell().status("arm"), DeviceStatus::Operational);
-    assert_eq!(hall.cell().status("hand"), DeviceStatus::SafeOperational);
+    assert_eq!(bench.cell().status("arm"), DeviceStatus::Operational);
+    assert_eq!(bench.cell().status("hand"), DeviceStatus::SafeOperational);
 }
 
 #[test]
-fn i2t_ends_the_net_and_is_cleared() {
-    let hall = Hall::new(Firmware::V200, &config());
-    let net = hall.cell().swinging("arm", 3);
-    let before = hall.figures().youbots.i2t;
-    hall.joint(0).lock().overheat();
-    hall.cell().wait_for_end(net);
-    hall.cell().wait_for("arm", DeviceStatus::Operational);
-    assert!(hall.figures().youbots.i2t > before);
+fn youbot_i2t_ends_net_and_is_cleared() {
+    let bench = TestBench::new(Firmware::V200, &config());
+    let net = bench.cell().swinging("arm", 3);
+    let before = bench.figures().youbots.i2t;
+    bench.joint(0).lock().overheat();
+    bench.cell().wait_for_end(net);
+    bench.cell().wait_for("arm", DeviceStatus::Operational);
+    assert!(bench.figures().youbots.i2t > before);
 }
 
 #[test]
-fn an_emergency_stop_ends_the_net_and_the_arm_stays_where_it_sank() {
-    let hall = Hall::new(Firmware::V148, &config());
-    let net = hall.cell().swinging("arm", 3);
+fn youbot_emergency_stop_ends_net_arm_stays() {
+    let bench = TestBench::new(Firmware::V148, &config());
+    let net = bench.cell().swinging("arm", 3);
     let stop = |pressed: bool| {
-        for joint in &hall.bot.arms[0] {
+        for joint in &bench.bot.arms[0] {
             joint.lock().emergency_stop = pressed;
         }
     };
     stop(true);
-    hall.cell().wait_for("arm", DeviceStatus::SafeOperational);
-    hall.cell().wait_for_end(net);
+    bench.cell().wait_for("arm", DeviceStatus::SafeOperational);
+    bench.cell().wait_for_end(net);
     std::thread::sleep(Duration::from_millis(200));
-    let sunk = hall.angle(3);
+    let sunk = bench.angle(3);
     stop(false);
-    hall.cell().wait_for("arm", DeviceStatus::Operational);
+    bench.cell().wait_for("arm", DeviceStatus::Operational);
     std::thread::sleep(Duration::from_millis(300));
     assert!(
-        (hall.angle(3) - sunk).abs() < 0.05,
+        (bench.angle(3) - sunk).abs() < 0.05,
         "{} {sunk}",
-        hall.angle(3)
+        bench.angle(3)
     );
 }
 
@@ -402,26 +413,26 @@ fn spring(torque: f64) -> String {
 }
 
 #[test]
-fn a_soft_joint_gives_way_and_its_current_is_clamped() {
+fn youbot_soft_joint_deflects_current_is_clamped() {
     let mut config = config();
     // 4.2 Nm at the joint, at most.
     config.youbot_arms[0].current_max = [0.8; 5];
     config.youbot_arms[0].homing_current = [0.7, 0.5, 0.7, 0.5, 0.5];
-    let hall = Hall::new(Firmware::V200, &config);
-    hall.runs("arm", &common::swing_joint("arm", 0, 1.0), |_| ());
-    let start = hall.angle(0);
-    hall.runs("arm", &spring(3.0), |_| ());
-    assert_eq!(hall.figures().youbots.clamped, 0);
-    hall.joint(0).lock().pushed = -3.0;
-    hall.cell().wait("the joint giving way", |_| {
-        (hall.angle(0) - start).abs() > 0.03
+    let bench = TestBench::new(Firmware::V200, &config);
+    bench.runs("arm", &common::swing_joint("arm", 0, 1.0), |_| ());
+    let start = bench.angle(0);
+    bench.runs("arm", &spring(3.0), |_| ());
+    assert_eq!(bench.figures().youbots.clamped, 0);
+    bench.joint(0).lock().pushed = -3.0;
+    bench.cell().wait("the joint giving way", |_| {
+        (bench.angle(0) - start).abs() > 0.03
     });
-    hall.joint(0).lock().pushed = 0.0;
-    hall.runs("arm", &spring(20.0), |_| ());
-    assert!(hall.figures().youbots.clamped > 0);
+    bench.joint(0).lock().pushed = 0.0;
+    bench.runs("arm", &spring(20.0), |_| ());
+    assert!(bench.figures().youbots.clamped > 0);
 }
 
-/// Makes the tool a spring, for some seconds, and tells what became of that.
+/// Makes the tool a spring, for some seconds, and returns the result.
 fn tool_spring(stiffness: f64, seconds: f64) -> String {
     let turn = stiffness / 10.0;
     format!(
@@ -438,49 +449,51 @@ fn tool_spring(stiffness: f64, seconds: f64) -> String {
 }
 
 /// Where the motors have brought the flange.
-fn flange(hall: &Hall) -> Frame {
-    let mut joints = angles(hall);
+fn flange(bench: &TestBench) -> Frame {
+    let mut joints = angles(bench);
     joints[2] = -joints[2];
     YouBotArm::default().forward(&joints)
 }
 
 /// Pushes an arm whose tool is soft. One that is lost meanwhile becomes stiff.
-fn gives_way(hall: &Hall) {
-    hall.cell().wait_for("arm", DeviceStatus::Operational);
-    let (at, faults) = (flange(hall), hall.faults("arm"));
-    let net = hall.goes("arm", &tool_spring(1000.0, 8.0));
+fn gives_way(bench: &TestBench) {
+    bench.cell().wait_for("arm", DeviceStatus::Operational);
+    let (at, faults) = (flange(bench), bench.faults("arm"));
+    let net = bench.goes("arm", &tool_spring(1000.0, 8.0));
     let is = |key: &str| {
-        let values = hall.cell().controller.out_values(net);
+        let values = bench.cell().controller.out_values(net);
         let key = format!("out{key}");
         values
             .iter()
             .any(|(name, value)| *name == key && value == "true")
     };
-    let lost = || hall.faults("arm") != faults;
-    hall.cell().wait("the strategy", |_| {
+    let lost = || bench.faults("arm") != faults;
+    bench.cell().wait("the strategy", |_| {
         (is("switched") && is("taken")) || lost()
     });
     std::thread::sleep(Duration::from_millis(800));
-    let away = || (flange(hall).translation.vector - at.translation.vector).norm();
+    let away = || (flange(bench).translation.vector - at.translation.vector).norm();
     let sagged = away();
     assert!(
         sagged < 0.01 || lost(),
         "it does not carry itself: {sagged} m"
     );
-    hall.joint(1).lock().pushed = 12.0;
-    hall.cell()
+    bench.joint(1).lock().pushed = 12.0;
+    bench
+        .cell()
         .wait("the arm giving way", |_| away() > 0.015 || lost());
-    hall.joint(1).lock().pushed = 0.0;
+    bench.joint(1).lock().pushed = 0.0;
     // Joints need not be where they were: what is left is held by the gears' friction.
-    hall.cell()
+    bench
+        .cell()
         .wait("the tool coming back", |_| away() < 0.01 || lost());
-    hall.cell().wait_for_end(net);
+    bench.cell().wait_for_end(net);
     assert!(!lost(), "the arm was lost");
 }
 
 #[test]
-fn a_soft_tool_carries_itself_gives_way_and_comes_back() {
-    let hall = Hall::new(Firmware::V200, &config());
+fn youbot_soft_tool_carries_itself_deflects_returns() {
+    let bench = TestBench::new(Firmware::V200, &config());
     // Off the ends of their ranges, where nothing is pushed on.
     for joint in [0, 1, 1, 2, 2, 3, 3, 4] {
         let (off, other) = ("To='0.5'", "To='-0.5'");
@@ -490,17 +503,17 @@ fn a_soft_tool_carries_itself_gives_way_and_comes_back() {
         } else {
             swing
         };
-        hall.runs("arm", &swing, |_| ());
+        bench.runs("arm", &swing, |_| ());
     }
-    steady(|| gives_way(&hall));
+    steady(|| gives_way(&bench));
     assert_eq!(real_time_allocations(), 0);
 }
 
 #[test]
-fn a_base_is_led_to_poses() {
-    let hall = Hall::new(Firmware::V200, &config());
-    let before = hall.runs("base", &lead(0.3, 4.0), Hall::wheels);
-    let ways: Vec<f64> = hall
+fn youbot_base_drives_to_poses() {
+    let bench = TestBench::new(Firmware::V200, &config());
+    let before = bench.runs("base", &lead(0.3, 4.0), TestBench::wheels);
+    let ways: Vec<f64> = bench
         .wheels()
         .into_iter()
         .zip(before)
@@ -516,7 +529,7 @@ fn a_base_is_led_to_poses() {
 }
 
 #[test]
-fn wrong_youbots_are_refused_and_named() {
+fn youbot_invalid_configurations_are_rejected_by_name() {
     for (text, said) in [
         (
             "[[ethercat.youbot_base]]\nname = \"a\"\n[[ethercat.youbot_arm]]\nname = \"b\"\nposition = 4",

@@ -89,7 +89,8 @@ mod tests {
         };
         assert_eq!(arm.handshake, None);
         let told = parse("handshake = \"RCC\"").unwrap_err();
-        let all = "`RCC` is no handshake; known are rcc, stanford, kuka-lwr, tum, first-app";
+        let all =
+            "`RCC` is no handshake; known handshakes are rcc, stanford, kuka-lwr, tum, first-app";
         assert!(told.contains(all), "{told}");
     }
 

@@ -318,7 +318,7 @@ impl Registry {
         let info = |device: &crate::device::Device| DeviceInfo {
             name: device.name.clone(),
             kind: device.kind.to_owned(),
-            interfaces: device.told(),
+            interfaces: device.properties(),
             status: device.status().under(is_stopped),
         };
         self.devices.all().map(|(_, device)| info(device)).collect()

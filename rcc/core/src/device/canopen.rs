@@ -1,6 +1,6 @@
-//! The driver of a CANopen network: one thread that sends SYNC and set-points each cycle, hears between two of
-//! them, and leads the arms on the network. Start-up, supervision and SDO transfers, which never delay a cycle,
-//! are in `takt_can::canopen::network`.
+//! The driver of a CANopen network: one thread that sends SYNC and set-points at the start of each cycle, receives
+//! until three quarters of it are over, and then steps the arms. Start-up, supervision and SDO transfers, which never
+//! delay a cycle, are in `takt_can::canopen::network`.
 
 use std::fmt;
 use std::mem::{Discriminant, discriminant};
@@ -25,21 +25,24 @@ use takt_rt::{Nanos, monotonic};
 
 use crate::device::DeviceDescription;
 use crate::device::config::{CanopenConfig, DriveJoint, LinkLoss, Recovery};
-use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL, Notice, Severity};
-use crate::device::drives::{self, Arm, Feedback, JointNews};
+use crate::device::driver::{
+    DeviceDriver, DriverEnds, DriverThread, Notice, SHUTDOWN_MAX, Severity,
+};
+use crate::device::drives::{self, Arm, Feedback, JointEvent};
 use crate::device::link_watch::{LinkErrors, LinkWatch};
 use crate::device::rmp::CanLink;
 use crate::error::Error;
 
 /// Cyclic synchronous position (6060h).
 const CSP: i8 = 8;
-/// Frames taken, and service frames sent, in one cycle at most.
+/// Most frames received, and most service frames sent, in one cycle.
 const FRAMES: usize = 256;
-/// Heartbeats of the master: not oftener unless asked, and as rarely as 1016h can tell.
+/// Limits of the master's heartbeat period: the default is not below the minimum, and 1016h cannot represent much
+/// more than the maximum.
 const HEARTBEAT_MIN: Duration = Duration::from_millis(20);
 const HEARTBEAT_MAX: Duration = Duration::from_secs(20);
-/// What waits to be told.
-const NEWS: usize = 256;
+/// Capacity of the event queue.
+const EVENTS_MAX: usize = 256;
 
 /// The devices of a network: its arms.
 #[must_use]
@@ -49,10 +52,10 @@ pub fn describe(config: &CanopenConfig) -> Vec<DeviceDescription> {
         .collect()
 }
 
-/// What is wrong with a configuration.
+/// Checks a configuration.
 ///
 /// # Errors
-/// A text that names it.
+/// With a text that names the finding.
 pub fn check(config: &CanopenConfig) -> Result<(), String> {
     let name = &config.name;
     if !(Duration::from_millis(1)..=Duration::from_millis(100)).contains(&config.cycle) {
@@ -63,7 +66,7 @@ pub fn check(config: &CanopenConfig) -> Result<(), String> {
     }
     if !AxisPlan::supports_period(config.cycle) {
         return Err(format!(
-            "{name}: cycle is {:?}; drives can be told at most 255 of 1us, 10us, 100us or 1ms",
+            "{name}: cycle is {:?}; drives support at most 255 times 1us, 10us, 100us or 1ms",
             config.cycle
         ));
     }
@@ -80,7 +83,8 @@ pub fn check(config: &CanopenConfig) -> Result<(), String> {
         .map_err(|what| format!("{name}: {what}"))
 }
 
-/// The master of a network. An axis has one PDO each way, which leaves room for six axes at 1 Mbit/s and 2 ms.
+/// The configuration of a network's master. An axis has one PDO in each direction, which suffices for six axes at 1
+/// Mbit/s and 2 ms.
 fn network(config: &CanopenConfig) -> Result<Network, String> {
     let mut nodes: Vec<(NodeId, Vec<AxisPlan>)> = Vec::new();
     for joint in config.arms.iter().flat_map(|arm| &arm.joints) {
@@ -106,7 +110,7 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
         let plan = NodePlan::drives(id, &axes).ok_or_else(|| {
             let count = axes.len();
             format!(
-                "node {id} drives {count} joints; from the fifth on they need the identifiers of the \
+                "node {id} drives {count} joints; the fifth and later ones need the identifiers of the \
                  next node number"
             )
         });
@@ -119,7 +123,7 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
     Network::new(network, plans).map_err(|error| error.to_string())
 }
 
-/// Number and heartbeat of the master.
+/// Node number and heartbeat of the master.
 fn heartbeat(config: &CanopenConfig) -> Result<Option<(NodeId, Duration)>, String> {
     let master = NodeId::new(config.master).map_err(|error| format!("master: {error}"))?;
     let usual = (config.cycle * 5).max(HEARTBEAT_MIN);
@@ -149,7 +153,7 @@ const fn on_link_loss(config: LinkLoss) -> Option<i16> {
 /// Opens the CAN interface of a network.
 ///
 /// # Errors
-/// If there is no such interface or no right to open it.
+/// If the interface does not exist or access is denied.
 pub fn open(config: &CanopenConfig) -> Result<Box<dyn CanLink>, Error> {
     let options = Options {
         errors: false,
@@ -163,65 +167,65 @@ pub fn open(config: &CanopenConfig) -> Result<Box<dyn CanLink>, Error> {
     Ok(Box::new(socket))
 }
 
-/// What is told of a network.
+/// An event of the network.
 #[derive(Debug)]
-enum News {
+enum NetworkEvent {
     Runs(NodeId),
-    Trouble(NodeId, NodeFault),
+    Fault(NodeId, NodeFault),
     Emergency(NodeId, Emergency, u32),
-    /// Of the axis of that number in its drive.
+    /// Of the axis with that number in its drive.
     Axis(NodeId, u8, AxisFault),
-    /// The process data of an axis are proven, but for these.
+    /// The process data of an axis are proven, except these objects.
     Proven(NodeId, u8, Duration, Objects),
-    /// Of a joint of an arm, in their order.
-    Joint(usize, usize, JointNews),
+    /// Of a joint of an arm: arm, joint, event.
+    Joint(usize, usize, JointEvent),
 }
 
-impl News {
-    /// How much it matters.
+impl NetworkEvent {
+    /// Severity.
     const fn severity(&self) -> Severity {
         match self {
             Self::Runs(_) | Self::Proven(..) => Severity::Info,
-            // Error code 0000h takes an emergency back.
+            // Error code 0000h clears an emergency.
             Self::Emergency(_, emergency, _) if emergency.code == 0 => Severity::Info,
-            Self::Trouble(_, NodeFault::Garbled { .. } | NodeFault::PdoShort { .. })
-            | Self::Joint(_, _, JointNews::OutOfRange { .. }) => Severity::Warning,
-            Self::Trouble(..)
+            Self::Fault(_, NodeFault::Garbled { .. } | NodeFault::PdoShort { .. })
+            | Self::Joint(_, _, JointEvent::OutOfRange { .. }) => Severity::Warning,
+            Self::Fault(..)
             | Self::Emergency(..)
             | Self::Axis(..)
-            | Self::Joint(_, _, JointNews::Runaway(_)) => Severity::Error,
+            | Self::Joint(_, _, JointEvent::Runaway(_)) => Severity::Error,
         }
     }
 }
 
-impl fmt::Display for News {
+impl fmt::Display for NetworkEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Runs(node) => write!(f, "node {node}: it runs"),
-            Self::Trouble(node, trouble) => write!(f, "node {node}: {trouble}"),
+            Self::Runs(node) => write!(f, "node {node}: running"),
+            Self::Fault(node, fault) => write!(f, "node {node}: {fault}"),
             Self::Emergency(node, emergency, 1) => {
                 write!(f, "node {node}: {}", NodeFault::Emergency(*emergency))
             }
             Self::Emergency(node, emergency, count) => write!(
                 f,
-                "node {node}: {count} emergencies, the last of them: {}",
+                "node {node}: {count} emergencies, last: {}",
                 NodeFault::Emergency(*emergency)
             ),
-            Self::Axis(node, axis, trouble) => write!(f, "node {node}, axis {axis}: {trouble}"),
+            Self::Axis(node, axis, fault) => write!(f, "node {node}, axis {axis}: {fault}"),
             Self::Proven(node, axis, took, trusted) => {
                 let proven = drives::proven(*took, *trusted);
                 write!(f, "node {node}, axis {axis}: {proven}")
             }
-            Self::Joint(arm, joint, news) => write!(f, "arm {arm}, joint {joint}: {news}"),
+            Self::Joint(arm, joint, event) => write!(f, "arm {arm}, joint {joint}: {event}"),
         }
     }
 }
 
-/// Figures of a network that others read while it runs.
+/// Counters of a running network that other threads read.
 #[derive(Debug, Default)]
 struct Shared {
     received: AtomicU64,
-    troubles: AtomicU64,
+    faults: AtomicU64,
     unproven: AtomicU64,
 }
 
@@ -231,18 +235,18 @@ pub struct Canopen {
     devices: Vec<String>,
     on_restart: Vec<String>,
     shared: Arc<Shared>,
-    news: Mutex<Consumer<News>>,
+    events: Mutex<Consumer<NetworkEvent>>,
     link: LinkWatch,
-    /// How SYNC keeps its time.
+    /// Timing of SYNC.
     pub stats: StatsReader,
     thread: DriverThread,
 }
 
 impl Canopen {
-    /// Starts the driver thread. The ends are those of the devices of [`describe`], in that order.
+    /// Starts the driver thread. The endpoints are those of the devices of [`describe`], in that order.
     ///
     /// # Errors
-    /// If the configuration makes no sense or the system has no thread to give.
+    /// If the configuration is invalid or the thread cannot be created.
     pub fn start(
         config: &CanopenConfig,
         link: Box<dyn CanLink>,
@@ -264,7 +268,7 @@ impl Canopen {
             (Arm::new(arm, config.cycle, end), axes)
         });
         let arms = arms.collect();
-        let (own_news, news) = ring(NEWS);
+        let (own_events, events) = ring(EVENTS_MAX);
         let shared = Arc::new(Shared::default());
         let (mut recorded, stats) = stats::pair();
         let watch = LinkWatch::new(&config.name, link.interface(), Medium::Can);
@@ -273,11 +277,11 @@ impl Canopen {
             errors: watch.errors(),
             network,
             arms,
-            news: own_news,
+            events: own_events,
             cycle: config.cycle,
             started: false,
             shared: Arc::clone(&shared),
-            farewell: None,
+            stop_by: None,
         });
         let CanopenConfig {
             name,
@@ -298,7 +302,7 @@ impl Canopen {
             devices,
             on_restart,
             shared,
-            news: Mutex::new(news),
+            events: Mutex::new(events),
             link: watch,
             stats,
             thread,
@@ -324,7 +328,7 @@ impl DeviceDriver for Canopen {
         let mut figures = vec![
             ("received", number(&self.shared.received)),
             ("refused", self.link.failed().to_string()),
-            ("troubles", number(&self.shared.troubles)),
+            ("troubles", number(&self.shared.faults)),
         ];
         if self.shared.unproven.load(Ordering::Relaxed) > 0 {
             figures.push(("axes not proven", number(&self.shared.unproven)));
@@ -344,20 +348,20 @@ impl DeviceDriver for Canopen {
         if let Some(notice) = self.link.poll(Instant::now()) {
             return Some(notice);
         }
-        let mut news = self.news.lock().unwrap_or_else(PoisonError::into_inner);
-        news.pop().map(|news| Notice {
-            severity: news.severity(),
-            text: news.to_string(),
+        let mut events = self.events.lock().unwrap_or_else(PoisonError::into_inner);
+        events.pop().map(|event| Notice {
+            severity: event.severity(),
+            text: event.to_string(),
         })
     }
 }
 
-/// What a trouble of an axis is, whatever its figures are.
+/// The kind of an axis fault, without its figures.
 type Kind = (Discriminant<AxisFault>, Option<Discriminant<DriveFault>>);
 
-fn kind(trouble: &AxisFault) -> Kind {
-    let drive_fault = if let AxisFault::Drive(drive_fault) = trouble {
-        // Resets go on as long as the fault does.
+fn kind(fault: &AxisFault) -> Kind {
+    let drive_fault = if let AxisFault::Drive(drive_fault) = fault {
+        // Resets repeat as long as the fault persists.
         let of_fault = matches!(drive_fault, DriveFault::ResetRefused(_));
         let drive_fault = if of_fault {
             &DriveFault::Fault
@@ -368,20 +372,20 @@ fn kind(trouble: &AxisFault) -> Kind {
     } else {
         None
     };
-    (discriminant(trouble), drive_fault)
+    (discriminant(fault), drive_fault)
 }
 
 /// Where the axis of a joint is in the network.
 #[derive(Debug)]
 struct Reached {
     node: NodeId,
-    /// In the plan of its node.
+    /// Index in the plan of its node.
     place: usize,
-    /// In its drive.
+    /// Number in its drive.
     axis: u8,
-    /// What was told of it last.
-    told: Option<Kind>,
-    /// How long the proof took that was reported last.
+    /// Kind of the fault reported last.
+    reported: Option<Kind>,
+    /// Duration of the proof reported last.
     proven: Option<Duration>,
 }
 
@@ -395,29 +399,29 @@ impl Reached {
             node,
             place,
             axis,
-            told: None,
+            reported: None,
             proven: None,
         })
     }
 
-    /// That its process data are proven, once each time.
-    fn proof(&mut self, network: &Network) -> Option<News> {
+    /// The event that its process data are proven, once per proof.
+    fn proof(&mut self, network: &Network) -> Option<NetworkEvent> {
         let proof = network.axis(self.node, self.place)?.proof();
         let took = proof.took();
         let newly = took != std::mem::replace(&mut self.proven, took);
         let trusted = proof.taken_on_trust();
         let took = took.filter(|_| newly)?;
-        Some(News::Proven(self.node, self.axis, took, trusted))
+        Some(NetworkEvent::Proven(self.node, self.axis, took, trusted))
     }
 
-    /// What is to be told of it, once each time that it comes to be so.
-    fn news(&mut self, network: &Network) -> Option<News> {
-        let trouble = network.axis(self.node, self.place)?.fault();
-        let kind = trouble.as_ref().map(kind);
-        let before = std::mem::replace(&mut self.told, kind);
-        // That its node is down is told of the node.
-        let trouble = trouble.filter(|trouble| *trouble != AxisFault::NodeDown)?;
-        (kind != before).then_some(News::Axis(self.node, self.axis, trouble))
+    /// Its fault, if that changed since the last report.
+    fn poll_event(&mut self, network: &Network) -> Option<NetworkEvent> {
+        let fault = network.axis(self.node, self.place)?.fault();
+        let kind = fault.as_ref().map(kind);
+        let before = std::mem::replace(&mut self.reported, kind);
+        // A node that is down is reported by an event of the node.
+        let fault = fault.filter(|fault| *fault != AxisFault::NodeDown)?;
+        (kind != before).then_some(NetworkEvent::Axis(self.node, self.axis, fault))
     }
 }
 
@@ -425,20 +429,20 @@ struct Driver {
     link: Box<dyn CanLink>,
     errors: Arc<LinkErrors>,
     network: Network,
-    /// The arms, and by joint its axis.
+    /// The arms, and the axis of each joint.
     arms: Vec<(Arm, Vec<Reached>)>,
-    /// What is told; if nobody takes it, it is lost.
-    news: Producer<News>,
+    /// Events; unread ones are dropped.
+    events: Producer<NetworkEvent>,
     cycle: Duration,
     started: bool,
     shared: Arc<Shared>,
-    /// When it ends at the latest, once it is to stop.
-    farewell: Option<Nanos>,
+    /// Deadline of the shutdown, once requested.
+    stop_by: Option<Nanos>,
 }
 
 impl Driver {
-    /// One cycle: SYNC and set-points at once, then services and whatever comes until three quarters of it are
-    /// over, then what the arms are to do in the next.
+    /// One cycle: SYNC and set-points first, then services and received frames until three quarters of the cycle are
+    /// over, then the commands of the arms for the next cycle.
     fn cycle(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
         self.send_cycle(since_start(monotonic()));
         self.listen(tick.scheduled + Nanos::from(self.cycle * 3 / 4));
@@ -457,10 +461,10 @@ impl Driver {
         }
     }
 
-    /// Reports what happened and leads the arms on.
+    /// Reports events and steps the arms.
     fn lead(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
         while let Some(event) = self.network.poll_event() {
-            self.tell(event);
+            self.report(event);
         }
         let mut unproven = 0;
         for (number, (arm, axes)) in self.arms.iter_mut().enumerate() {
@@ -468,12 +472,14 @@ impl Driver {
             arm.cycle(tick, stopping, |joint, order| {
                 lead(network, axes.get(joint)?, order)
             });
-            while let Some((joint, news)) = arm.poll_news() {
-                self.news.push(News::Joint(number, joint, news)).ok();
+            while let Some((joint, event)) = arm.poll_event() {
+                self.events
+                    .push(NetworkEvent::Joint(number, joint, event))
+                    .ok();
             }
             for axis in axes {
-                if let Some(news) = axis.proof(network) {
-                    self.news.push(news).ok();
+                if let Some(event) = axis.proof(network) {
+                    self.events.push(event).ok();
                 }
                 unproven += u64::from(axis.proven.is_none());
             }
@@ -482,25 +488,27 @@ impl Driver {
         self.end(tick, stopping)
     }
 
-    fn tell(&mut self, event: Event) {
-        let news = match event {
-            Event::Phase(node, Phase::Running) => News::Runs(node),
-            Event::Fault(node, trouble) => {
-                self.shared.troubles.fetch_add(1, Ordering::Relaxed);
-                News::Trouble(node, trouble)
+    fn report(&mut self, event: Event) {
+        let event = match event {
+            Event::Phase(node, Phase::Running) => NetworkEvent::Runs(node),
+            Event::Fault(node, fault) => {
+                self.shared.faults.fetch_add(1, Ordering::Relaxed);
+                NetworkEvent::Fault(node, fault)
             }
-            Event::Emergency(node, emergency, count) => News::Emergency(node, emergency, count),
+            Event::Emergency(node, emergency, count) => {
+                NetworkEvent::Emergency(node, emergency, count)
+            }
             Event::Axis(node) => return self.tell_axes(node),
             Event::Phase(..) | Event::Homed(_) | Event::Transferred(..) => return,
         };
-        self.news.push(news).ok();
+        self.events.push(event).ok();
     }
 
     fn tell_axes(&mut self, node: NodeId) {
         let axes = self.arms.iter_mut().flat_map(|(_, axes)| axes);
         for axis in axes.filter(|axis| axis.node == node) {
-            if let Some(news) = axis.news(&self.network) {
-                self.news.push(news).ok();
+            if let Some(event) = axis.poll_event(&self.network) {
+                self.events.push(event).ok();
             }
         }
     }
@@ -514,7 +522,7 @@ impl Driver {
             if now >= until {
                 return;
             }
-            // Services have something new to send when an answer came; timers wait until the next cycle.
+            // A received answer can release new service frames; timers wait until the next cycle.
             let received = match self.link.receive(since_start(until - now)) {
                 Ok(Some(received)) => received,
                 Ok(None) => return,
@@ -538,7 +546,9 @@ impl Driver {
             return ControlFlow::Continue(());
         }
         let now = tick.scheduled;
-        let end = *self.farewell.get_or_insert_with(|| now + FAREWELL.into());
+        let end = *self
+            .stop_by
+            .get_or_insert_with(|| now + SHUTDOWN_MAX.into());
         if now >= end || self.arms.iter().all(|(arm, _)| arm.is_off()) {
             ControlFlow::Break(())
         } else {
@@ -547,7 +557,7 @@ impl Driver {
     }
 }
 
-/// Gives an order to an axis, and says how that is. A trouble of its node that is over does not count.
+/// Commands an axis and returns its feedback. A past fault of its node does not count.
 fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Option<Feedback> {
     let running = network.phase(reached.node) == Some(Phase::Running);
     let axis = network.axis_mut(reached.node, reached.place)?;
@@ -558,7 +568,8 @@ fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Optio
         axis.reset_fault();
     }
     let state = *axis.state();
-    // One that follows goes where it was sent last, not where it happens to be: that would give way to any load.
+    // An axis that follows keeps the target sent last, not its current position: the latter would give way to any
+    // load.
     let position = match order.target {
         None if state.follows => None,
         target => Some(target.unwrap_or(state.position)),
@@ -579,10 +590,10 @@ fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Optio
     })
 }
 
-/// SYNCs without an answer after which a drive counts as gone.
+/// SYNCs without an answer after which a drive counts as lost.
 const MISSING_MAX: u32 = 3;
 
-/// Time on the monotonic clock as the protocol counts it; zero before its start.
+/// Monotonic time as the protocol counts it; zero before its start.
 fn since_start(time: Nanos) -> Duration {
     Duration::from_nanos(u64::try_from(time.0).unwrap_or_default())
 }

@@ -1,4 +1,4 @@
-//! What the file of a cell says of devices: plain data, of which `cell` is read and from which drivers are made.
+//! Cell file configuration of devices: plain data, read by `cell` and used by drivers.
 
 mod on_end;
 mod robot;

@@ -1,6 +1,6 @@
-//! Positions that stand elsewhere all of a sudden while their device goes on following commands: an encoder that jumped,
-//! an odometry that was reset. What was scheduled before was meant for another place, and is given back; what runs goes on
-//! by what it was commanded, not by what is measured now. Who gives nets back is the executor.
+//! Position jumps while a device follows commands: an encoder that jumped, an odometry that was reset. Scheduled nets
+//! were meant for another position and are returned by the executor; running nets continue from commanded, not
+//! measured, positions.
 
 use std::fmt;
 
@@ -8,12 +8,12 @@ use takt_rt::Nanos;
 
 use super::{ARM_JOINTS_MAX, DeviceState, DeviceStatus};
 
-/// Share of its largest speed that a joint may be measured to have.
+/// Plausible measured speed, as a multiple of the speed limit.
 const SPEED_SHARE: f64 = 2.0;
-/// What a joint may be measured to move beside that, rad: noise, play, and measurements that come one right after the other.
+/// Plausible measured motion on top of that, rad: noise, play, and measurements in quick succession.
 const PLAY_RAD: f64 = 0.02;
 
-/// Of which part a position is.
+/// The part of a device that a position belongs to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum JumpPart {
     /// A base along the floor, m.
@@ -35,7 +35,7 @@ impl fmt::Display for JumpPart {
     }
 }
 
-/// How often positions of a device jumped while it followed commands, and the last time.
+/// Number of position jumps while the device followed commands, and the last one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Jumped {
     /// How often.
@@ -44,12 +44,12 @@ pub struct Jumped {
     pub part: JumpPart,
     /// By how much, m or rad.
     pub by: f64,
-    /// The most by which it can have moved.
+    /// Largest plausible motion.
     pub most: f64,
 }
 
 impl Jumped {
-    /// Counts one more.
+    /// Adds a jump.
     pub(super) const fn add(&mut self, part: JumpPart, by: f64, most: f64) {
         *self = Self {
             count: self.count + 1,
@@ -69,21 +69,21 @@ impl fmt::Display for Jumped {
         };
         write!(
             f,
-            "{part} jumped by {by:.4} {unit}, it can have moved by {most:.4} {unit}; scheduled nets of the device are given \
-             back\nhint: check the encoder, its cable and its supply, then schedule the nets again"
+            "{part} jumped by {by:.4} {unit}, the most plausible is {most:.4} {unit}; scheduled nets of the device are \
+             returned\nhint: check the encoder, its cable and its supply, then schedule the nets again"
         )
     }
 }
 
-/// The joints of a device as they were measured last.
+/// The last measured joint positions of a device.
 #[derive(Debug, Default)]
 pub(super) struct Continuity {
     last: Option<(Nanos, [Option<f64>; ARM_JOINTS_MAX])>,
 }
 
 impl Continuity {
-    /// Looks at a state that is to be reported: a joint that jumped since the last one is counted in it. `velocity_max` is
-    /// that of each joint, rad/s.
+    /// Checks a state before it is published and adds a jump if a joint jumped since the last one. `velocity_max` is
+    /// the limit of each joint, rad/s.
     pub(super) fn check(
         &mut self,
         state: &mut DeviceState,
@@ -145,7 +145,7 @@ mod tests {
         assert_eq!(jumped.count, 1);
         assert_eq!(
             jumped.to_string().lines().next().unwrap(),
-            "joint 2 jumped by 0.5000 rad, it can have moved by 0.0360 rad; scheduled nets of the device are given back"
+            "joint 2 jumped by 0.5000 rad, the most plausible is 0.0360 rad; scheduled nets of the device are returned"
         );
         assert_eq!(at(114, Some(1.5)).count, 1);
     }

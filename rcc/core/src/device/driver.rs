@@ -1,5 +1,5 @@
-//! What a controller needs of a driver that runs, whatever it drives. How drivers exchange values with
-//! nets is in `DeviceState` and `DeviceCommand`; starting one is the matter of its module.
+//! Interface between the controller and running drivers. Drivers exchange values with nets by `DeviceState` and
+//! `DeviceCommand`; each driver module has its own start function.
 
 use std::any::Any;
 use std::fmt;
@@ -16,35 +16,35 @@ use takt_rt::thread::{Thread, ThreadConfig};
 use crate::device::{DeviceCommand, DeviceState};
 use crate::error::Error;
 
-/// How long a driver that is told to end may take to bring its devices to rest and to take their power away: it
-/// brakes them as when set-points cease, and cuts no power while they move.
-pub const FAREWELL: Duration = Duration::from_secs(4);
+/// Shutdown time limit of a driver: its devices brake as when set-points end, then lose power. Power is not cut while
+/// they move.
+pub const SHUTDOWN_MAX: Duration = Duration::from_secs(4);
 
-/// What a driver gets for each of its devices.
+/// Endpoints of a driver for one device.
 #[derive(Debug)]
 pub struct DeviceEnd {
-    /// Where it tells of the device.
+    /// Publishes the state of the device.
     pub state: LatestWriter<DeviceState>,
-    /// Where it is told what the device is to do.
+    /// Receives the commands for the device.
     pub command: LatestReader<DeviceCommand>,
     /// Time between two commands.
     pub net_period: Duration,
 }
 
-/// What a driver gets when it is started.
+/// Endpoints of a driver, given to it at start.
 #[derive(Debug)]
 pub struct DriverEnds {
-    /// One for each of its devices, in their order.
+    /// One per device, in their order.
     pub devices: Vec<DeviceEnd>,
-    /// Where it tells the clock of its device or bus, which net threads may follow.
+    /// Publishes the clock of its device or bus, which net threads can follow.
     pub clock: LatestWriter<Estimate>,
 }
 
 impl DriverEnds {
-    /// The end of the only device, and where the driver tells its clock.
+    /// The endpoint of the only device, and that of the clock.
     ///
     /// # Errors
-    /// If there is not one device.
+    /// If the number of devices is not one.
     pub fn only(self, name: &str) -> Result<(DeviceEnd, LatestWriter<Estimate>), Error> {
         let Ok([end]) = <[DeviceEnd; 1]>::try_from(self.devices) else {
             return Err(Error::DeviceParameter {
@@ -56,28 +56,28 @@ impl DriverEnds {
     }
 }
 
-/// How much something matters that a driver reports.
+/// Severity of a notice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Severity {
-    /// Something came, works again, or is as it should be.
+    /// Something appeared, recovered, or is as expected.
     Info,
-    /// Something is not as it should be; the device may do its work all the same.
+    /// Something is not as expected, but the device may work.
     Warning,
     /// The device cannot do its work.
     Error,
 }
 
-/// Something that happened on the wire of a driver.
+/// An event on the wire of a driver.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Notice {
-    /// How much it matters.
+    /// Severity.
     pub severity: Severity,
-    /// The cause, and where there is one the remedy.
+    /// The cause, and the remedy if there is one.
     pub text: String,
 }
 
 impl Notice {
-    /// Good to know.
+    /// An informational notice.
     #[must_use]
     pub const fn info(text: String) -> Self {
         Self {
@@ -86,7 +86,7 @@ impl Notice {
         }
     }
 
-    /// Not as it should be.
+    /// A warning.
     #[must_use]
     pub const fn warning(text: String) -> Self {
         Self {
@@ -95,7 +95,7 @@ impl Notice {
         }
     }
 
-    /// The device cannot do its work.
+    /// An error.
     #[must_use]
     pub const fn error(text: String) -> Self {
         Self {
@@ -114,11 +114,11 @@ pub struct DriverThread {
 }
 
 impl DriverThread {
-    /// Starts it. `body` ends within [`FAREWELL`] after the flag that it is given is set, and then gives back where
-    /// it told the clock of its device. `priority` is that of `SCHED_FIFO`; no `cpus` are any.
+    /// Starts it. `body` returns within [`SHUTDOWN_MAX`] after its flag is set, and returns the clock endpoint.
+    /// `priority` is that of `SCHED_FIFO`; empty `cpus` allow any.
     ///
     /// # Errors
-    /// If the system has no thread to give.
+    /// If the thread cannot be created.
     pub fn start(
         name: &str,
         priority: Option<u8>,
@@ -134,7 +134,7 @@ impl DriverThread {
         };
         let thread = takt_rt::thread::spawn(config, move || {
             let mut clock = body(&stopping);
-            // Nobody measures it any more.
+            // The clock is no longer measured.
             clock.write(Estimate::default());
             clock
         });
@@ -149,7 +149,7 @@ impl DriverThread {
         self.stop.store(true, Ordering::Relaxed);
         let clock = self.thread.join().ok();
         if clock.is_none() {
-            tracing::error!(driver = self.name, "the driver thread had ended by a panic");
+            tracing::error!(driver = self.name, "driver thread panicked");
         }
         clock
     }
@@ -160,24 +160,24 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
     /// Its thread.
     fn thread(&self) -> &DriverThread;
 
-    /// Its thread, and nothing of it remains.
+    /// Consumes the driver and returns its thread.
     fn into_thread(self: Box<Self>) -> DriverThread;
 
-    /// What people want to know of it when one of its devices changes its status: name and value.
+    /// Figures for the log when one of its devices changes its status: name and value.
     fn figures(&self) -> Vec<(&'static str, String)>;
 
-    /// The next thing that happened on its wire and that people want to know, oldest first; `None` if they know all.
+    /// The oldest event on its wire that was not read yet; `None` if all were read.
     fn news(&self) -> Option<Notice> {
         None
     }
 
-    /// Whether a device of it is given no command after a fault until this driver starts again.
+    /// Whether this device gets no commands after a fault until the driver restarts.
     fn is_held_after_faults(&self, device: &str) -> bool {
         let _ = device;
         false
     }
 
-    /// When its thread stood still; `None` if nothing measures that.
+    /// Stalls of its thread; `None` if they are not measured.
     fn stalls(&self) -> Option<&StallReader> {
         None
     }
@@ -192,18 +192,17 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
         self.name() == device
     }
 
-    /// How the host granted what its thread asked for.
+    /// The real-time settings that the host granted or refused to its thread.
     fn grants(&self) -> &[Grant] {
         self.thread().thread.grants()
     }
 
-    /// Tells its thread to bring its devices to rest and to end, without waiting for that.
+    /// Requests its thread to stop its devices and end; does not wait.
     fn ask_to_stop(&self) {
         self.thread().stop.store(true, Ordering::Relaxed);
     }
 
-    /// Ends its thread, waits for that, and gives back where it told the clock of its device; nothing
-    /// if the thread had ended by a panic.
+    /// Ends its thread, waits for that, and returns the clock endpoint; `None` if the thread panicked.
     fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
         self.into_thread().stop()
     }

@@ -1,14 +1,14 @@
-//! An arm whose joints are axes of CiA 402 drives, on whatever bus. All of them follow or none is commanded by nets:
-//! then those that still follow brake within their limits and keep their places, by targets that never give way to
-//! a load. How an axis is reached is its bus's business.
+//! An arm whose joints are axes of CiA 402 drives, on any bus. Nets command the arm only while all axes follow;
+//! otherwise, those that still follow brake within their limits and hold their positions against any load. Access to
+//! an axis is up to its bus.
 //!
-//! Drives get power as soon as nothing commands the arm, and again after a fault when nothing has commanded it
-//! for a second: what a net wanted before does not go on after. With `recovery = "on_restart"` a fault takes it from all of
-//! them, as when the arm is told to stop. They lose it when their motors stand:
+//! Drives are enabled as soon as no net commands the arm, and re-enabled after a fault once no net has commanded it
+//! for a second: motion from before a fault does not continue. With `recovery = "on_restart"` a fault shuts the arm
+//! down. A shutdown removes power when the motors are at standstill:
 //!
 //! ```text
-//! told to stop: targets brake ──▶ motors stand ──▶ disable operation ──▶ disable voltage
-//!                     └─ not in time ──▶ quick stop ──┴─ not in time ───────────▲
+//! shutdown: targets brake ──▶ standstill ──▶ disable operation ──▶ disable voltage
+//!                └─ timeout ──▶ quick stop ─┴─ timeout ─────────▲
 //! ```
 
 mod check;
@@ -31,47 +31,47 @@ use crate::device::{DeviceCommand, DeviceState, DeviceStatus};
 pub(super) use check::{check, describe};
 use driven::{Driven, Power, When};
 
-/// Set-points older than this many cycles of the segment are no longer followed.
+/// Set-points older than this many cycles of the segment are ignored.
 const STALE_AFTER: i64 = 10;
-/// Without a command for so long, drives that have a fault are reset.
+/// Faults of drives are reset after this time without a command.
 const REST: Duration = Duration::from_secs(1);
-/// How long motors get to stand by their targets, before they are stopped by quick stop.
+/// Time for motors to reach standstill by their targets; then quick stop.
 const BRAKE_WITHIN: Duration = Duration::from_secs(2);
-/// How long a quick stop may take, before power goes off all the same.
+/// Time for a quick stop; then power is removed.
 const QUICK_STOP_WITHIN: Duration = Duration::from_millis(500);
-/// How long a drive may take to close its brake and disable operation.
+/// Time for a drive to close its brake and disable operation.
 const DISABLE_WITHIN: Duration = Duration::from_millis(500);
 
-/// What an axis said last.
+/// The latest state of an axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Feedback {
-    /// It answers.
+    /// Whether it answers.
     pub(super) online: bool,
-    /// Where it is told to be is where it goes.
+    /// Whether it follows its targets.
     pub(super) follows: bool,
-    /// 6041h; `None` if that shows no state.
+    /// State in 6041h; `None` if the statusword shows none.
     pub(super) state: Option<State>,
     /// 6064h.
     pub(super) increments: i32,
-    /// It gets no power, for its process data are not proven.
+    /// Whether it gets no power because its process data are not proven.
     pub(super) refused: bool,
 }
 
-/// What is reported of a joint, once each time that it comes to be so.
+/// An event of a joint, reported once per occurrence.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum JointNews {
-    /// It went where it was not told to go.
+pub(super) enum JointEvent {
+    /// The motor did not follow its target.
     Runaway(Runaway),
-    /// It stands out of its range.
+    /// The joint is out of its range.
     OutOfRange {
-        /// Where, degrees.
+        /// Position, degrees.
         position: f64,
-        /// Its range, degrees.
+        /// Range, degrees.
         range: [f64; 2],
     },
 }
 
-impl fmt::Display for JointNews {
+impl fmt::Display for JointEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Runaway(runaway) => runaway.fmt(f),
@@ -80,21 +80,21 @@ impl fmt::Display for JointNews {
                 range: [low, high],
             } => write!(
                 f,
-                "it stands at {position:.2} degrees, out of its range {low:.2} to {high:.2}\nhint: move it back by set-points \
-                 that begin where it stands, which it follows slowly, or correct `zero` and `range`"
+                "position {position:.2} degrees is out of range {low:.2} to {high:.2}\nhint: move it back by set-points \
+                 that begin at its position, which it follows slowly, or correct `zero` and `range`"
             ),
         }
     }
 }
 
-/// What an axis is to do in this cycle.
+/// Commands to an axis for one cycle.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Order {
-    /// A new goal, if it changed.
+    /// The new goal, if it changed.
     pub(super) goal: Option<Goal>,
-    /// Reset a fault.
+    /// Whether to reset a fault.
     pub(super) reset: bool,
-    /// 607Ah; `None` while the axis does not follow: its target is where it is.
+    /// 607Ah; `None` while the axis does not follow: its target is its position.
     pub(super) target: Option<i32>,
 }
 
@@ -105,30 +105,30 @@ pub(super) struct Arm {
     joints: Vec<Driven>,
     period: Nanos,
     net_period: Nanos,
-    told: DeviceState,
+    reported: DeviceState,
     taken: DeviceCommand,
     state: LatestWriter<DeviceState>,
     command: LatestReader<DeviceCommand>,
-    /// The last cycle in which something commanded it.
+    /// The last cycle in which a net commanded it.
     commanded: Nanos,
     last: Option<Nanos>,
     powered: bool,
-    /// When it was told to stop, and when its motors then stood.
+    /// When shutdown was requested, and when the motors then reached standstill.
     stopping: Option<Nanos>,
-    stood: Option<Nanos>,
+    standstill: Option<Nanos>,
     held: bool,
     continuity: Continuity,
 }
 
 impl Arm {
-    /// An arm on a bus of that cycle.
+    /// An arm on a bus with that cycle time.
     pub(super) fn new<D>(arm: &DriveArm<D>, cycle: Duration, end: DeviceEnd) -> Self {
         Self {
             recovery: arm.recovery,
             joints: arm.joints.iter().map(Driven::new).collect(),
             period: cycle.into(),
             net_period: end.net_period.into(),
-            told: DeviceState::default(),
+            reported: DeviceState::default(),
             taken: DeviceCommand::default(),
             state: end.state,
             command: end.command,
@@ -136,35 +136,35 @@ impl Arm {
             last: None,
             powered: false,
             stopping: None,
-            stood: None,
+            standstill: None,
             held: false,
             continuity: Continuity::default(),
         }
     }
 
-    /// Whether no drive of it has power. Within [`super::driver::FAREWELL`] after it is told to stop, unless a
-    /// drive refuses.
+    /// Whether all drives are without power; at most [`super::driver::SHUTDOWN_MAX`] after a shutdown request, unless
+    /// a drive refuses.
     pub(super) fn is_off(&self) -> bool {
         let mut joints = self.joints.iter();
         joints.all(|joint| joint.power() == Power::Off)
     }
 
-    /// From now on nothing moves it, or something may again: its joints brake and keep their places.
+    /// Starts or ends a hold: joints brake and hold their positions, and commands are ignored.
     pub(super) const fn hold(&mut self, held: bool) {
         self.held = held;
     }
 
-    /// A joint and what is to be reported of it; each once.
-    pub(super) fn poll_news(&mut self) -> Option<(usize, JointNews)> {
+    /// The next event of a joint.
+    pub(super) fn poll_event(&mut self) -> Option<(usize, JointEvent)> {
         let mut joints = self.joints.iter_mut().enumerate();
-        joints.find_map(|(number, joint)| Some((number, joint.poll_news()?)))
+        joints.find_map(|(number, joint)| Some((number, joint.poll_event()?)))
     }
 
     fn follows(&self) -> bool {
         self.joints.iter().all(Driven::follows)
     }
 
-    /// Leads its drives through one cycle: `axis` gives an order to the axis of a joint and says how that is.
+    /// Steps its drives by one cycle: `axis` commands the axis of a joint and returns its feedback.
     pub(super) fn cycle(
         &mut self,
         tick: &Tick,
@@ -174,11 +174,12 @@ impl Arm {
         let now = tick.scheduled;
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
-        let stopping = stopping || (self.recovery == Recovery::OnRestart && self.told.faults > 0);
+        let stopping =
+            stopping || (self.recovery == Recovery::OnRestart && self.reported.faults > 0);
         let (goal, reset) = if stopping {
-            (self.farewell(now), false)
+            (self.shutdown_goal(now), false)
         } else {
-            (self.stopping, self.stood) = (None, None);
+            (self.stopping, self.standstill) = (None, None);
             self.choose_goal(now)
         };
         let may_move = self.follows() && !stopping && !self.held;
@@ -197,11 +198,11 @@ impl Arm {
         for (number, (driven, set_points)) in joints.enumerate() {
             let target = driven.aim(set_points, may_move, &when);
             let goal = match goal {
-                // A drive without power holds no motor whose brake were to close: it gets none now.
+                // A drive without power has no brake to close: SwitchedOn would give it power.
                 Some(Goal::SwitchedOn) if driven.power() != Power::Drives => {
                     Some(Goal::SwitchOnDisabled)
                 }
-                // One that runs away has no targets to brake by.
+                // A runaway axis cannot brake by targets.
                 _ if driven.has_run_away() => Some(Goal::SwitchOnDisabled),
                 goal => goal,
             };
@@ -212,17 +213,17 @@ impl Arm {
             };
             driven.take(axis(number, order), target, &when);
         }
-        self.tell(tick);
+        self.publish(tick);
     }
 
-    /// The goal of all drives if it changes, and whether their faults are to be reset.
+    /// The new goal of all drives, if it changes, and whether to reset their faults.
     fn choose_goal(&mut self, now: Nanos) -> (Option<Goal>, bool) {
         let commanded = self.taken.joints.iter().any(|joint| joint.active);
         if commanded {
             self.commanded = now;
         }
         let online = self.joints.iter().all(Driven::is_online);
-        // What comes back does not move by itself.
+        // Drives that recover do not move by themselves.
         self.powered &= online;
         let rested = now - self.commanded >= Nanos::from(REST);
         if self.joints.iter().any(Driven::has_run_away) {
@@ -240,13 +241,13 @@ impl Arm {
         (None, false)
     }
 
-    /// The goal of all drives on the way to no power.
-    fn farewell(&mut self, now: Nanos) -> Option<Goal> {
+    /// The goal of all drives during shutdown.
+    fn shutdown_goal(&mut self, now: Nanos) -> Option<Goal> {
         let began = *self.stopping.get_or_insert(now);
-        if self.stood.is_none() && self.joints.iter().all(|joint| joint.stands(now)) {
-            self.stood = Some(now);
+        if self.standstill.is_none() && self.joints.iter().all(|joint| joint.is_at_rest(now)) {
+            self.standstill = Some(now);
         }
-        let Some(stood) = self.stood else {
+        let Some(standstill) = self.standstill else {
             let waited = now - began;
             let brakes = Nanos::from(BRAKE_WITHIN);
             return if waited <= brakes {
@@ -257,9 +258,9 @@ impl Arm {
                 Some(Goal::SwitchOnDisabled)
             };
         };
-        // Disable operation comes first: on that arrow drives close their brakes under torque (605Ch).
+        // Disable operation comes first: in this transition drives close their brakes under torque (605Ch).
         let drives = |joint: &Driven| joint.power() == Power::Drives;
-        let in_time = now - stood <= Nanos::from(DISABLE_WITHIN);
+        let in_time = now - standstill <= Nanos::from(DISABLE_WITHIN);
         Some(if in_time && self.joints.iter().any(drives) {
             Goal::SwitchedOn
         } else {
@@ -267,7 +268,7 @@ impl Arm {
         })
     }
 
-    fn tell(&mut self, tick: &Tick) {
+    fn publish(&mut self, tick: &Tick) {
         let status = if self.follows() && !self.held {
             DeviceStatus::Operational
         } else if self.joints.iter().all(Driven::is_online) {
@@ -275,10 +276,10 @@ impl Arm {
         } else {
             DeviceStatus::Offline
         };
-        self.told.enter(status, tick.scheduled);
-        for (told, driven) in self.told.joints.iter_mut().zip(&self.joints) {
+        self.reported.enter(status, tick.scheduled);
+        for (reported, driven) in self.reported.joints.iter_mut().zip(&self.joints) {
             let (position, velocity, acceleration) = driven.joint.motion();
-            *told = JointState {
+            *reported = JointState {
                 commanded_position: Some(position),
                 commanded_velocity: Some(velocity),
                 commanded_acceleration: Some(acceleration),
@@ -288,31 +289,31 @@ impl Arm {
                 error: driven.error(status) as i32,
             };
         }
-        for (limited, driven) in self.told.limited.iter_mut().zip(&self.joints) {
+        for (limited, driven) in self.reported.limited.iter_mut().zip(&self.joints) {
             *limited = *driven.joint.limited();
         }
         let joints = &self.joints;
-        self.continuity.check(&mut self.told, |number| {
+        self.continuity.check(&mut self.reported, |number| {
             Some(joints.get(number)?.joint.limits().velocity_max)
         });
-        let told = &self.told;
-        self.state.write_with(|state| state.copy_from(told));
+        let reported = &self.reported;
+        self.state.write_with(|state| state.copy_from(reported));
     }
 }
 
-/// Writes to the log which quirks the drives of a bus get by their cell.
+/// Logs the quirks that the cell configures for the drives of a bus.
 pub(super) fn report_quirks<D>(driver: &str, arms: &[DriveArm<D>]) {
     for arm in arms {
         for (joint, of_joint) in arm.joints.iter().enumerate() {
             for quirk in &of_joint.quirks {
                 let (arm, quirk) = (&arm.name, quirk.name());
-                tracing::info!(driver, arm, joint, quirk, "a quirk of a drive is applied");
+                tracing::info!(driver, arm, joint, quirk, "drive quirk applied");
             }
         }
     }
 }
 
-/// What is reported of an axis whose process data are proven.
+/// The event text of an axis whose process data are proven.
 pub(super) fn proven(took: Duration, trusted: Objects) -> String {
     let took = took.as_millis();
     if trusted.is_empty() {

@@ -1,15 +1,15 @@
-//! The driver of an EtherCAT segment: one thread that sends a frame each cycle, in phase with SYNC0, and
-//! between two of them leads the arms and the inputs and outputs on it. The protocol, the profile and the
-//! state of every slave are in `takt_ethercat` and `takt_cia402`.
+//! The driver of an EtherCAT segment: one thread that sends a frame each cycle, in phase with SYNC0, and between two
+//! frames steps the arms and the inputs and outputs. The protocol, the drive profile and the state of every slave are
+//! in `takt_ethercat` and `takt_cia402`.
 //!
-//! In a cycle the frame goes out first, with what the cycle before computed, so that its instant does not
-//! depend on any computation. Its answer is waited for, for half a cycle at most; then drives are led on and
-//! nets are told.
+//! A cycle sends its frame first, with values computed in the previous cycle, so that the send time does not depend on
+//! any computation. It waits at most half a cycle for the answer, then steps the drives and publishes their state to
+//! nets.
 
 mod arm;
 mod describe;
+mod events;
 mod io;
-mod news;
 mod youbot;
 
 use std::fmt;
@@ -31,28 +31,28 @@ use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
 use crate::device::config::EthercatConfig;
-use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL, Notice};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, Notice, SHUTDOWN_MAX};
 use crate::device::drives;
 use crate::device::link_watch::{LinkErrors, LinkWatch};
 use crate::error::Error;
 use arm::Arm;
 pub use describe::{check, describe, master_config};
+use events::SegmentEvent;
 use io::InOut;
-use news::News;
 pub use youbot::{Wait, YouBotFigures};
 use youbot::{Waiting, YouBots};
 
 /// Longest Ethernet payload.
 const FRAME: usize = 1500;
-/// Frames looked at for the answer of one; more are a flood that somebody else sends.
+/// Most frames received while waiting for one answer; more are a flood from another sender.
 const ANSWERS: usize = 64;
-/// What waits to be told.
-const NEWS: usize = 256;
-/// Events looked at in one cycle.
+/// Capacity of the event queue.
+const EVENTS_MAX: usize = 256;
+/// Most events handled in one cycle.
 const EVENTS: usize = 32;
-/// How long a segment that is not as expected is left alone before it is looked at again.
+/// Time between two checks of a segment that is not as expected.
 const REFUSED: Duration = Duration::from_secs(2);
-/// Turn of one of two links that are both waited for.
+/// Time slice of each link while waiting for both.
 const TURN: Duration = Duration::from_micros(20);
 
 /// A link that a driver thread can own.
@@ -60,7 +60,7 @@ pub trait EthernetLink: Link + Send + fmt::Debug {}
 
 impl<T: Link + Send + fmt::Debug> EthernetLink for T {}
 
-/// A link at the end of which frames go out with this address as their source.
+/// A link and the source address of its frames.
 #[derive(Debug)]
 pub struct Wire {
     /// The link.
@@ -69,7 +69,7 @@ pub struct Wire {
     pub source: [u8; 6],
 }
 
-/// The wires of a segment: one, or of a ring two.
+/// The wires of a segment: one, or two of a ring.
 #[derive(Debug)]
 pub struct Wires {
     /// To the first slave.
@@ -87,13 +87,13 @@ impl From<Wire> for Wires {
     }
 }
 
-/// Listened for another master before the first frame: longer than any usual cycle.
+/// How long to detect another master before the first frame: longer than any usual cycle.
 const LISTEN: Duration = Duration::from_millis(60);
 
-/// Opens the network interfaces of a segment, for this process alone.
+/// Opens the network interfaces of a segment, exclusively for this process.
 ///
 /// # Errors
-/// If there is no such interface or no right to open it, another program of Takt has it, or frames of another master come.
+/// If an interface does not exist, access is denied, another Takt process has it, or frames of another master arrive.
 pub fn open(config: &EthercatConfig) -> Result<Wires, Error> {
     let open = |interface: &String| {
         let link = PacketLink::open_locked(interface).and_then(|mut link| {
@@ -117,7 +117,7 @@ pub fn open(config: &EthercatConfig) -> Result<Wires, Error> {
     })
 }
 
-/// Figures of a segment that others read while it runs.
+/// Counters of a running segment that other threads read.
 #[derive(Debug, Default)]
 struct Shared {
     cycles: AtomicU64,
@@ -136,13 +136,13 @@ pub struct EthercatFigures {
     pub period: Duration,
     /// Frames with process data.
     pub cycles: u64,
-    /// Frames whose answer did not come in its cycle.
+    /// Frames without an answer in their cycle.
     pub lost: u64,
-    /// What happened on the segment: slaves reached, lost, returned, cables.
+    /// Events: slaves found, lost and returned, cables.
     pub events: u64,
-    /// Whether all slaves are where they are wanted.
+    /// Whether all slaves are in their requested states.
     pub operational: bool,
-    /// What happened to the drives of youBots.
+    /// Fault counters of youBot drives.
     pub youbots: YouBotFigures,
 }
 
@@ -153,22 +153,22 @@ pub struct Ethercat {
     on_restart: Vec<String>,
     period: Duration,
     shared: Arc<Shared>,
-    /// Names of its slaves, and the drive of a youBot that is waited for.
+    /// Names of its slaves, and the youBot drive that the segment waits for.
     slaves: Vec<String>,
     waiting: Mutex<LatestReader<Option<Waiting>>>,
-    news: Mutex<Consumer<News>>,
-    /// One for each wire.
+    events: Mutex<Consumer<SegmentEvent>>,
+    /// One per wire.
     links: Vec<LinkWatch>,
-    /// How the cycle keeps its time; its phase error is that to SYNC0.
+    /// Timing of the cycle; its phase error is relative to SYNC0.
     pub stats: StatsReader,
     thread: DriverThread,
 }
 
 impl Ethercat {
-    /// Starts the driver thread. The ends are those of the devices of [`describe`], in that order.
+    /// Starts the driver thread. The endpoints are those of the devices of [`describe`], in that order.
     ///
     /// # Errors
-    /// If the configuration makes no sense or the system has no thread to give.
+    /// If the configuration is invalid or the thread cannot be created.
     pub fn start(
         config: &EthercatConfig,
         wires: impl Into<Wires>,
@@ -194,7 +194,7 @@ impl Ethercat {
         let (own_waiting, waiting) = latest(1, || None);
         let slaves = slave_names(&master);
         let (mut recorded, stats) = stats::pair();
-        let (own_news, news) = ring(NEWS);
+        let (own_events, events) = ring(EVENTS_MAX);
         let phase = config.phase.unwrap_or(config.cycle / 2);
         let mut driver = Box::new(Driver {
             master,
@@ -209,9 +209,9 @@ impl Ethercat {
             clocks: [own_clock, ends.clock],
             shared: Arc::clone(&shared),
             waiting: own_waiting,
-            news: own_news,
+            events: own_events,
             refused: Refused::default(),
-            farewell: None,
+            stop_by: None,
         });
         let period = config.cycle;
         let (name, cpus) = (&config.name, &config.cpus);
@@ -222,8 +222,8 @@ impl Ethercat {
             };
             let mut scope = None;
             cycles.run(&mut recorded, |tick| {
-                // To enter and to leave locks: once for each time that the segment runs. Until then a cycle allocates, as
-                // what a scan finds must lie somewhere.
+                // Memory locks are entered and left once each time the segment starts. Before that, a cycle may
+                // allocate: scan results need memory.
                 let runs = driver.master.is_exchanging();
                 if runs != scope.is_some() {
                     scope = runs.then(enter_real_time);
@@ -241,14 +241,14 @@ impl Ethercat {
             shared,
             slaves,
             waiting: Mutex::new(waiting),
-            news: Mutex::new(news),
+            events: Mutex::new(events),
             links,
             stats,
             thread,
         })
     }
 
-    /// The drive of a youBot that is waited for, and why; `None` if all follow, or there is no youBot.
+    /// The youBot drive that the segment waits for, and why; `None` if all follow or there is no youBot.
     #[must_use]
     pub fn waits_for(&self) -> Option<String> {
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
@@ -257,7 +257,7 @@ impl Ethercat {
         Some(format!("{name}: {why}"))
     }
 
-    /// Its figures so far.
+    /// Current figures.
     #[must_use]
     pub fn figures(&self) -> EthercatFigures {
         let Shared {
@@ -308,26 +308,26 @@ impl DeviceDriver for Ethercat {
 
     fn figures(&self) -> Vec<(&'static str, String)> {
         let figures = self.figures();
-        let mut told = vec![
+        let mut reported = vec![
             ("cycles", figures.cycles.to_string()),
             ("lost", figures.lost.to_string()),
             ("events", figures.events.to_string()),
         ];
         let failed: u64 = self.links.iter().map(LinkWatch::failed).sum();
         if failed > 0 {
-            told.push(("not sent", failed.to_string()));
+            reported.push(("not sent", failed.to_string()));
         }
         let unproven = self.shared.unproven.load(Ordering::Relaxed);
         if unproven > 0 {
-            told.push(("axes not proven", unproven.to_string()));
+            reported.push(("axes not proven", unproven.to_string()));
         }
         let YouBotFigures { timeouts, i2t, .. } = figures.youbots;
         if timeouts + i2t > 0 {
-            told.push(("youbot timeouts", timeouts.to_string()));
-            told.push(("youbot i2t", i2t.to_string()));
+            reported.push(("youbot timeouts", timeouts.to_string()));
+            reported.push(("youbot i2t", i2t.to_string()));
         }
-        told.extend(self.waits_for().map(|why| ("waits for", why)));
-        told
+        reported.extend(self.waits_for().map(|why| ("waits for", why)));
+        reported
     }
 
     fn is_held_after_faults(&self, device: &str) -> bool {
@@ -343,8 +343,8 @@ impl DeviceDriver for Ethercat {
         if let Some(notice) = self.links.iter().find_map(|link| link.poll(now)) {
             return Some(notice);
         }
-        let mut news = self.news.lock().unwrap_or_else(PoisonError::into_inner);
-        news.pop().map(|news| news.notice())
+        let mut events = self.events.lock().unwrap_or_else(PoisonError::into_inner);
+        events.pop().map(|event| event.notice())
     }
 }
 
@@ -352,16 +352,16 @@ impl DeviceDriver for Ethercat {
 #[derive(Debug, Default)]
 struct Refused {
     since: Option<Nanos>,
-    /// What was told last, so that it is told again only if it changes.
+    /// The difference reported last; only changes are reported.
     differences: Vec<Difference>,
     too_large: Option<usize>,
 }
 
 struct Driver {
     master: Master,
-    /// One, or of a ring two.
+    /// One, or two of a ring.
     ports: Vec<Port<Box<dyn EthernetLink>>>,
-    /// Of each of them.
+    /// One per wire.
     errors: Vec<Arc<LinkErrors>>,
     servo: Servo,
     cycle: Duration,
@@ -369,15 +369,15 @@ struct Driver {
     ios: Vec<InOut>,
     youbots: YouBots,
     buffer: [u8; FRAME],
-    /// Where the segment's clock is told: to this thread, and to the controller.
+    /// Clock of the segment, for this thread and for the controller.
     clocks: [LatestWriter<Estimate>; 2],
     shared: Arc<Shared>,
     waiting: LatestWriter<Option<Waiting>>,
-    /// What is told; if nobody takes it, it is lost.
-    news: Producer<News>,
+    /// Events; unread ones are dropped.
+    events: Producer<SegmentEvent>,
     refused: Refused,
-    /// When it ends at the latest, once it is to stop.
-    farewell: Option<Nanos>,
+    /// Deadline of the shutdown, once requested.
+    stop_by: Option<Nanos>,
 }
 
 impl Driver {
@@ -394,13 +394,13 @@ impl Driver {
         self.end(tick, stopping)
     }
 
-    /// Tells what differs from what is expected, and looks again after a while: a slave whose power was not there may
-    /// have it now.
+    /// Reports differences from the expected segment, and checks again after a while: a slave may have got power
+    /// meanwhile.
     fn start_up(&mut self, tick: &Tick) {
         if self.master.is_exchanging() {
             (self.refused.since, self.refused.too_large) = (None, None);
             if !std::mem::take(&mut self.refused.differences).is_empty() {
-                self.tell(News::AsExpected);
+                self.send(SegmentEvent::AsExpected);
             }
             let lacks: Vec<_> = self
                 .ios
@@ -408,7 +408,7 @@ impl Driver {
                 .flat_map(|io| io.find(&self.master))
                 .collect();
             for lack in lacks {
-                self.tell(News::Lack(lack));
+                self.send(SegmentEvent::Lack(lack));
             }
             return;
         }
@@ -419,14 +419,14 @@ impl Driver {
         if self.refused.differences != self.master.differences() {
             self.refused.differences = self.master.differences().to_vec();
             for difference in self.refused.differences.clone() {
-                self.tell(News::Difference(difference));
+                self.send(SegmentEvent::Difference(difference));
             }
         }
         let too_large = self.master.image_too_large();
         if self.refused.too_large != too_large {
             self.refused.too_large = too_large;
             if let Some(bytes) = too_large {
-                self.tell(News::TooLarge(bytes));
+                self.send(SegmentEvent::TooLarge(bytes));
             }
         }
         if tick.scheduled - since > Nanos::from(REFUSED) {
@@ -435,12 +435,12 @@ impl Driver {
         }
     }
 
-    fn tell(&mut self, news: News) {
-        self.news.push(news).ok();
+    fn send(&mut self, event: SegmentEvent) {
+        self.events.push(event).ok();
     }
 
-    /// Sends the frame that is due and waits for its answer, or for that of a frame that is under way still; false if
-    /// there is neither or no time for more.
+    /// Sends the frame that is due and waits for its answer, or for that of a frame still in flight; false if there
+    /// is neither or no time is left.
     fn exchange(&mut self, until: Nanos) -> bool {
         let now = since_start(monotonic());
         if let Some(len) = self.master.poll_transmit(now, &mut self.buffer) {
@@ -453,11 +453,12 @@ impl Driver {
             }
             return sent && self.answered(until);
         }
-        // The last frame of a burst comes back after the burst: unread, it would count as lost and be sent again.
+        // The last frame of a burst returns after the burst: if not received now, it would count as lost and be
+        // repeated.
         self.master.awaits_frame() && self.answered(until)
     }
 
-    /// Waits for the answer, of a ring by both of its ends in turn; false if it did not come, or no time is left.
+    /// Waits for the answer, alternating between both ends of a ring; false on timeout.
     fn answered(&mut self, until: Nanos) -> bool {
         let both = self.ports.len() > 1;
         let mut looked = 0;
@@ -496,18 +497,22 @@ impl Driver {
             && let Some(event) = self.master.poll_event()
         {
             happened += 1;
-            self.news.push(News::Event(event)).ok();
+            self.events.push(SegmentEvent::Event(event)).ok();
         }
         while let Some(emergency) = self.master.poll_emergency() {
-            self.news.push(News::Emergency(emergency)).ok();
+            self.events.push(SegmentEvent::Emergency(emergency)).ok();
         }
         for (number, arm) in self.arms.iter_mut().enumerate() {
             arm.cycle(&mut self.master, tick, stopping);
-            while let Some((slave, axis, news)) = arm.poll_news() {
-                self.news.push(News::Axis(slave, axis, news)).ok();
+            while let Some((slave, axis, event)) = arm.poll_event() {
+                self.events
+                    .push(SegmentEvent::Axis(slave, axis, event))
+                    .ok();
             }
-            while let Some((joint, news)) = arm.poll_joint() {
-                self.news.push(News::Joint(number, joint, news)).ok();
+            while let Some((joint, event)) = arm.poll_joint() {
+                self.events
+                    .push(SegmentEvent::Joint(number, joint, event))
+                    .ok();
             }
         }
         let unproven = self.arms.iter().map(Arm::unproven).sum();
@@ -542,11 +547,11 @@ impl Driver {
         shared.operational.store(operational, Ordering::Relaxed);
     }
 
-    /// Tells the servo how the reference clock stood in the middle of the frame's way.
+    /// Gives the servo the reference clock at half of the frame's round trip.
     fn take_samples(&mut self) {
         while let Some(sample) = self.master.poll_sample() {
-            let way = sample.received.saturating_sub(sample.sent);
-            let local = Nanos::from(sample.sent + way / 2);
+            let round_trip = sample.received.saturating_sub(sample.sent);
+            let local = Nanos::from(sample.sent + round_trip / 2);
             let remote = i64::try_from(sample.system_ns).unwrap_or(i64::MAX);
             self.servo.handle_sample(local, Nanos(remote));
         }
@@ -562,8 +567,8 @@ impl Driver {
             return ControlFlow::Continue(());
         }
         let now = tick.scheduled;
-        let latest = now + FAREWELL.into();
-        let end = *self.farewell.get_or_insert(latest);
+        let latest = now + SHUTDOWN_MAX.into();
+        let end = *self.stop_by.get_or_insert(latest);
         let off = self.arms.iter().all(Arm::is_off) && self.youbots.rest();
         if off || now >= end || !self.master.is_exchanging() {
             ControlFlow::Break(())
@@ -578,7 +583,7 @@ fn slave_names(master: &Master) -> Vec<String> {
     slaves.map(|slave| slave.name.clone()).collect()
 }
 
-/// Time on the monotonic clock as the protocol counts it; zero before its start.
+/// Monotonic time as the protocol counts it; zero before its start.
 fn since_start(time: Nanos) -> Duration {
     Duration::from_nanos(u64::try_from(time.0).unwrap_or_default())
 }

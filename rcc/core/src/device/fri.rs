@@ -1,11 +1,11 @@
-//! The driver of a KUKA arm over FRI, either generation: a thread that waits for the controller's datagram
-//! and answers it at once with what the nets want at that instant of the robot's own clock. The protocols
-//! themselves are in `takt_fri`; what differs between them is told by `Protocol`.
+//! The driver of a KUKA arm over FRI of either generation: a thread that waits for the controller's datagram and
+//! answers it at once with what nets command for that instant of the robot's own clock. The protocols are in
+//! `takt_fri`; their differences are behind `Protocol`.
 
 mod clock;
 mod driver;
+mod events;
 mod force;
-mod news;
 pub(super) mod orders;
 mod protocol;
 #[cfg(test)]
@@ -33,37 +33,37 @@ use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, Notice};
 use crate::device::link_watch::{LinkErrors, LinkWatch};
 use crate::error::Error;
 use driver::Driver;
-use news::{Listener, advice, herald};
+use events::{EventReceiver, advice, event_channel};
 
 pub use orders::Orders;
-pub use protocol::{AXES, Heard, Joints, Protocol, Totals};
+pub use protocol::{AXES, Joints, Protocol, Reception, Totals};
 
-/// Room for any datagram, and one byte more so that a longer one shows.
+/// Buffer for any datagram, with one extra byte to detect longer ones.
 const ROOM: usize = MESSAGE_MAX + 1;
-/// Longest wait for a datagram, so that a stop is seen soon.
+/// Longest wait for a datagram, so that a stop request is noticed soon.
 const WAIT: Duration = Duration::from_millis(20);
-/// Longest time that a driver which is to end goes on answering, so that the arm comes to rest. From full speed at the
-/// joints' own acceleration it needs less than half of that.
-const FAREWELL: Duration = Duration::from_secs(2);
-/// A step as long as full speed for this time is none that a stream of set-points makes, s.
+/// Shutdown time limit: the driver keeps answering until the arm is at rest. From full speed at the joints'
+/// acceleration limit it needs less than half of that.
+const SHUTDOWN_MAX: Duration = Duration::from_secs(2);
+/// A step that takes longer than this at full speed does not belong to a stream of set-points, s.
 const STEP_S: f64 = 0.2;
-/// Waiting datagrams taken at most before one of them is answered.
+/// Most waiting datagrams received before one of them is answered.
 const BACKLOG: usize = 64;
-/// A datagram that waited for so long was kept waiting by a thread that stood still: four cycles of the fastest robots.
+/// A datagram that waited this long was delayed by a stall of this thread: four cycles of the fastest robots.
 const STALL: Nanos = Nanos::from_millis(4);
 
-/// Figures of a driver that others read while it runs.
+/// Counters of a running driver that other threads read.
 #[derive(Debug, Default)]
 struct Shared {
     received: AtomicU64,
     lost: AtomicU64,
-    /// The address of the controller of the robot, if it is one of IPv4; zero before there is one.
+    /// The IPv4 address of the robot's controller; zero before the first contact.
     robot: AtomicU32,
     malformed: AtomicU64,
     quality: AtomicI32,
     period_ns: AtomicU64,
     tracking_error_bits: AtomicU64,
-    /// No number while the clock is not known.
+    /// NaN while the clock is not known.
     clock_ppb_bits: AtomicU64,
 }
 
@@ -72,25 +72,25 @@ struct Shared {
 pub struct FriFigures<Q> {
     /// Measurements received.
     pub datagrams: u64,
-    /// Measurements that never came.
+    /// Measurements lost.
     pub lost: u64,
-    /// Datagrams that were none.
+    /// Malformed datagrams.
     pub malformed: u64,
     /// Quality of the connection as the controller judges it.
     pub quality: Q,
-    /// Time from one measurement to the next; `None` before the first.
+    /// Time between measurements; `None` before the first.
     pub period: Option<Duration>,
     /// Largest distance of a joint from its set-point while commanding, rad.
     pub tracking_error_rad_max: f64,
-    /// How much faster than this host's the robot's clock runs, ppb; `None` while that is not known.
+    /// Frequency offset of the robot's clock against this host's, ppb; `None` while unknown.
     pub clock_ppb: Option<f64>,
-    /// Who is late, by the last 100 to 200 measurements.
+    /// Which side is late, by the last 100 to 200 measurements.
     pub verdict: Verdict,
-    /// Why a datagram was refused last.
-    pub refusal: Option<DecodeError>,
-    /// Why a command was withheld last: which joint, which limit.
+    /// Decode error of the last malformed datagram.
+    pub decode_error: Option<DecodeError>,
+    /// The last command that was withheld: which joint, which limit.
     pub violation: Option<Violation>,
-    /// Measurements of other controllers than the one that is answered.
+    /// Measurements of controllers other than the peer.
     pub foreign: u64,
 }
 
@@ -101,21 +101,21 @@ pub struct FriArm<P> {
     shared: Arc<Shared>,
     /// Time from the arrival of a measurement to the sending of its answer.
     pub answer_time: RecorderReader,
-    /// Time from the instant for which a position was meant to its sending.
+    /// Time from the instant that a position is meant for to its sending.
     pub set_point_age: RecorderReader,
-    /// Time between the arrival of a measurement, early or late, and its instant on the robot's clock.
+    /// Time between the arrival of a measurement and its instant on the robot's clock, either sign.
     pub phase_error: RecorderReader,
-    listener: Listener,
+    event_receiver: EventReceiver,
     stalls: StallReader,
     watch: LinkWatch,
     thread: DriverThread,
     protocol: PhantomData<fn() -> P>,
 }
 
-/// How the thread of a driver is to run.
+/// Thread settings of a driver.
 #[derive(Clone, Debug)]
 pub(super) struct Settings {
-    /// Where datagrams arrive.
+    /// Socket address for datagrams.
     pub(super) listen: SocketAddr,
     /// `SCHED_FIFO` priority; `None` for an ordinary thread.
     pub(super) priority: Option<u8>,
@@ -123,10 +123,10 @@ pub(super) struct Settings {
     pub(super) cpus: Vec<usize>,
 }
 
-/// Opens the socket at which the controller's datagrams arrive.
+/// Opens the socket for the controller's datagrams.
 ///
 /// # Errors
-/// If the address cannot be listened at.
+/// If the address cannot be bound.
 pub(super) fn listen(name: &str, address: SocketAddr) -> Result<UdpLink, Error> {
     UdpLink::bind(address).map_err(|source| refused(name, address, source))
 }
@@ -134,17 +134,17 @@ pub(super) fn listen(name: &str, address: SocketAddr) -> Result<UdpLink, Error> 
 fn refused(name: &str, address: SocketAddr, source: std::io::Error) -> Error {
     Error::Device {
         name: name.to_owned(),
-        what: format!("listen at {address}"),
+        what: format!("bind {address}"),
         source,
     }
 }
 
 impl<P: Protocol> FriArm<P> {
-    /// Starts the driver thread. On the clock that it tells, zero and every whole period is the instant of
-    /// a measurement.
+    /// Starts the driver thread. On the clock that it publishes, zero and every whole period is the instant of a
+    /// measurement.
     ///
     /// # Errors
-    /// If the socket has no address or the system has no thread to give.
+    /// If the socket has no address or the thread cannot be created.
     pub(super) fn launch(
         session: P,
         description: DeviceDescription,
@@ -158,15 +158,15 @@ impl<P: Protocol> FriArm<P> {
             .local_addr()
             .map_err(|source| refused(&name, settings.listen, source))?;
         let shared = Arc::new(Shared::default());
-        let (herald, listener) = herald(session.observer());
-        // Boxed, so that the thread's small stack does not hold it as it is moved there.
+        let (event_sender, event_receiver) = event_channel(session.observer());
+        // Boxed, so that the thread's small stack does not hold it while it is moved there.
         let parts = (end, clock, Arc::clone(&shared));
-        let driver = Driver::new(session, &description, herald, parts);
+        let driver = Driver::new(session, &description, event_sender, parts);
         let (answer_time, set_point_age) =
             (driver.answer_time.reader(), driver.set_point_age.reader());
         let phase_error = driver.phase_error.reader();
         let (stall_writer, stalls) = stalls();
-        // Of an address that means all it is known once the robot is.
+        // For a wildcard address, the interface is known once the robot is.
         let interface = interface_of(address.ip()).ok().flatten();
         let watch = LinkWatch::new(&address.to_string(), interface.as_deref(), Medium::Ip);
         let errors = watch.errors();
@@ -193,7 +193,7 @@ impl<P: Protocol> FriArm<P> {
             answer_time,
             set_point_age,
             phase_error,
-            listener,
+            event_receiver,
             stalls,
             watch,
             thread,
@@ -201,13 +201,13 @@ impl<P: Protocol> FriArm<P> {
         })
     }
 
-    /// Where it listens.
+    /// The local address.
     #[must_use]
     pub const fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Its figures so far.
+    /// Current figures.
     #[must_use]
     pub fn figures(&self) -> FriFigures<P::Quality> {
         let Shared {
@@ -222,7 +222,7 @@ impl<P: Protocol> FriArm<P> {
         } = &*self.shared;
         let clock_ppb = f64::from_bits(clock_ppb_bits.load(Ordering::Relaxed));
         let period_ns = period_ns.load(Ordering::Relaxed);
-        let told = self.listener.told();
+        let diagnostics = self.event_receiver.diagnostics();
         FriFigures {
             datagrams: received.load(Ordering::Relaxed),
             lost: lost.load(Ordering::Relaxed),
@@ -231,10 +231,10 @@ impl<P: Protocol> FriArm<P> {
             period: (period_ns > 0).then(|| Duration::from_nanos(period_ns)),
             tracking_error_rad_max: f64::from_bits(tracking_error_bits.load(Ordering::Relaxed)),
             clock_ppb: (period_ns > 0 && !clock_ppb.is_nan()).then_some(clock_ppb),
-            verdict: told.verdict,
-            refusal: told.refusal,
-            violation: told.violation,
-            foreign: told.foreign,
+            verdict: diagnostics.verdict,
+            decode_error: diagnostics.decode_error,
+            violation: diagnostics.violation,
+            foreign: diagnostics.foreign,
         }
     }
 }
@@ -250,21 +250,24 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
 
     fn figures(&self) -> Vec<(&'static str, String)> {
         let figures = self.figures();
-        let mut told = vec![
+        let mut reported = vec![
             ("quality", format!("{:?}", figures.quality)),
             ("lost", figures.lost.to_string()),
             ("timing", advice(figures.verdict)),
         ];
-        if let Some(refusal) = figures.refusal {
-            told.push(("refused", format!("{}, last: {refusal}", figures.malformed)));
+        if let Some(decode_error) = figures.decode_error {
+            reported.push((
+                "refused",
+                format!("{}, last: {decode_error}", figures.malformed),
+            ));
         }
         if let Some(violation) = figures.violation {
-            told.push(("withheld", violation.to_string()));
+            reported.push(("withheld", violation.to_string()));
         }
         if figures.foreign > 0 {
-            told.push(("foreign", figures.foreign.to_string()));
+            reported.push(("foreign", figures.foreign.to_string()));
         }
-        told
+        reported
     }
 
     fn stalls(&self) -> Option<&StallReader> {
@@ -272,7 +275,7 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
     }
 
     fn news(&self) -> Option<Notice> {
-        // One that listens at all addresses has the interface by which its robot is reached.
+        // With a wildcard address, the interface is that of the route to the robot.
         let robot = self.shared.robot.load(Ordering::Relaxed);
         if robot != 0 {
             self.watch.find(|| {
@@ -283,10 +286,10 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
         if let Some(notice) = self.watch.poll(Instant::now()) {
             return Some(notice);
         }
-        let news = self.listener.news()?;
+        let event = self.event_receiver.poll()?;
         Some(Notice {
-            severity: news.severity(),
-            text: news.text(|code| format!("{:?}", P::quality(code))),
+            severity: event.severity(),
+            text: event.text(|code| format!("{:?}", P::quality(code))),
         })
     }
 }
@@ -324,7 +327,7 @@ impl<P: Protocol> Exchange<P> {
             if self.driver.accept(from, &buffer[..len], at) {
                 newest = Some(at);
             }
-            // After a stall several wait: only the newest deserves an answer.
+            // After a stall several are waiting: only the newest is answered.
             if !self.driver.is_late(at.into()) {
                 break;
             }
@@ -340,7 +343,7 @@ impl<P: Protocol> Exchange<P> {
         }
     }
 
-    /// The first of the datagrams that wait came `at`: how long did this thread not come for it?
+    /// How long this thread left a datagram waiting that arrived `at`.
     fn note_stall(&mut self, at: Nanos) {
         let now = takt_rt::monotonic();
         if now - at >= STALL {
@@ -369,18 +372,18 @@ impl<P: Protocol> Exchange<P> {
         self.driver.finish(at);
     }
 
-    /// Goes on answering until the arm is at rest: one that is left in motion is stopped by its controller, hard.
+    /// Keeps answering until the arm is at rest: the controller would stop a moving arm hard.
     fn bring_to_rest(&mut self) {
         self.driver.begin_stop();
-        let until = takt_rt::monotonic() + FAREWELL.into();
+        let until = takt_rt::monotonic() + SHUTDOWN_MAX.into();
         while !self.driver.is_at_rest() && takt_rt::monotonic() < until {
             self.serve();
         }
     }
 }
 
-/// What no driver sends whatever went wrong before: beyond the limits of its joints. `torque_nm` and `wrench` are the
-/// largest that are added.
+/// The guard against any command beyond the limits of the joints, whatever its cause. `torque_nm` and `wrench` are
+/// the largest that may be added.
 pub(super) fn guard(
     names: [&'static str; AXES],
     limits: &[JointLimits],

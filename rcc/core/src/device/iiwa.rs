@@ -1,6 +1,6 @@
-//! A KUKA LBR iiwa on a Sunrise cabinet: what it is like, and how its driver is started. The driver is in `fri`,
-//! its end of the connection in `end`, the protocol in `takt_fri::sunrise`. Control and command mode are
-//! chosen by the robot program; nothing here can switch them.
+//! The KUKA LBR iiwa on a Sunrise cabinet: description and start of its driver. The driver is in `fri`, its session
+//! in `end`, the protocol in `takt_fri::sunrise`. The robot program selects control and command mode; this driver
+//! cannot switch them.
 
 mod end;
 
@@ -21,18 +21,18 @@ pub type Iiwa = FriArm<End>;
 /// Figures of a driver of an iiwa.
 pub type IiwaFigures = FriFigures<Quality>;
 
-/// Share of the data sheet's speeds that is used: the controller ends the overlay at the very limit,
-/// and interpolation may exceed ours a little.
+/// Share of the data sheet's speeds that is used: the controller ends the overlay at the exact limit, and
+/// interpolation may exceed ours slightly.
 const SPEED_SHARE: f64 = 0.99;
-/// No acceleration is published for commanded positions; this is what gentle drivers use, rad/s².
+/// No acceleration limit is published for commanded positions; conservative drivers use this one, rad/s².
 const ACCELERATION: f64 = 4.0;
-/// Inputs and outputs of one message at most.
+/// Most inputs and outputs of one message.
 const IOS_MAX: usize = takt_fri::sunrise::wire::IOS_MAX;
-/// Longest name of one, bytes.
+/// Longest name of an input or output, bytes.
 const IO_NAME_MAX: usize = 63;
 
-/// What an iiwa offers beside its joints. Force at the tool is told by FRI 2.7; with older ones
-/// the driver finds it by the external torques.
+/// Parts of an iiwa besides its joints. FRI 2.7 reports the force at the tool; for older versions the driver
+/// estimates it from external torques.
 #[must_use]
 pub fn parts(io: &IiwaIo) -> Vec<Part> {
     let mut parts = vec![
@@ -53,10 +53,10 @@ pub fn parts(io: &IiwaIo) -> Vec<Part> {
     parts
 }
 
-/// Whether its settings make sense; the first thing that does not.
+/// Checks a configuration.
 ///
 /// # Errors
-/// Says what to change.
+/// With a text that names what to change.
 pub fn check(config: &IiwaConfig) -> Result<(), String> {
     let IiwaIo {
         bool_in,
@@ -89,7 +89,7 @@ pub fn check(config: &IiwaConfig) -> Result<(), String> {
     }
 }
 
-/// Largest torque of each joint by the data sheets, Nm; more is not added.
+/// Largest joint torques by the data sheets, Nm; more is not added.
 const fn torque_max(model: IiwaModel) -> [f64; AXES] {
     match model {
         IiwaModel::Iiwa7 => [176.0, 176.0, 110.0, 110.0, 110.0, 40.0, 40.0],
@@ -97,8 +97,8 @@ const fn torque_max(model: IiwaModel) -> [f64; AXES] {
     }
 }
 
-/// Largest force and torque added at the tool, in the wire's order, N and Nm. A slip of a unit is beyond: the main axes
-/// hold that force half a metre out, the first axis of the wrist that torque.
+/// Largest force and torque added at the tool, in wire order, N and Nm. Errors of a unit lie beyond: the main axes
+/// hold that force at half a metre, the first wrist axis that torque.
 const fn wrench_max(model: IiwaModel) -> [f64; 6] {
     let force = match model {
         IiwaModel::Iiwa7 => 350.0,
@@ -107,7 +107,7 @@ const fn wrench_max(model: IiwaModel) -> [f64; 6] {
     [force, force, force, 110.0, 110.0, 110.0]
 }
 
-/// An iiwa by its data sheet: ranges and speeds of the axes.
+/// An iiwa by its data sheet: axis ranges and speeds.
 #[must_use]
 pub fn describe(name: &str, model: IiwaModel) -> ArmDescription {
     let ranges = [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0_f64];
@@ -136,20 +136,20 @@ pub fn describe(name: &str, model: IiwaModel) -> ArmDescription {
     }
 }
 
-/// Opens the socket at which the cabinet's datagrams arrive.
+/// Opens the socket for the cabinet's datagrams.
 ///
 /// # Errors
-/// If the address cannot be listened at.
+/// If the address cannot be bound.
 pub fn listen(config: &IiwaConfig) -> Result<UdpLink, Error> {
     fri::listen(&config.name, config.listen)
 }
 
 impl Iiwa {
-    /// Starts the driver thread. On the clock that it tells, zero and every whole period is the instant of
-    /// a measurement. The dialect is found out from the first datagrams.
+    /// Starts the driver thread. On the clock that it publishes, zero and every whole period is the instant of a
+    /// measurement. The dialect is detected from the first datagrams.
     ///
     /// # Errors
-    /// If the socket has no address or the system has no thread to give.
+    /// If the socket has no address or the thread cannot be created.
     pub fn start(config: &IiwaConfig, link: UdpLink, ends: DriverEnds) -> Result<Self, Error> {
         let settings = Settings {
             listen: config.listen,
@@ -167,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_two_arms_differ_in_speed_and_kinematics() {
+    fn iiwa_models_differ_in_speed_and_kinematics() {
         let [light, heavy] = [IiwaModel::Iiwa7, IiwaModel::Iiwa14].map(|m| describe("a", m));
         assert!(light.limits[3].velocity_max > 1.5 * heavy.limits[3].velocity_max);
         for arm in [light, heavy] {
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn more_than_fri_carries_is_refused_with_the_bound() {
+    fn iiwa_too_many_signals_are_rejected_with_bound() {
         let anywhere = ([127, 0, 0, 1], 0).into();
         let with = |bool_in: Vec<String>| IiwaConfig {
             io: IiwaIo {
@@ -187,12 +187,12 @@ mod tests {
         };
         let names = |count: usize| (0..count).map(|i| format!("Group.Lamp{i}")).collect();
         assert_eq!(check(&with(names(10))), Ok(()));
-        let told = check(&with(names(11))).unwrap_err();
+        let error = check(&with(names(11))).unwrap_err();
         assert!(
-            told.contains("11 inputs and outputs; FRI carries 10"),
-            "{told}"
+            error.contains("11 inputs and outputs; FRI carries 10"),
+            "{error}"
         );
-        let told = check(&with(vec!["x".repeat(64)])).unwrap_err();
-        assert!(told.contains("at most 63 bytes"), "{told}");
+        let error = check(&with(vec!["x".repeat(64)])).unwrap_err();
+        assert!(error.contains("at most 63 bytes"), "{error}");
     }
 }

@@ -1,16 +1,16 @@
-//! The last stage before the wire: what it lets through keeps position, velocity and acceleration, whatever a net, a
-//! merge or a gap of the host made of the wish. It knows no net, no period of nets and no clock; a driver steps it once
-//! for each of its own cycles.
+//! The last stage before the wire: its output keeps position, velocity and acceleration limits, whatever a net, a
+//! merge or a stall of the host produced. It knows no net, no net period and no clock; a driver steps it once per
+//! cycle of its own.
 //!
-//! What leaves for a joint is kept in here and nowhere else. It changes by [`LastStage::track`], [`LastStage::drive`]
-//! and [`LastStage::steer`], which all take the nearest velocity that the limits allow, and, while the device is not ours to
-//! move, by [`LastStage::rest_at`]; so nothing that is decided before can widen the limits. The order of precedence where
-//! they contradict each other, which they do only for a joint that begins beyond them: acceleration before velocity
-//! (what is too fast brakes as hard as it may), the range before acceleration.
+//! The state of the output is private to the stage. [`LastStage::track`], [`LastStage::drive`] and
+//! [`LastStage::steer`] change it to the nearest velocity within the limits, and [`LastStage::rest_at`] sets it while
+//! the driver does not control the device; earlier stages cannot widen the limits. Limits conflict only for a joint
+//! that starts beyond them; then acceleration has priority over velocity (a joint that is too fast brakes as hard as
+//! allowed), and the range over acceleration.
 //!
-//! Two laws were tried before. Cutting the velocity alone overshoots without end behind a target that was ahead for
-//! a while; a filter of fixed bandwidth delays every motion. Here a target within the limits is passed on to the bit,
-//! and one beyond them is caught up with by constant braking relative to its own speed.
+//! Two laws were rejected. Clamping the velocity alone overshoots without end behind a target that was ahead for a
+//! while; a filter of fixed bandwidth delays every motion. Here a target within the limits passes bit by bit, and one
+//! beyond them is caught up with by constant braking relative to its speed.
 
 mod planar;
 
@@ -20,21 +20,20 @@ use takt_net::JointLimits;
 
 pub use planar::{PlanarLimits, PlanarStage, Twist3};
 
-/// Share of a joint's acceleration that catching up uses by itself; the rest is for following
-/// set-points that accelerate meanwhile.
+/// Share of a joint's acceleration for catching up; the rest is for following set-points that accelerate meanwhile.
 const APPROACH_SHARE: f64 = 0.5;
-/// Share of its largest speed at which a joint that stands beyond its range is moved back.
+/// Share of its largest speed at which a joint beyond its range is moved back.
 const RETURN_SHARE: f64 = 0.1;
-/// What rounding may add to an admissible velocity, as a share of its change in a cycle.
+/// Rounding tolerance of an admissible velocity, as a share of its change in a cycle.
 const ROUNDING_SHARE: f64 = 1e-9;
-/// What rounding adds to a position, as a share of it.
+/// Rounding tolerance of a position, as a share of it.
 const ROUNDING: f64 = 4.0 * f64::EPSILON;
-/// Held back by no more than this, a target is not reported: what clocks wander is of that size, rad or m.
+/// A smaller deviation from the target is not reported: clock drift is of that size, rad or m.
 const REPORTED_FROM: f64 = 1e-4;
-/// Nearer than this a target is not held back, or caught up with, rad or m.
+/// A smaller deviation counts as none, rad or m.
 const CAUGHT_UP: f64 = 1e-5;
 
-/// What was limited.
+/// A limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bound {
     /// The range, or that the joint can stop within it.
@@ -43,22 +42,22 @@ pub enum Bound {
     Velocity,
     /// The largest acceleration.
     Acceleration,
-    /// It was no number.
+    /// The command is not finite.
     Finite,
 }
 
-/// What was asked for beyond a limit.
+/// A command beyond a limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excess {
-    /// Which limit.
+    /// The limit.
     pub bound: Bound,
-    /// What was asked for; SI.
+    /// The commanded value; SI.
     pub wanted: f64,
-    /// What is allowed; SI.
+    /// The allowed value; SI.
     pub limit: f64,
 }
 
-/// Names of the units of position, velocity and acceleration.
+/// Unit names of position, velocity and acceleration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unit {
     /// Of a joint, or of a base that turns.
@@ -68,7 +67,7 @@ pub enum Unit {
 }
 
 impl Excess {
-    /// In words, with what to do about it.
+    /// Text with its remedy.
     #[must_use]
     pub fn text(&self, unit: Unit) -> String {
         let name = match unit {
@@ -99,21 +98,21 @@ impl fmt::Display for Bound {
     }
 }
 
-/// How often a stage held something back.
+/// Limit reports of a stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Limited {
-    /// Cycles in which less left than was asked for.
+    /// Number of limited cycles.
     pub cycles: u64,
-    /// Times that this began and was no trifle: each is reported once.
+    /// Number of limited phases above the report threshold: each is reported once.
     pub onsets: u64,
-    /// What was asked for when it began the last time.
+    /// The command at the start of the last reported phase.
     pub last: Option<Excess>,
-    /// What was asked for when it began this time, and whether that is reported.
+    /// The command at the start of the current phase, and whether it is reported.
     present: Option<(Excess, bool)>,
 }
 
 impl Limited {
-    /// A cycle in which what leaves is off what was asked for by so much, because of that.
+    /// Counts a cycle in which the output deviates from the command by `off`, and why.
     fn note(&mut self, excess: Excess, off: f64) {
         self.cycles += 1;
         let (first, is_reported) = self.present.get_or_insert((excess, false));
@@ -124,7 +123,7 @@ impl Limited {
         }
     }
 
-    /// What leaves is what was asked for.
+    /// Counts a cycle in which the output is the command.
     fn clear(&mut self) {
         self.present = None;
     }
@@ -138,7 +137,7 @@ pub struct LastStage {
     velocity: f64,
     acceleration: f64,
     limited: Limited,
-    /// Held back by no more than this, a target is not reported: it goes to where a run of set-points begins, nearby.
+    /// Report threshold for deviations, larger while approaching a nearby start of set-points.
     quiet_up_to: f64,
 }
 
@@ -149,7 +148,7 @@ impl LastStage {
         Self::moving(limits, 0.0, 0.0)
     }
 
-    /// A joint under way.
+    /// A moving joint.
     #[must_use]
     pub const fn moving(limits: JointLimits, position: f64, velocity: f64) -> Self {
         Self {
@@ -167,21 +166,21 @@ impl LastStage {
         }
     }
 
-    /// The same, with what was counted before it was.
+    /// The same, with the limit reports of another stage.
     #[must_use]
     pub const fn counting_on(mut self, limited: Limited) -> Self {
         self.limited = limited;
         self
     }
 
-    /// The device is not ours to move: it rests there.
+    /// Sets a rest position while the driver does not control the device.
     pub const fn rest_at(&mut self, position: f64) {
         (self.position, self.velocity, self.acceleration) = (position, 0.0, 0.0);
         self.limited.present = None;
         self.quiet_up_to = 0.0;
     }
 
-    /// Until it is caught up with, a target that is no farther away than this is not reported: it is meant so.
+    /// Suppresses reports of targets no farther away than this until the joint caught up: the approach is intended.
     pub const fn begin_quietly(&mut self, distance: f64) {
         self.quiet_up_to = distance;
     }
@@ -192,20 +191,20 @@ impl LastStage {
         &self.limits
     }
 
-    /// What left last: position, velocity and acceleration.
+    /// The last output: position, velocity and acceleration.
     #[must_use]
     pub const fn motion(&self) -> (f64, f64, f64) {
         (self.position, self.velocity, self.acceleration)
     }
 
-    /// How often it held something back.
+    /// Limit reports.
     #[must_use]
     pub const fn limited(&self) -> &Limited {
         &self.limited
     }
 
-    /// One cycle of `dt_s` towards a target that moves at `speed`. A target that can be reached within all limits, and
-    /// whose speed can be taken up in the next cycle, is passed on as it is. Without time passing nothing changes.
+    /// One cycle of `dt_s` towards a target that moves at `speed`. A target that can be reached within all limits,
+    /// and whose speed can be matched in the next cycle, passes unchanged. With `dt_s` zero nothing changes.
     pub fn track(&mut self, target: f64, speed: f64, dt_s: f64) -> f64 {
         if !(target.is_finite() && speed.is_finite()) {
             let excess = Excess {
@@ -229,7 +228,7 @@ impl LastStage {
         let change = self.change(dt_s);
         let can_stay = (wanted - speed).abs() <= change + self.slack(dt_s);
         let excess = self.excess(target, wanted, dt_s);
-        // What it could reach now, but not go on from as the target does, takes too much acceleration too.
+        // A target that can be reached now, but not followed in the next cycle, exceeds the acceleration too.
         let change_wanted = (wanted - self.velocity).abs().max((wanted - speed).abs());
         let too_hard = Excess {
             bound: Bound::Acceleration,
@@ -240,7 +239,7 @@ impl LastStage {
         if excess.is_none() && can_stay {
             self.arrive(within, dt_s);
         } else {
-            // Seen from the target, which has moved since the last cycle.
+            // Relative to the target, which has moved since the last cycle.
             let behind = within - speed * dt_s - self.position;
             let acceleration = APPROACH_SHARE * self.limits.acceleration_max;
             self.advance(speed + closing_speed(behind, acceleration, dt_s), dt_s);
@@ -260,14 +259,14 @@ impl LastStage {
         self.position
     }
 
-    /// One cycle of `dt_s` of braking at the joint's limit. Nothing holds that back.
+    /// One cycle of `dt_s` of braking at the joint's limit. Counts as no limitation.
     pub fn brake(&mut self, dt_s: f64) -> f64 {
         self.drive(0.0, dt_s)
     }
 
-    /// One cycle of `dt_s` towards a velocity, of a joint that is commanded by velocity and is measured to be there; gives
-    /// the velocity that leaves. Where it is is not for this stage to say, so only its speed and its change are bounded,
-    /// and the speed by the way to the end of the range.
+    /// One cycle of `dt_s` towards a velocity, for a joint that is commanded by velocity and measured at that
+    /// position; returns the output velocity. The position is not under control of this stage, so only speed and its
+    /// change are limited, and the speed by the distance to the end of the range.
     pub fn steer(&mut self, at: f64, velocity: f64, dt_s: f64) -> f64 {
         if dt_s > 0.0 {
             self.position = at;
@@ -279,7 +278,7 @@ impl LastStage {
         self.velocity
     }
 
-    /// The step that all motion takes.
+    /// The step of all motion.
     fn advance(&mut self, wanted: f64, dt_s: f64) {
         let velocity = self.admissible(wanted, dt_s);
         let [low, high] = self.range();
@@ -287,11 +286,11 @@ impl LastStage {
         self.set(position, velocity, dt_s);
     }
 
-    /// The velocity nearest to this one that all limits but the range itself allow.
+    /// The nearest velocity within all limits except the range.
     fn admissible(&self, wanted: f64, dt_s: f64) -> f64 {
         let change = self.change(dt_s);
         let [lowest, highest] = self.speeds(dt_s);
-        // Not `clamp`, which panics where a bound is no number.
+        // Not `clamp`, which panics if a bound is NaN.
         wanted
             .max(lowest)
             .min(highest)
@@ -299,13 +298,13 @@ impl LastStage {
             .min(self.velocity + change)
     }
 
-    /// The same to a place that is known to be admissible.
+    /// The same to a position that is known to be admissible.
     fn arrive(&mut self, position: f64, dt_s: f64) {
         self.set(position, (position - self.position) / dt_s, dt_s);
     }
 
     fn set(&mut self, position: f64, velocity: f64, dt_s: f64) {
-        // At the end of the range it stands, whatever it wanted.
+        // At the end of the range it rests, whatever the target.
         let went = (position - self.position) / dt_s;
         let is_cut = (went - velocity).abs() > self.slack(dt_s).max(1e-12);
         let velocity = if is_cut { went } else { velocity };
@@ -318,12 +317,12 @@ impl LastStage {
         self.limits.acceleration_max * dt_s
     }
 
-    /// What rounding makes of a velocity.
+    /// Rounding tolerance of a velocity.
     fn slack(&self, dt_s: f64) -> f64 {
         ROUNDING_SHARE * self.change(dt_s) + ROUNDING * (1.0 + self.position.abs()) / dt_s
     }
 
-    /// The range, as wide as to hold where the joint is: one that stands beyond it stays there or comes back.
+    /// The range, extended to the current position: a joint beyond its range stays there or comes back.
     fn range(&self) -> [f64; 2] {
         let JointLimits {
             position_min,
@@ -336,16 +335,16 @@ impl LastStage {
         ]
     }
 
-    /// The nearest to a target in the range, or on the way back to it from where the joint is: one that stands beyond its
-    /// range is moved back only by targets that lead there.
+    /// The nearest position to a target in the range, or on the path back into it: a joint beyond its range is moved
+    /// back only by targets in that direction.
     #[must_use]
     pub fn within(&self, target: f64) -> f64 {
         let [low, high] = self.range();
         target.max(low).min(high)
     }
 
-    /// Lowest and highest velocity of the next cycle: within the joint's, and such that it can still stop in its range.
-    /// One that stands beyond it moves nowhere but back, and slowly.
+    /// Lowest and highest velocity of the next cycle: within the joint's limits, and such that it can still stop in
+    /// its range. A joint beyond its range moves only back, and slowly.
     fn speeds(&self, dt_s: f64) -> [f64; 2] {
         let JointLimits {
             position_min,
@@ -368,7 +367,7 @@ impl LastStage {
         ]
     }
 
-    /// What of a target is beyond a limit.
+    /// The limit that a target exceeds, and by how much.
     fn excess(&self, target: f64, velocity: f64, dt_s: f64) -> Option<Excess> {
         let slack = self.slack(dt_s);
         let [lowest, highest] = self.speeds(dt_s);
@@ -399,7 +398,7 @@ impl LastStage {
         })
     }
 
-    /// Counts what was held back.
+    /// Counts limited cycles.
     fn judge(&mut self, target: f64, excess: Excess) {
         let off = (target - self.position).abs();
         if off <= CAUGHT_UP {
@@ -412,9 +411,9 @@ impl LastStage {
     }
 }
 
-/// The speed for the next step on the way over `distance` from which steps of constant braking end
-/// at its end exactly: with n steps to go the k-th last is k brakings fast, on the average between
-/// two such plans. The continuous law, a square root, would overshoot and chatter at the end.
+/// The speed for the next step towards a target at `distance`, such that steps of constant braking end at it exactly:
+/// with n steps left the k-th last is k brakings fast, on average between two such plans. The continuous law, a
+/// square root, would overshoot and chatter at the end.
 pub(crate) fn closing_speed(distance: f64, acceleration: f64, dt_s: f64) -> f64 {
     let change = acceleration * dt_s;
     let brakings = distance.abs() / (change * dt_s);
@@ -425,10 +424,10 @@ pub(crate) fn closing_speed(distance: f64, acceleration: f64, dt_s: f64) -> f64 
     speed.copysign(distance)
 }
 
-/// The speed for the next step from which braking ends within `distance`: v·dt + v²/2a is that far. Unlike the closing
-/// speed it holds whatever the lengths of the steps to come, for what is left always suffices to stop.
+/// The speed for the next step from which braking ends within `distance`: v·dt + v²/2a is that far. Unlike the
+/// closing speed it is valid for any lengths of later steps, because the rest always suffices to stop.
 fn stopping_speed(distance: f64, acceleration: f64, dt_s: f64) -> f64 {
-    // Without a difference of what is nearly equal.
+    // Avoids the difference of nearly equal numbers.
     2.0 * distance / (dt_s + (dt_s * dt_s + 2.0 * distance / acceleration).sqrt())
 }
 

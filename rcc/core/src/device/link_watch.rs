@@ -1,5 +1,5 @@
-//! Whether the interface under a driver carries frames: said once when it ceases to, and once when it does again. The
-//! real-time thread only counts what could not be sent; flags of interfaces are asked by who takes the driver's news.
+//! Link state of a driver's interface: reported once when it stops carrying frames, and once when it recovers. The
+//! real-time thread only counts failed frames; the reader of the driver's events queries the interface flags.
 
 use std::io;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
@@ -11,12 +11,12 @@ use takt_rt::interface::{Interface, LinkFault, Medium};
 
 use super::driver::Notice;
 
-/// Time between two questions about an interface while nothing fails.
+/// Time between two queries of an interface without failures.
 const EVERY: Duration = Duration::from_millis(100);
-/// So long without a failed frame, a link works again.
+/// A link without a failed frame for this long has recovered.
 const QUIET: Duration = Duration::from_secs(1);
 
-/// Frames that could not be sent or asked for, counted in the real-time thread.
+/// Failed sends and receives, counted in the real-time thread.
 #[derive(Debug, Default)]
 pub(super) struct LinkErrors {
     count: AtomicU64,
@@ -30,7 +30,7 @@ impl LinkErrors {
         self.count.fetch_add(1, Ordering::Release);
     }
 
-    /// Notes an error of a link of the system.
+    /// Notes an error of a system link.
     pub(super) fn note_io(&self, error: &io::Error) {
         self.note(error.raw_os_error().unwrap_or(nix::libc::EIO));
     }
@@ -48,7 +48,7 @@ impl LinkErrors {
     }
 }
 
-/// The link of a driver: an interface of this host, or something that has no state to ask for.
+/// The link of a driver: a network interface, or a link without a state.
 #[derive(Debug)]
 pub(super) struct LinkWatch {
     medium: Medium,
@@ -61,10 +61,10 @@ struct State {
     name: String,
     interface: Option<Interface>,
     asked: Option<Instant>,
-    /// Of the errors, and when they were more than before.
+    /// Error count, and when it last increased.
     seen: u64,
     failed: Option<Instant>,
-    /// What was said last.
+    /// The fault reported last.
     fault: Option<LinkFault>,
 }
 
@@ -76,7 +76,7 @@ impl State {
 }
 
 impl LinkWatch {
-    /// Of a link at the interface of that name, if it is at one; errors are shown under `name` otherwise.
+    /// A watch of the named interface, if there is one; errors are reported under `name` otherwise.
     pub(super) fn new(name: &str, interface: Option<&str>, medium: Medium) -> Self {
         let errors = Arc::<LinkErrors>::default();
         let mut state = State {
@@ -97,7 +97,7 @@ impl LinkWatch {
         }
     }
 
-    /// Names the interface of a link of which it was not known before.
+    /// Sets the interface of a link that was unknown before.
     pub(super) fn find(&self, interface: impl FnOnce() -> Option<String>) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.interface.is_none()
@@ -108,17 +108,17 @@ impl LinkWatch {
         }
     }
 
-    /// Where the real-time thread counts.
+    /// Counters for the real-time thread.
     pub(super) fn errors(&self) -> Arc<LinkErrors> {
         Arc::clone(&self.errors)
     }
 
-    /// Frames that could not be sent, or errors when one was to be received.
+    /// Number of failed sends and receives.
     pub(super) fn failed(&self) -> u64 {
         self.errors.count.load(Ordering::Relaxed)
     }
 
-    /// What changed since it was asked last.
+    /// The change since the last call.
     pub(super) fn poll(&self, now: Instant) -> Option<Notice> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let count = self.errors.count.load(Ordering::Acquire);
@@ -151,7 +151,7 @@ impl LinkWatch {
             return of_errno;
         };
         interface.fault().or_else(|| match of_errno? {
-            // It is up by now.
+            // It has recovered meanwhile.
             LinkFault::Down => None,
             LinkFault::Missing => Some(LinkFault::Replaced),
             other @ (LinkFault::Replaced
@@ -167,7 +167,7 @@ mod tests {
     use super::super::driver::Severity;
     use super::*;
 
-    fn said(watch: &LinkWatch, at: Instant) -> Option<(Severity, String)> {
+    fn notice(watch: &LinkWatch, at: Instant) -> Option<(Severity, String)> {
         let notice = watch.poll(at)?;
         Some((notice.severity, notice.text))
     }
@@ -176,24 +176,24 @@ mod tests {
     fn failed_frames_report_onset_and_end_once() {
         let watch = LinkWatch::new("can0", None, Medium::Can);
         let start = Instant::now();
-        assert_eq!(said(&watch, start), None);
+        assert_eq!(notice(&watch, start), None);
         let errors = watch.errors();
         for ms in 0..50 {
             errors.note_can(LinkError::QueueFull);
-            let said = said(&watch, start + Duration::from_millis(ms));
-            assert_eq!(said.is_some(), ms == 0);
-            let Some((severity, text)) = said else {
+            let notice = notice(&watch, start + Duration::from_millis(ms));
+            assert_eq!(notice.is_some(), ms == 0);
+            let Some((severity, text)) = notice else {
                 continue;
             };
             assert_eq!(severity, Severity::Error);
             assert!(text.contains("No buffer space available"), "{text}");
             assert!(text.contains("\nhint: "), "{text}");
         }
-        assert_eq!(said(&watch, start + QUIET / 2), None);
-        let (severity, text) = said(&watch, start + QUIET * 2).unwrap();
+        assert_eq!(notice(&watch, start + QUIET / 2), None);
+        let (severity, text) = notice(&watch, start + QUIET * 2).unwrap();
         assert_eq!(severity, Severity::Info);
         assert_eq!(text, "can0: the link works again");
-        assert_eq!(said(&watch, start + QUIET * 3), None);
+        assert_eq!(notice(&watch, start + QUIET * 3), None);
         assert_eq!(watch.failed(), 50);
     }
 
@@ -202,32 +202,32 @@ mod tests {
         let watch = LinkWatch::new("can0", None, Medium::Can);
         let now = Instant::now();
         watch.errors().note_can(LinkError::QueueFull);
-        assert!(said(&watch, now).is_some());
+        assert!(notice(&watch, now).is_some());
         watch.errors().note_can(LinkError::Down);
-        let (_, text) = said(&watch, now).unwrap();
+        let (_, text) = notice(&watch, now).unwrap();
         assert!(text.contains("Network is down"), "{text}");
         watch
             .errors()
             .note_io(&io::Error::from_raw_os_error(nix::libc::EIO));
-        let (_, text) = said(&watch, now).unwrap();
+        let (_, text) = notice(&watch, now).unwrap();
         assert!(text.contains("Input/output error"), "{text}");
     }
 
     #[test]
     fn missing_interface_is_reported_before_any_frame() {
         let watch = LinkWatch::new("bus", Some("nowhere0"), Medium::Ethernet);
-        let (severity, text) = said(&watch, Instant::now()).unwrap();
+        let (severity, text) = notice(&watch, Instant::now()).unwrap();
         assert_eq!(severity, Severity::Error);
         assert!(text.starts_with("nowhere0: no such interface"), "{text}");
         let watch = LinkWatch::new("bus", Some("lo"), Medium::Ethernet);
-        assert_eq!(said(&watch, Instant::now()), None);
+        assert_eq!(notice(&watch, Instant::now()), None);
     }
 
     #[test]
     fn replaced_interface_is_named_as_such() {
         let watch = LinkWatch::new("bus", Some("lo"), Medium::Ethernet);
         watch.errors().note(nix::libc::ENXIO);
-        let (_, text) = said(&watch, Instant::now()).unwrap();
+        let (_, text) = notice(&watch, Instant::now()).unwrap();
         assert!(text.contains("removed and came back"), "{text}");
     }
 }

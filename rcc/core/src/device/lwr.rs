@@ -1,5 +1,5 @@
-//! A KUKA LWR on a KRC2 lr: what it is like, and how its driver is started. The driver is in `fri`, its end of the
-//! connection in `end`, the protocol in `takt_fri::lwr`.
+//! The KUKA LWR on a KRC2 lr: description and start of its driver. The driver is in `fri`, its session in `end`, the
+//! protocol in `takt_fri::lwr`.
 
 mod end;
 mod impedance;
@@ -22,15 +22,14 @@ pub type Lwr = FriArm<End>;
 /// Figures of a driver of an LWR.
 pub type LwrFigures = FriFigures<Quality>;
 
-/// Largest torque of each joint by the data sheet of the LWR 4+, Nm; more is not added.
+/// Largest joint torques by the data sheet of the LWR 4+, Nm; more is not added.
 const TORQUE_MAX: [f64; AXES] = [176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0];
 
-/// Largest force and torque added at the tool, in the wire's order, N and Nm. A slip of a unit is beyond: the main axes
-/// hold 350 N half a metre out, the first axis of the wrist 100 Nm.
+/// Largest force and torque added at the tool, in wire order, N and Nm. Errors of a unit lie beyond: the main axes
+/// hold 350 N at half a metre, the first wrist axis 100 Nm.
 const WRENCH_MAX: [f64; 6] = [350.0, 350.0, 350.0, 100.0, 100.0, 100.0];
 
-/// An LWR as its controller describes it: ranges of the axes, and the speed and acceleration that
-/// existing drivers use for all of them.
+/// An LWR by its controller: axis ranges, and the speed and acceleration that existing drivers use for all axes.
 #[must_use]
 pub fn describe(name: &str) -> ArmDescription {
     let ranges = [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 170.0_f64];
@@ -48,9 +47,9 @@ pub fn describe(name: &str) -> ArmDescription {
     }
 }
 
-/// What an LWR offers beside its joints. Its inputs and outputs are the user data of FRI: port n is KRL's index
-/// n + 1, an input what the program writes to `$FRI_TO_BOOL` or `$FRI_TO_REA`, an output what it finds in
-/// `$FRI_FRM_BOOL` or `$FRI_FRM_REA`.
+/// Parts of an LWR besides its joints. Its inputs and outputs are the FRI user data: port n is KRL index n + 1,
+/// inputs are `$FRI_TO_BOOL` and `$FRI_TO_REA` as the program writes them, outputs are `$FRI_FRM_BOOL` and
+/// `$FRI_FRM_REA` as it reads them.
 pub const PARTS: &[Part] = &[
     Part::Tool,
     Part::Strategy,
@@ -66,29 +65,29 @@ pub const PARTS: &[Part] = &[
     },
 ];
 
-/// Whether its settings make sense; the first thing that does not.
+/// Checks a configuration.
 ///
 /// # Errors
-/// Says what to change.
+/// With a text that names what to change.
 pub fn check(config: &LwrConfig) -> Result<(), String> {
     let checked = config.on_end.check(16, 16);
     checked.map_err(|what| format!("{}: {what}", config.name))
 }
 
-/// Opens the socket at which the KRC's datagrams arrive.
+/// Opens the socket for the KRC's datagrams.
 ///
 /// # Errors
-/// If the address cannot be listened at.
+/// If the address cannot be bound.
 pub fn listen(config: &LwrConfig) -> Result<UdpLink, Error> {
     fri::listen(&config.name, config.listen)
 }
 
 impl Lwr {
-    /// Starts the driver thread. On the clock that it tells, zero and every whole period is the instant of
-    /// a measurement.
+    /// Starts the driver thread. On the clock that it publishes, zero and every whole period is the instant of a
+    /// measurement.
     ///
     /// # Errors
-    /// If the socket has no address or the system has no thread to give.
+    /// If the socket has no address or the thread cannot be created.
     pub fn start(config: &LwrConfig, link: UdpLink, ends: DriverEnds) -> Result<Self, Error> {
         let settings = Settings {
             listen: config.listen,

@@ -1,5 +1,5 @@
-//! What devices are made of, as data: from it follow where their values lie in the image, what is
-//! told to programs, and what a recording notes. It does not say how a device does anything.
+//! Parts of a device, as data. They determine where the values of a device lie in the image, what programs see of it,
+//! and what a recording contains. Behaviour is in the drivers.
 
 use serde::{Deserialize, Serialize};
 use takt_net::device::{
@@ -8,13 +8,13 @@ use takt_net::device::{
 
 use crate::device::ARM_JOINTS_MAX;
 
-/// Something a device offers beside joints.
+/// A part of a device besides its joints.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
     /// It is a mobile base.
     Base {
-        /// How many wheels it tells of.
+        /// Number of wheels whose state it reports.
         wheels: usize,
         /// Largest speed, m/s.
         velocity_max: f64,
@@ -32,34 +32,34 @@ pub enum Part {
         /// Analogue outputs.
         real_out: usize,
     },
-    /// It follows positions of its tool.
+    /// It follows Cartesian positions.
     CartesianPosition,
     /// It grips.
     Gripper {
         /// Largest distance between its fingers, m.
         distance_max: f64,
     },
-    /// It can be told what it carries.
+    /// Tool and load can be commanded.
     Tool,
-    /// It has more than one control strategy.
+    /// It has several control strategies.
     Strategy,
-    /// Its joints give way as told.
+    /// Stiffness, damping and torque of its joints can be commanded.
     JointImpedance,
-    /// Its tool gives way as told.
+    /// Stiffness, damping and wrench of its tool can be commanded.
     CartesianImpedance,
-    /// It knows torques at its joints.
+    /// It reports joint torques.
     Torques,
-    /// It knows force and torque at its tool.
+    /// It reports force and torque at its tool.
     Wrench,
-    /// Its drives tell flags.
+    /// Its drives report flags.
     Drives {
-        /// How many drives.
+        /// Number of drives.
         count: usize,
     },
 }
 
-/// The places of what these parts of a device with so many joints report and are told. The same
-/// parts in the same order give the same places.
+/// Allocates the signal and command words of these parts of a device with `joints` joints. The same parts in the same
+/// order give the same words.
 #[must_use]
 pub fn lay(parts: &[Part], joints: usize, layout: &mut Layout) -> Interfaces {
     let mut has = Interfaces::default();
@@ -102,7 +102,7 @@ pub fn lay(parts: &[Part], joints: usize, layout: &mut Layout) -> Interfaces {
     has
 }
 
-/// Everything a device could offer, so that a net can be checked apart from its cell.
+/// All interfaces that a device can have, to check a net without its cell.
 #[must_use]
 pub fn everything() -> Interfaces {
     const MANY: usize = 64;

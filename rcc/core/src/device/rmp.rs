@@ -1,5 +1,5 @@
-//! The driver of a mobile base on Segway RMP power bases: a thread that hears what they tell and sends
-//! what nets want, every period. The protocol, the ramps and the odometry are in `takt_can::rmp`.
+//! The driver of a mobile base on Segway RMP power bases: a thread that receives their state and sends what nets
+//! command, every period. The protocol, the ramps and the odometry are in `takt_can::rmp`.
 
 mod platform;
 mod wire;
@@ -26,18 +26,18 @@ pub use wire::{CanLink, Wire};
 const VELOCITY_MAX: f64 = 1.8;
 /// Largest rotation that nets may command, rad/s.
 const ROTATION_MAX: f64 = 2.0;
-/// Change of velocity, m/s² and rad/s². No manual of a power base states one; this is what its riders take for gentle.
+/// Acceleration limits, m/s² and rad/s². No manual of a power base states one; riders regard these as gentle.
 const ACCELERATION: [f64; 2] = [1.0, 1.5];
-/// Longest time that a base gets to come to rest when its driver ends: from full speed it needs half of that.
+/// Shutdown time limit: from full speed a base needs half of it to stop.
 const REST_WITHIN: Duration = Duration::from_millis(3_600);
 /// Longest sleep of the thread: a tenth of the power bases' cycle would be a waste, a whole one late.
 const WAIT: Duration = Duration::from_millis(2);
-/// Commands of nets older than this are none.
+/// Commands older than this are ignored.
 const STALE: Duration = Duration::from_millis(200);
-/// Frames taken from a link at once.
+/// Most frames received from a link at once.
 const BACKLOG: usize = 64;
 
-/// The base as it is before it is in contact.
+/// Description of the base.
 #[must_use]
 pub fn describe(config: &RmpConfig) -> DeviceDescription {
     let (kind, wheels) = match config.links.len() {
@@ -57,10 +57,10 @@ pub fn describe(config: &RmpConfig) -> DeviceDescription {
     }
 }
 
-/// What is wrong with a configuration.
+/// Checks a configuration.
 ///
 /// # Errors
-/// A text that names it.
+/// With a text that names the finding.
 pub fn check(config: &RmpConfig) -> Result<(), String> {
     let name = &config.name;
     let Some(model) = Model::named(&config.model) else {
@@ -105,7 +105,7 @@ pub fn open(config: &RmpConfig) -> Result<Vec<Wire>, Error> {
     config.links.iter().map(open).collect()
 }
 
-/// Figures of a driver that others read while it runs.
+/// Counters of a running driver that other threads read.
 #[derive(Debug, Default)]
 struct Shared {
     frames: AtomicU64,
@@ -118,7 +118,7 @@ struct Shared {
 #[derive(Debug)]
 pub struct Rmp {
     shared: Arc<Shared>,
-    /// One for each wire.
+    /// One per wire.
     links: Vec<LinkWatch>,
     thread: DriverThread,
 }
@@ -127,7 +127,7 @@ impl Rmp {
     /// Starts the driver thread on open links, as many as the configuration names.
     ///
     /// # Errors
-    /// If the configuration makes no sense or the system has no thread to give.
+    /// If the configuration is invalid or the thread cannot be created.
     pub fn start(config: &RmpConfig, wires: Vec<Wire>, ends: DriverEnds) -> Result<Self, Error> {
         check(config).map_err(Error::Cell)?;
         let (end, clock) = ends.only(&config.name)?;
@@ -145,7 +145,7 @@ impl Rmp {
             platform: Led::new(config),
             is_stopping: false,
             interfaces,
-            told: DeviceState::new(layout.signals),
+            reported: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
             taken_at: Duration::ZERO,
             followed: false,
@@ -176,7 +176,7 @@ impl Rmp {
         })
     }
 
-    /// Steps of wheels that odometry did not believe: integrators that were reset behind its back.
+    /// Wheel steps that odometry rejected: integrators were reset unexpectedly.
     #[must_use]
     pub fn jumps(&self) -> u64 {
         self.shared.jumps.load(Ordering::Relaxed)
@@ -209,7 +209,7 @@ impl DeviceDriver for Rmp {
     }
 }
 
-/// States as a number that fits an atomic, and back as a word.
+/// States as numbers for an atomic, and back as words.
 const fn code(state: State) -> u64 {
     match state {
         State::Silent => 1,
@@ -242,18 +242,18 @@ fn word(state: &AtomicU64) -> &'static str {
 
 struct Driver {
     wires: Vec<Wire>,
-    /// Of each of them.
+    /// One per wire.
     errors: Vec<Arc<LinkErrors>>,
     platform: Led,
-    /// Whether the thread is to end: nothing is followed any more.
+    /// Whether the thread is stopping: no command is followed.
     is_stopping: bool,
     interfaces: Interfaces,
-    told: DeviceState,
+    reported: DeviceState,
     taken: DeviceCommand,
     taken_at: Duration,
-    /// Whether it followed commands when it last told.
+    /// Whether it followed commands in the last published state.
     followed: bool,
-    /// Steps of wheels that were not believed by then.
+    /// Number of rejected wheel steps at that time.
     jumps: u64,
     state: LatestWriter<DeviceState>,
     command: LatestReader<DeviceCommand>,
@@ -261,7 +261,7 @@ struct Driver {
 }
 
 impl Driver {
-    /// Receives for a moment, then sends what is due and reports what is known.
+    /// Receives for a moment, then sends what is due and publishes the state.
     fn serve(&mut self) {
         self.receive();
         self.lead(takt_can::linux::monotonic());
@@ -295,10 +295,10 @@ impl Driver {
                 self.shared.failed.fetch_add(1, Ordering::Relaxed);
             }
         }
-        self.tell(wanted);
+        self.publish(wanted);
     }
 
-    /// The velocity that nets want, if they still do.
+    /// The velocity that nets command, if fresh.
     fn wanted(&mut self, now: Duration) -> Option<[f64; 3]> {
         let (before, taken) = (self.taken.cycle, &mut self.taken);
         self.command.read_with(|command| taken.copy_from(command));
@@ -312,7 +312,7 @@ impl Driver {
         (fresh && given.is_in_force(self.taken.cycle)).then_some([vel.x, vel.y, rot.z])
     }
 
-    fn tell(&mut self, wanted: Option<[f64; 3]>) {
+    fn publish(&mut self, wanted: Option<[f64; 3]>) {
         let status = self.platform.status();
         let jumps = self.platform.jumps();
         let jumped = jumps > std::mem::replace(&mut self.jumps, jumps);
@@ -322,29 +322,38 @@ impl Driver {
             } else {
                 JumpPart::Floor
             };
-            self.told.jumped.add(part, jump.by, jump.most);
+            self.reported.jumped.add(part, jump.by, jump.most);
         }
         if self.followed && status != DeviceStatus::Operational {
-            self.told.faults += 1;
+            self.reported.faults += 1;
         }
         self.followed = status == DeviceStatus::Operational;
-        for (limited, held_back) in self.told.limited.iter_mut().zip(self.platform.limited()) {
+        for (limited, held_back) in self
+            .reported
+            .limited
+            .iter_mut()
+            .zip(self.platform.limited())
+        {
             *limited = *held_back;
         }
-        self.told.status = status;
+        self.reported.status = status;
         let motion = *self.platform.motion();
-        self.told.stamp = takt_rt::Nanos::from(motion.stamp);
+        self.reported.stamp = takt_rt::Nanos::from(motion.stamp);
         if let Some(base) = &self.interfaces.base {
             let follows = self.platform.follows() || wanted.is_none();
-            tell_base(base, &mut self.told.signals, &motion, wanted, follows);
+            report_base(base, &mut self.reported.signals, &motion, wanted, follows);
             let (angles, rates) = self.platform.wheels();
             for ((wheel, angle), rate) in base.wheels.iter().zip(angles).zip(rates) {
-                wheel.position.report(&mut self.told.signals, Some(angle));
-                wheel.velocity.report(&mut self.told.signals, Some(rate));
+                wheel
+                    .position
+                    .report(&mut self.reported.signals, Some(angle));
+                wheel
+                    .velocity
+                    .report(&mut self.reported.signals, Some(rate));
             }
         }
-        let told = &self.told;
-        self.state.write_with(|state| state.copy_from(told));
+        let reported = &self.reported;
+        self.state.write_with(|state| state.copy_from(reported));
         self.shared
             .jumps
             .store(self.platform.jumps(), Ordering::Relaxed);
@@ -353,7 +362,7 @@ impl Driver {
         }
     }
 
-    /// Brakes the base as when nets cease, then has it rest: the power bases would stop by themselves only later.
+    /// Brakes the base as when commands end, then disables it: power bases stop later by themselves.
     fn bring_to_rest(&mut self) {
         self.is_stopping = true;
         let until = takt_can::linux::monotonic() + REST_WITHIN;
@@ -370,14 +379,14 @@ impl Driver {
     }
 }
 
-/// A link that is gone fails at once: then the wait that it would have been is slept.
+/// A lost link fails at once: sleeps instead of waiting for it.
 fn pause(wait: Duration) {
     let until = takt_rt::monotonic() + wait.into();
-    // That fails only for times that are none.
+    // Fails only for invalid times.
     takt_rt::sleep_until(until).ok();
 }
 
-fn tell_base(
+fn report_base(
     base: &Base,
     signals: &mut [u64],
     motion: &Motion,

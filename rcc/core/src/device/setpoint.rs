@@ -1,5 +1,5 @@
-//! From set-points to what a joint is told in each cycle of its own clock: interpolated between
-//! set-points, within the joint's limits, and braked when they stop coming. No clock is read here.
+//! Converts set-points to the command of a joint in each cycle of its own clock: interpolates, applies the joint's
+//! limits, and brakes when set-points end. No clock is read here.
 //!
 //! ```text
 //!            (1) first set-point, near                (2) caught up
@@ -10,23 +10,23 @@
 //!            (5) too far away               ▼
 //!   Refused ◀───────────────────────────────┘     Refused ──(6) set-points end──▶ Held
 //! ```
-//! All transitions are made in [`Joint::sample`]: 1 and 5 in `begin`, 2, 3 and 5 in `track`, 4 and 6 at the top. One
-//! sample may make several: a first set-point right where the joint is leads from Held to Follow, one that is too far
-//! away from Held or Follow to Refused.
+//! All transitions are in [`Joint::sample`]: 1 and 5 in `begin`, 2, 3 and 5 in `track`, 4 and 6 at the top. One
+//! sample may make several: a first set-point exactly at the joint's position leads from Held to Follow, one that is
+//! too far away from Held or Follow to Refused.
 //!
-//! Whatever a mode wants leaves through the joint's [`LastStage`], which keeps range, speed and acceleration in every
-//! cycle. A stream within them is passed on as it is; a clock that wanders may hold it back by microradians, and it still
-//! follows. What lies farther off, by a stream beyond the limits or a clock that is set anew, is approached. Before the
-//! end of its range a joint brakes in time, whatever its set-points want, and comes to the very end within its
-//! acceleration, or gives up on set-points that get too far ahead of it meanwhile (5).
+//! Every output passes the joint's [`LastStage`], which keeps range, speed and acceleration in every cycle. A stream
+//! within them passes unchanged; clock drift may hold it back by microradians, and the joint still follows. Targets
+//! farther away, of a stream beyond the limits or after a clock step, are approached. A joint brakes before the end
+//! of its range in time, whatever its set-points, and reaches the very end within its acceleration limit, or gives up
+//! on set-points that get too far ahead meanwhile (5).
 //!
-//! Set-points that are no farther apart than the joint's cycles are joined by straight lines. Between sparser ones the
-//! joint would have to change its velocity at once at each of them, by the acceleration of the stream times its period;
-//! there the corners are cut by parabolas, half a period long on either side (a quadratic B-spline where periods are
-//! equal). That path keeps every limit of position, velocity and acceleration that the set-points keep by their own
-//! differences, and needs no set-point beyond those that are known one and a half periods later. It passes the corners
-//! at an eighth of the second difference: 0.2 mrad at 4 rad/s² and 20 ms. Cubics through the set-points were rejected:
-//! where a stream begins to accelerate they need up to three times its acceleration.
+//! Set-points no farther apart than the joint's cycles are joined by straight lines. Between sparser ones the
+//! velocity would step at each of them, by the acceleration of the stream times its period; there, parabolas of half
+//! a period on either side cut the corners (a quadratic B-spline if periods are equal). That path keeps every limit
+//! of position, velocity and acceleration that the set-points keep by their differences, and needs no set-point later
+//! than one and a half periods. It passes the corners at an eighth of the second difference: 0.2 mrad at 4 rad/s² and
+//! 20 ms. Cubics through the set-points were rejected: where a stream begins to accelerate they need up to three
+//! times its acceleration.
 
 use takt_net::JointLimits;
 use takt_net::device::JointError;
@@ -35,33 +35,33 @@ use takt_rt::Nanos;
 use crate::device::last_stage::{LastStage, Limited};
 use crate::device::{JointSetPoints, SET_POINTS, SetPoint};
 
-/// Farther from the joint than this, a first set-point is refused, rad.
+/// A first set-point farther from the joint than this is refused, rad.
 const START_DISTANCE_RAD: f64 = 0.02;
-/// Farther behind its set-points than this, a joint gives up, rad.
+/// A joint farther behind its set-points than this gives up, rad.
 const LOST_DISTANCE_RAD: f64 = 0.2;
-/// Part of the largest speed that a joint takes: a robot's own guard sees it rounded to single precision, and
-/// in some of its cycles a little more than interpolation meant.
+/// Share of the largest speed that a joint uses: a robot's own guard sees it rounded to single precision, and in some
+/// of its cycles slightly above the interpolated value.
 const SPEED_SHARE: f64 = 0.998;
-/// Nearer than this is arrived, rad: below the resolution of a single-precision datagram.
+/// A target nearer than this is reached, rad: below the resolution of a single-precision datagram.
 const ARRIVED_RAD: f64 = 1e-7;
-/// Slower than this is at rest, rad/s.
+/// A joint slower than this is at rest, rad/s.
 const RESTING_RAD_PER_S: f64 = 1e-7;
-/// By how much of a step the clock by which set-points are played may wander from one cycle to the next. Clocks of
-/// robots and buses are followed to a few microseconds a period. A joint held back by no more than that follows.
+/// Drift of the playback clock per cycle, as a share of a step. Clocks of robots and buses are followed to a few
+/// microseconds per period. A joint held back by no more than that follows.
 const WANDER_SHARE: f64 = 0.01;
-/// Set-points farther apart than so many of the joint's cycles are sparse.
+/// Set-points more than this number of the joint's cycles apart are sparse.
 const SPARSE_FROM: f64 = 1.02;
 
-/// What a joint does at the moment.
+/// State of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// It rests, or brakes to rest.
+    /// At rest, or braking to rest.
     Held,
-    /// It moves to its set-points within its limits.
+    /// Moving to its set-points within its limits.
     Approach,
-    /// It is where its set-points say.
+    /// At its set-points.
     Follow,
-    /// It rests because its set-points are out of reach, until they end.
+    /// Resting, because its set-points are out of reach, until they end.
     Refused,
 }
 
@@ -85,7 +85,7 @@ impl Joint {
         }
     }
 
-    /// This joint under way, and braking within these limits: its set-points are refused until they end.
+    /// This joint in its current motion, braking within these limits: set-points are refused until they end.
     #[must_use]
     pub const fn refused(&self, limits: JointLimits, position: f64, velocity: f64) -> Self {
         let stage = LastStage::moving(guarded(limits), position, velocity);
@@ -96,8 +96,8 @@ impl Joint {
         }
     }
 
-    /// The robot is not ours to move: it rests at `position`. Set-points that come meanwhile are
-    /// refused until they end, so that nothing moves by itself when the robot comes back.
+    /// Sets a rest position while the driver does not control the robot. Set-points that arrive meanwhile are refused
+    /// until they end, so that nothing moves by itself when the robot recovers.
     pub const fn rest_at(&mut self, position: f64, set_points: &JointSetPoints) {
         self.mode = if set_points.active {
             Mode::Refused
@@ -107,8 +107,8 @@ impl Joint {
         self.stage.rest_at(position);
     }
 
-    /// How far behind its clock set-points are to be played: one and a half times what lies between two of them, so that
-    /// those around that instant are there even if the net is late, by half of it or, with sparse ones, by a cycle.
+    /// Playback delay of set-points: one and a half periods, so that the set-points around that instant have arrived
+    /// even if the net is late by half a period or, with sparse ones, by a cycle.
     #[must_use]
     pub fn delay(&self, set_points: &JointSetPoints) -> Nanos {
         let period = set_points.period;
@@ -120,14 +120,14 @@ impl Joint {
         Nanos(period.0 * 3 / 2 + late)
     }
 
-    /// Whether set-points of that period are so far apart that straight lines between them have corners for the joint.
+    /// Whether set-points of that period are so far apart that straight lines between them have corners.
     #[must_use]
     pub fn is_sparse(&self, period: Nanos) -> bool {
         seconds(period) > SPARSE_FROM * self.cycle_s
     }
 
-    /// The position for the instant `at`, `dt_s` after the last one. `fresh` is whether the net
-    /// thread is alive. Without time passing nothing changes.
+    /// The position for the instant `at`, `dt_s` after the last one. `fresh` is whether the net thread is alive. With
+    /// `dt_s` zero nothing changes.
     pub fn sample(
         &mut self,
         set_points: &JointSetPoints,
@@ -141,7 +141,7 @@ impl Joint {
         self.cycle_s = self.cycle_s.min(dt_s);
         let (target, speed) = interpolate(set_points, at, self.is_sparse(set_points.period));
         match self.mode {
-            // Also the way out of Refused.
+            // Also the exit of Refused.
             _ if !set_points.active => self.brake(dt_s, Mode::Held),
             Mode::Refused => self.brake(dt_s, Mode::Refused),
             _ if !fresh => self.brake(dt_s, Mode::Held),
@@ -156,7 +156,7 @@ impl Joint {
         let (position, velocity, _) = self.stage.motion();
         let near = (self.in_range(target) - position).abs() <= START_DISTANCE_RAD;
         let moving = velocity.abs() > RESTING_RAD_PER_S;
-        // One that was stopped for want of set-points takes them up again if it can catch up.
+        // A joint that braked without set-points resumes them if it can catch up.
         if !near && !moving {
             self.brake(dt_s, Mode::Refused);
             return;
@@ -168,11 +168,11 @@ impl Joint {
         self.track(target, speed, dt_s);
     }
 
-    /// One step to its set-points; gives up on them if they are out of reach.
+    /// One step to its set-points; gives up if they are out of reach.
     fn track(&mut self, target: f64, speed: f64, dt_s: f64) {
         let within = self.in_range(target);
         let (before, velocity_before, _) = self.stage.motion();
-        // What a joint can do in this step is not lost, however long the step is.
+        // A distance that the joint can travel in this step is not out of reach, however long the step is.
         let farthest = LOST_DISTANCE_RAD.max(self.stage.limits().velocity_max * dt_s);
         if (within - before).abs() > farthest {
             self.brake(dt_s, Mode::Refused);
@@ -198,7 +198,7 @@ impl Joint {
         };
     }
 
-    /// The nearest to `position` in the range, or nearer to it than where the joint stands.
+    /// The nearest position in the range, or nearer to it than the joint is.
     fn in_range(&self, position: f64) -> f64 {
         self.stage.within(position)
     }
@@ -215,7 +215,7 @@ impl Joint {
         *self.stage.limits()
     }
 
-    /// What it does.
+    /// Its state.
     #[must_use]
     pub const fn mode(&self) -> Mode {
         self.mode
@@ -227,13 +227,13 @@ impl Joint {
         self.stage.motion()
     }
 
-    /// What its last stage held back.
+    /// Limit reports of its last stage.
     #[must_use]
     pub const fn limited(&self) -> &Limited {
         self.stage.limited()
     }
 
-    /// The error a net sees of this joint while the robot follows commands.
+    /// The error that nets see while the robot follows commands.
     #[must_use]
     pub const fn error(&self) -> JointError {
         match self.mode {
@@ -243,7 +243,7 @@ impl Joint {
     }
 }
 
-/// The limits that a joint keeps by itself: a little slower than its robot allows.
+/// The limits of the joint, slightly slower than those of its robot.
 const fn guarded(limits: JointLimits) -> JointLimits {
     JointLimits {
         velocity_max: limits.velocity_max * SPEED_SHARE,
@@ -251,16 +251,16 @@ const fn guarded(limits: JointLimits) -> JointLimits {
     }
 }
 
-/// Position and speed of the set-points at a time: on straight lines between two of them, and on beyond the
-/// last, where the speed of the last two is kept. Before the first of them it is that one, with the speed behind it.
-/// Where they are `sparse`, corners are cut by parabolas, also that of the first, which was rested at before.
+/// Position and speed of the set-points at a time: on straight lines between them, extrapolated beyond the last at
+/// the last speed. Before the first one it is the first one, with the speed after it. If they are `sparse`, parabolas
+/// cut the corners, also that of the first, which follows rest.
 fn interpolate(set_points: &JointSetPoints, at: Nanos, sparse: bool) -> (f64, f64) {
     let points = &set_points.points[..set_points.count.clamp(1, SET_POINTS)];
     let later = points.windows(2).position(|pair| pair[1].time <= at);
     let Some(newer) = later else {
-        // A single set-point, or a run of them that begins later than `at`, and already moves.
+        // A single set-point, or a run that starts later than `at` in motion.
         let first = points[points.len() - 1];
-        // What lay before the oldest is not known any more if as many are there as are kept.
+        // With a full history, the set-point before the oldest is unknown.
         let cut =
             (sparse && points.len() < SET_POINTS).then(|| Corner::at(points, points.len() - 1));
         if let Some(corner) = cut {
@@ -290,19 +290,19 @@ struct Corner {
     point: SetPoint,
     /// Speed before and behind it, rad/s.
     speeds: [f64; 2],
-    /// How far before and behind it the way leaves the lines, s.
+    /// Half duration of the parabola, s.
     half_s: f64,
 }
 
 impl Corner {
-    /// The corner at the set-point of that number; `None` where what comes behind it, or came before, is not known.
+    /// The corner at the set-point of that index; `None` if a neighbour is unknown.
     fn at(points: &[SetPoint], number: usize) -> Option<Self> {
         let point = *points.get(number)?;
         let behind = points.get(number.checked_sub(1)?..=number)?;
         let span_s = |pair: &[SetPoint]| seconds(pair[0].time - pair[1].time);
         let (before, half_s) = match points.get(number..number + 2) {
             Some(before) => (slope(before), span_s(before).min(span_s(behind)) / 2.0),
-            // The first of its run: the joint rests there.
+            // The first of its run: the joint rests before it.
             None if points.len() < SET_POINTS => (0.0, span_s(behind) / 2.0),
             None => return None,
         };
@@ -313,7 +313,7 @@ impl Corner {
         })
     }
 
-    /// Position and speed at a time that is near to it.
+    /// Position and speed at a time within the parabola.
     fn motion(&self, at: Nanos) -> Option<(f64, f64)> {
         let [before, behind] = self.speeds;
         let since_s = seconds(at - self.point.time);
@@ -332,7 +332,7 @@ impl Corner {
     }
 }
 
-/// Speed from the second of two set-points to the first; zero if no time lies between.
+/// Speed from the second to the first of two set-points; zero if their times are equal.
 fn slope(pair: &[SetPoint]) -> f64 {
     let span_s = seconds(pair[0].time - pair[1].time);
     if span_s > 0.0 {
@@ -350,7 +350,7 @@ const fn seconds(span: Nanos) -> f64 {
     span.0 as f64 * 1e-9
 }
 
-/// A span of seconds; the longest there is for one that is infinite.
+/// A span of seconds; saturates.
 #[expect(clippy::cast_possible_truncation, reason = "saturates, which is meant")]
 const fn nanos(span_s: f64) -> Nanos {
     Nanos((span_s * 1e9) as i64)

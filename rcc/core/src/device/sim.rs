@@ -1,6 +1,5 @@
-//! Simulated devices that programs make while the controller runs. The net thread steps them
-//! itself, so they need no thread, no wire and no clock. They simulate what nets see, no physics
-//! beyond what each file says.
+//! Simulated devices that programs create at run time. The net thread steps them, so they need no thread, no wire and
+//! no clock. They simulate what nets see; physics only as each file documents.
 
 mod arm;
 mod base;
@@ -20,20 +19,20 @@ use parameters::Parameters;
 
 /// A device that a net thread steps.
 pub trait Simulated: fmt::Debug + Send {
-    /// One cycle, `dt` after the last: follows what nets command.
+    /// One cycle, `dt` after the last: follows the commands of nets.
     fn step(&mut self, command: &DeviceCommand, dt: Nanos);
 
-    /// Takes over, behind [`Self::step`] in the same cycle, that commands were withdrawn. What moves sees it in the next.
+    /// Applies a withdrawal of commands after [`Self::step`] in the same cycle. Motion reacts in the next.
     fn retract(&mut self, _command: &DeviceCommand) {}
 
-    /// How it is.
+    /// Its state.
     fn state(&self) -> &DeviceState;
 }
 
 type Made = (DeviceDescription, Box<dyn Simulated>);
 type Make = fn(&Parameters<'_>, &'static str) -> Result<Made, Error>;
 
-/// What can be made.
+/// Constructors by type.
 const KINDS: [(&str, Make); 6] = [
     ("kuka_lwr_sim", arm::lwr),
     ("kuka_iiwa_sim", arm::iiwa),
@@ -43,14 +42,14 @@ const KINDS: [(&str, Make); 6] = [
     ("io_sim", io::looped),
 ];
 
-/// The types of devices that can be made while the controller runs.
+/// The device types that can be created at run time.
 #[must_use]
 pub fn kinds() -> Vec<&'static str> {
     KINDS.iter().map(|(kind, _)| *kind).collect()
 }
 
-/// Makes a simulated device of one of [`kinds`]. Parameters that it does not know are ignored: known
-/// clients send the same to real devices.
+/// Creates a simulated device of one of [`kinds`]. Unknown parameters are ignored: known clients send the same ones
+/// to real devices.
 ///
 /// # Errors
 /// If there is no such type, or a parameter is missing, unreadable or out of range.
@@ -106,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_or_leaves_the_range_of_numbers_is_refused_in_every_parameter() {
+    fn sim_parameters_not_finite_or_huge_are_rejected() {
         for kind in kinds() {
             let parameters = sound(kind);
             assert!(make("a", kind, &parameters).is_ok(), "{kind}");
@@ -125,13 +124,13 @@ mod tests {
     }
 
     #[test]
-    fn limits_that_vanish_beside_the_cycle_are_refused() {
+    fn sim_limits_too_small_are_rejected() {
         for key in ["max_vel", "max_acc"] {
             for value in ["0", "1e-320", "-1"] {
                 let mut wrong = sound("kuka_lwr_sim");
                 wrong.insert(key.to_owned(), format!("[{}]", [value; 7].join(",")));
-                let told = make("a", "kuka_lwr_sim", &wrong).unwrap_err().to_string();
-                assert!(told.contains("leave it no motion"), "{told}");
+                let error = make("a", "kuka_lwr_sim", &wrong).unwrap_err().to_string();
+                assert!(error.contains("leave it no motion"), "{error}");
             }
         }
     }

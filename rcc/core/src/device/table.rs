@@ -1,4 +1,4 @@
-//! The devices of a controller and where their interfaces lie in the image. It starts no driver.
+//! The devices of a controller and the locations of their interfaces in the image. It starts no driver.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -19,7 +19,7 @@ use crate::device::{
 use crate::error::Error;
 use crate::executor::DEVICES_MAX;
 
-/// Readers of a device's state: the net threads, the table itself, and room for drivers' tools.
+/// Most readers of a device's state: the net threads, the table itself, and tools.
 const STATE_READERS: usize = 20;
 
 /// A device of the controller, as programs see it.
@@ -29,26 +29,26 @@ pub struct Device {
     pub name: String,
     /// Its device type.
     pub kind: &'static str,
-    /// Where it lies in the image.
+    /// Its location in the image.
     pub place: Place,
     /// Limits by joint; empty if it is no arm.
     pub limits: Arc<[JointLimits]>,
-    /// Where its flange is, and how to get it there.
+    /// Kinematics of its flange.
     pub kinematics: Option<Arc<dyn Kinematics>>,
-    /// What it offers beside joints.
+    /// Its interfaces besides joints.
     pub interfaces: Interfaces,
-    /// Its base, if it is one, among the words of its own state.
+    /// The location of its base in its own state, if it is a base.
     base: Option<Base>,
     state: Mutex<LatestReader<DeviceState>>,
 }
 
 impl Device {
-    /// The last state its driver told.
+    /// The last state that its driver published.
     pub fn state(&self) -> DeviceState {
         self.read(Clone::clone)
     }
 
-    /// Whether nothing of it moves, as far as it is in contact.
+    /// Whether it is at rest, as far as it is in contact.
     pub fn is_at_rest(&self) -> bool {
         self.read(|state| state.is_at_rest(self.base.as_ref()))
     }
@@ -58,17 +58,17 @@ impl Device {
         self.read(|state| state.status)
     }
 
-    /// How often its positions jumped, and the last time.
+    /// Number of position jumps, and the last one.
     pub fn jumped(&self) -> Jumped {
         self.read(|state| state.jumped)
     }
 
-    /// How often it ceased to follow commands, and whether it can be used.
+    /// Number of times that it stopped following commands, and its status.
     pub fn faults(&self) -> (u64, DeviceStatus) {
         self.read(|state| (state.faults, state.status))
     }
 
-    /// What the last stages of its driver held back.
+    /// Limit reports of the last stages of its driver.
     pub fn limited(&self) -> [Limited; ARM_JOINTS_MAX] {
         self.read(|state| state.limited)
     }
@@ -78,16 +78,15 @@ impl Device {
         state.read_with(read)
     }
 
-    /// Another reader of its state, for a net thread that does not command it; `None` if there are
-    /// too many.
+    /// Another reader of its state, for a net thread that does not command it; `None` if there are too many.
     pub fn reader(&self) -> Option<LatestReader<DeviceState>> {
         let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         state.another()
     }
 
-    /// Its interfaces and their parameters by the names that clients know.
+    /// Its interfaces and their parameters by the names of the client protocol.
     #[must_use]
-    pub fn told(&self) -> BTreeMap<String, BTreeMap<String, String>> {
+    pub fn properties(&self) -> BTreeMap<String, BTreeMap<String, String>> {
         let none = |there: bool, name| there.then(|| (String::from(name), BTreeMap::new()));
         let counted = |pairs: &[(&str, usize)]| {
             let pair = |(name, n): &(&str, usize)| ((*name).to_owned(), n.to_string());
@@ -119,7 +118,7 @@ impl Device {
     }
 }
 
-/// The ends of a device's cells.
+/// Endpoints of a device's latest-value cells.
 #[derive(Debug)]
 pub struct DevicePorts {
     /// For the net thread that commands it: reads the state.
@@ -132,26 +131,26 @@ pub struct DevicePorts {
     pub driver_command: LatestReader<DeviceCommand>,
 }
 
-/// The devices of a controller. A device keeps its number until it is removed; a new one may get
-/// the number of one that is gone.
+/// The devices of a controller. A device keeps its number until it is removed; a new one may reuse the number of a
+/// removed one.
 #[derive(Clone, Debug, Default)]
 pub struct DeviceTable {
     devices: Vec<Option<Arc<Device>>>,
 }
 
 impl DeviceTable {
-    /// Adds an arm that has joints alone.
+    /// Adds an arm without parts besides joints.
     ///
     /// # Errors
-    /// If the name is taken or there is no room.
+    /// If the name is taken or the image is full.
     pub fn add_arm(&mut self, arm: ArmDescription) -> Result<(usize, DevicePorts), Error> {
         self.add(arm.with(&[]))
     }
 
-    /// Adds a device and makes its cells; returns its number.
+    /// Adds a device and creates its cells; returns its number.
     ///
     /// # Errors
-    /// If the name is taken or there is no room.
+    /// If the name is taken or the image is full.
     pub fn add(&mut self, device: DeviceDescription) -> Result<(usize, DevicePorts), Error> {
         if self.find(&device.name).is_some() {
             return Err(Error::DeviceTwice { name: device.name });
@@ -171,10 +170,10 @@ impl DeviceTable {
         self.add_at(number, place, device)
     }
 
-    /// Adds a device where it lay in a recording.
+    /// Adds a device at its location in a recording.
     ///
     /// # Errors
-    /// If the name is taken, or the number or the place cannot be.
+    /// If the name is taken, or number or location are invalid.
     pub fn add_at(
         &mut self,
         number: usize,
@@ -230,11 +229,11 @@ impl DeviceTable {
         ))
     }
 
-    /// Where a new device would lie: in the first gaps that are wide enough.
+    /// The location of a new device: the first sufficiently large gaps.
     fn place_for(&self, device: &DeviceDescription) -> Result<Place, Error> {
         let joints = device.limits.len();
         let mut size = Layout::default();
-        // Only what it takes is of interest here.
+        // Only occupied ranges matter here.
         let _ = parts::lay(&device.parts, joints, &mut size);
         let used = |range: fn(&Place) -> Range<usize>| {
             let mut used: Vec<_> = self.all().map(|(_, d)| range(&d.place)).collect();
@@ -272,7 +271,7 @@ impl DeviceTable {
         })
     }
 
-    /// Forgets a device; returns its number.
+    /// Removes a device; returns its number.
     pub fn remove(&mut self, name: &str) -> Option<usize> {
         let number = self.number(name)?;
         self.devices[number] = None;
@@ -285,7 +284,7 @@ impl DeviceTable {
         devices.filter_map(|(number, device)| Some((number, device.as_ref()?)))
     }
 
-    /// Those of them that are arms.
+    /// The arms among the devices.
     pub fn arms(&self) -> impl Iterator<Item = (usize, &Arc<Device>)> {
         self.all().filter(|(_, device)| !device.limits.is_empty())
     }
@@ -311,7 +310,7 @@ impl DeviceTable {
     }
 }
 
-/// The first of `len` in a row below `bound` that are in none of these ranges, sorted by start.
+/// The start of the first gap of `len` below `bound` between these ranges, which are sorted by start.
 fn gap(used: &[Range<usize>], len: usize, bound: usize) -> Option<usize> {
     let mut first = 0;
     for range in used.iter().filter(|range| !range.is_empty()) {
@@ -364,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn devices_never_overlap_and_gaps_are_used_again() {
+    fn device_table_locations_never_overlap_reuse_gaps() {
         let mut table = DeviceTable::default();
         for (name, outputs) in [("a", 4), ("b", 8), ("c", 2)] {
             table.add(io(name, outputs)).unwrap();
@@ -386,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused_with_the_bound() {
+    fn device_table_rejects_excess_with_bound() {
         let mut table = DeviceTable::default();
         let error = table
             .add(io("a", COMMAND_WORDS_MAX))
@@ -399,14 +398,14 @@ mod tests {
     }
 
     #[test]
-    fn what_a_device_is_not_is_not_found() {
+    fn device_table_lists_only_existing_interfaces() {
         let mut table = DeviceTable::default();
         table.add(io("a", 1)).unwrap();
         assert!(table.arm("a").is_none());
         let has = table.interfaces("a").unwrap();
         assert!(has.io.is_some() && has.base.is_none());
-        let told = &table.find("a").unwrap().told();
-        assert_eq!(told["io"]["digout"], "1");
-        assert_eq!(told.len(), 1);
+        let properties = &table.find("a").unwrap().properties();
+        assert_eq!(properties["io"]["digout"], "1");
+        assert_eq!(properties.len(), 1);
     }
 }

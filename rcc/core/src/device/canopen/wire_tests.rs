@@ -107,7 +107,7 @@ impl Bench {
         let id = |raw| NodeId::new(raw).unwrap();
         let axes = [1, 2].map(|raw| Reached::new(&network, id(raw), 0).unwrap());
         let arm = Arm::new(&config.arms[0], CYCLE, end);
-        let (news, _) = ring(NEWS);
+        let (events, _) = ring(EVENTS_MAX);
         let near = Near::default();
         let node = |raw| {
             let mut node = DriveNodeConfig::new(id(raw));
@@ -122,12 +122,12 @@ impl Bench {
                 link: Box::new(near.clone()),
                 network,
                 arms: vec![(arm, Vec::from(axes))],
-                news,
+                events,
                 cycle: CYCLE,
                 started: false,
                 shared: Arc::default(),
                 errors: Arc::default(),
-                farewell: None,
+                stop_by: None,
             },
             near,
             nodes: vec![node(1), node(2)],
@@ -153,7 +153,7 @@ impl Bench {
         self.state.read_with(|state| state.status)
     }
 
-    /// What was sent, and all answers to it, until nobody has anything to say.
+    /// Delivers frames and all answers to them until none is left.
     fn exchange(&mut self, now: Duration) {
         for _ in 0..64 {
             let frames = std::mem::take(&mut *self.near.frames());
@@ -225,7 +225,7 @@ impl Plant for Bench {
     }
 
     fn copy_state(&mut self, state: &mut DeviceState) {
-        self.state.read_with(|told| state.copy_from(told));
+        self.state.read_with(|reported| state.copy_from(reported));
     }
 
     fn sent(&mut self) -> f64 {
@@ -283,11 +283,11 @@ fn canopen_triangles_leave_in_rpdos_within_limits() {
         for n in 0..2_000 {
             if n % every == 0 {
                 let phase = f64::from(n) * dt_s % 4.0;
-                let way = if phase < 2.0 { phase } else { 4.0 - phase };
+                let profile = if phase < 2.0 { phase } else { 4.0 - phase };
                 let time = bench.now + CYCLE.into();
                 let set_points = &mut bench.given.joints[0];
                 set_points.period = Nanos(Nanos::from(CYCLE).0 * i64::from(every));
-                let position = start + 0.7 * way;
+                let position = start + 0.7 * profile;
                 set_points.advance(Some(SetPoint { time, position }));
             }
             bench.cycle();

@@ -1,5 +1,5 @@
-//! What becomes of outputs when the net that wrote them ends, as the file of a cell states it. Drivers apply it to the
-//! values that nets gave; when a net ends is decided elsewhere.
+//! Output policies at the end of a net, as configured in the cell file. Drivers apply them to the values that nets
+//! gave.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use serde::de::{Error, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer};
 use takt_net::device::Given;
 
-/// What becomes of an output when the net that wrote it ends.
+/// Policy of an output when the net that wrote it ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum OnEnd<T> {
     /// It keeps its value: `"hold"`.
@@ -18,7 +18,7 @@ pub enum OnEnd<T> {
 }
 
 impl<T: Copy> OnEnd<T> {
-    /// The value of an output, by what a net gave last; `None` before any did.
+    /// The value of an output, given the last value of a net; `None` before any.
     fn value(self, given: Option<Given<T>>) -> Option<T> {
         let given = given?;
         match self {
@@ -28,18 +28,18 @@ impl<T: Copy> OnEnd<T> {
     }
 }
 
-/// The policies of a device's outputs, by their port; those beyond the end of a list hold.
+/// Policies of a device's outputs by port; outputs without an entry hold.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OutputsOnEnd {
-    /// Of truth values.
+    /// Of digital outputs.
     pub bool: Vec<OnEnd<bool>>,
-    /// Of numbers, in the unit in which nets see them.
+    /// Of analogue outputs, in the unit that nets use.
     pub real: Vec<OnEnd<f64>>,
 }
 
 impl OutputsOnEnd {
-    /// The value of the truth output of that port.
+    /// The value of a digital output.
     pub(crate) fn truth(&self, port: usize, given: Option<Given<bool>>) -> Option<bool> {
         self.bool
             .get(port)
@@ -48,7 +48,7 @@ impl OutputsOnEnd {
             .value(given)
     }
 
-    /// The value of the number output of that port.
+    /// The value of an analogue output.
     pub(crate) fn number(&self, port: usize, given: Option<Given<f64>>) -> Option<f64> {
         self.real
             .get(port)
@@ -57,10 +57,10 @@ impl OutputsOnEnd {
             .value(given)
     }
 
-    /// Whether there are no more of them than the device has outputs.
+    /// Checks that there are no more policies than outputs.
     ///
     /// # Errors
-    /// A text that names what there is too much of.
+    /// With a text that names the excess.
     pub(crate) fn check(&self, bools: usize, reals: usize) -> Result<(), String> {
         let lists = [
             ("bool", self.bool.len(), bools),
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn on_end_wrong_type_names_line_and_choices() {
-        for (on_end, told) in [
+        for (on_end, expected) in [
             ("{ bool = [1] }", "expected \"hold\", true or false"),
             ("{ bool = ['off'] }", "expected \"hold\", true or false"),
             ("{ real = [true] }", "expected \"hold\" or a finite number"),
@@ -170,7 +170,7 @@ mod tests {
             ("{ truth = [true] }", "unknown field `truth`"),
         ] {
             let text = fault(on_end);
-            assert!(text.contains(told) && text.contains("line 6"), "{text}");
+            assert!(text.contains(expected) && text.contains("line 6"), "{text}");
         }
     }
 

@@ -1,4 +1,4 @@
-//! Robots that have a driver of their own, as the file of a cell tells them. It drives nothing.
+//! Cell file configuration of robots with a driver of their own.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use crate::span;
 pub struct LwrConfig {
     /// Name by which nets find it.
     pub name: String,
-    /// Address and port at which the KRC's datagrams arrive.
+    /// Local address and port for the KRC's datagrams.
     #[serde(default = "LwrConfig::default_listen")]
     pub listen: SocketAddr,
     /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
@@ -27,10 +27,11 @@ pub struct LwrConfig {
     /// Period of the net thread that commands it; `None` for the first.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub thread: Option<Duration>,
-    /// How the KRL program takes control strategy, tool and load over user data; `None` if it does not.
+    /// Handshake by which the KRL program accepts control strategy, tool and load over user data; `None` if it does
+    /// not.
     #[serde(default, deserialize_with = "handshake")]
     pub handshake: Option<Handshake>,
-    /// What becomes of the user data that a net wrote when it ends.
+    /// Policies of the user data when the net that wrote them ends.
     #[serde(default)]
     pub on_end: OutputsOnEnd,
 }
@@ -40,7 +41,9 @@ fn handshake<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Handshake>, D:
     let known = Handshake::ALL.into_iter().find(|it| it.to_string() == name);
     known.map(Some).ok_or_else(|| {
         let all = Handshake::ALL.map(|it| it.to_string()).join(", ");
-        serde::de::Error::custom(format!("`{name}` is no handshake; known are {all}"))
+        serde::de::Error::custom(format!(
+            "`{name}` is no handshake; known handshakes are {all}"
+        ))
     })
 }
 
@@ -76,7 +79,7 @@ impl LwrConfig {
     }
 }
 
-/// Which LBR iiwa.
+/// LBR iiwa model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 pub enum IiwaModel {
     /// LBR iiwa 7 R800.
@@ -97,7 +100,7 @@ pub struct IiwaConfig {
     /// `iiwa7` or `iiwa14`.
     #[serde(default)]
     pub model: IiwaModel,
-    /// Address and port at which the cabinet's datagrams arrive.
+    /// Local address and port for the cabinet's datagrams.
     #[serde(default = "IiwaConfig::default_listen")]
     pub listen: SocketAddr,
     /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
@@ -112,7 +115,7 @@ pub struct IiwaConfig {
     /// Inputs and outputs that the robot program shares, at most 10.
     #[serde(default)]
     pub io: IiwaIo,
-    /// What becomes of the outputs that a net wrote when it ends.
+    /// Policies of the outputs when the net that wrote them ends.
     #[serde(default)]
     pub on_end: OutputsOnEnd,
 }
@@ -121,13 +124,13 @@ pub struct IiwaConfig {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IiwaIo {
-    /// Truth values that the cabinet tells.
+    /// Digital signals from the cabinet.
     pub bool_in: Vec<String>,
-    /// Truth values that nets set.
+    /// Digital signals that nets write.
     pub bool_out: Vec<String>,
-    /// Numbers that the cabinet tells, analogue or digital.
+    /// Numeric signals from the cabinet, analogue or digital.
     pub real_in: Vec<String>,
-    /// Analogue values that nets set.
+    /// Analogue signals that nets write.
     pub real_out: Vec<String>,
 }
 
@@ -161,8 +164,8 @@ impl IiwaConfig {
 pub struct RmpConfig {
     /// Name by which nets find it.
     pub name: String,
-    /// Where its power bases are: `can0`, or `/dev/ttyUSB0` for the USB port. One for a base of two wheels;
-    /// the one in front and the one at the back for a platform of two RMP50.
+    /// Links of its power bases: `can0`, or `/dev/ttyUSB0` for the USB port. One for a base of two wheels; front and
+    /// back for a platform of two RMP50.
     pub links: Vec<String>,
     /// `rmp50`, `rmp100`, `rmp200` or `rmp400`; a platform of two is of RMP50.
     #[serde(default = "RmpConfig::default_model")]

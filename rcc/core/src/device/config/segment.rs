@@ -1,5 +1,5 @@
-//! EtherCAT segments and CANopen networks of a cell and the devices on them, as its file tells them. How they are
-//! led is in `device::ethercat` and `device::canopen`.
+//! Cell file configuration of EtherCAT segments and CANopen networks and their devices. The drivers are in
+//! `device::ethercat` and `device::canopen`.
 
 use std::time::Duration;
 
@@ -15,10 +15,10 @@ use crate::span;
 pub struct EthercatConfig {
     /// Its name.
     pub name: String,
-    /// Network interface at its beginning.
+    /// Network interface at its start.
     pub interface: String,
-    /// Network interface at its other end, which makes it a ring: a cable may be cut, and all slaves are still
-    /// reached. `None` for a line.
+    /// Network interface at its other end, for a ring: all slaves stay reachable when a cable is cut. `None` for a
+    /// line.
     #[serde(default)]
     pub second: Option<String>,
     /// Time from one frame to the next, 100 us to 100 ms.
@@ -27,11 +27,11 @@ pub struct EthercatConfig {
         deserialize_with = "span::text::deserialize"
     )]
     pub cycle: Duration,
-    /// How long after SYNC0 frames are sent; `None` for half a cycle.
+    /// Time from SYNC0 to the frame; `None` for half a cycle.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub phase: Option<Duration>,
-    /// How long the driver asks for a frame's answer again and again before it sleeps, at most half a cycle: takes the
-    /// system's wake-up out of the round trip, and keeps a processor busy meanwhile. Zero sleeps at once.
+    /// How long the driver polls for a frame's answer before it sleeps, at most half a cycle: removes the wake-up
+    /// latency from the round trip, but occupies a processor. Zero sleeps at once.
     #[serde(default, deserialize_with = "span::text::deserialize")]
     pub spin: Duration,
     /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
@@ -43,10 +43,10 @@ pub struct EthercatConfig {
     /// Period of the net thread that commands its devices; `None` for the first.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub thread: Option<Duration>,
-    /// How its clocks are brought together.
+    /// Synchronization of its clocks.
     #[serde(default)]
     pub clocks: EthercatClocks,
-    /// The slaves that are expected.
+    /// Expected slaves.
     #[serde(default, rename = "slave")]
     pub slaves: Vec<EthercatSlave>,
     /// Robot arms made of drives.
@@ -64,7 +64,7 @@ pub struct EthercatConfig {
 }
 
 impl Default for EthercatConfig {
-    /// A line of nothing at no interface.
+    /// An empty segment without interface.
     fn default() -> Self {
         Self {
             name: String::new(),
@@ -91,7 +91,7 @@ impl EthercatConfig {
         Duration::from_millis(1)
     }
 
-    /// Its devices that are given no command after a fault until their driver starts again.
+    /// Devices that get no commands after a fault until their driver restarts.
     pub(crate) fn on_restart(&self) -> Vec<String> {
         let arms = self.arms.iter().map(|it| (it.recovery, &it.name));
         let bases = self.youbot_bases.iter().map(|it| (it.recovery, &it.name));
@@ -139,14 +139,14 @@ pub struct CanopenConfig {
     /// Period of the net thread that commands its devices; `None` for the first.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub thread: Option<Duration>,
-    /// The master's own node number, 1 to 127; no node may have it.
+    /// Node number of the master, 1 to 127; no node may have it.
     #[serde(default = "CanopenConfig::default_master")]
     pub master: u8,
-    /// Time from one heartbeat of the master to the next, two cycles to 20 s; nodes that hear none for two and a half
-    /// times that take it for lost. `None` for five cycles, but not less than 20 ms; zero for no heartbeat.
+    /// Heartbeat period of the master, two cycles to 20 s; nodes without a heartbeat for two and a half periods
+    /// consider it lost. `None` for five cycles, but not less than 20 ms; zero for no heartbeat.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub heartbeat: Option<Duration>,
-    /// What drives do that have lost the master (6007h).
+    /// Reaction of drives to the loss of the master (6007h).
     #[serde(default)]
     pub on_link_loss: LinkLoss,
     /// Robot arms made of drives.
@@ -164,46 +164,46 @@ impl CanopenConfig {
     }
 }
 
-/// What a CANopen drive does when it has lost its master: abort connection option code, 6007h. Drives without that
-/// object do what they always do.
+/// Reaction of a CANopen drive to the loss of its master: abort connection option code, 6007h. Drives without that
+/// object keep their own reaction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LinkLoss {
-    /// It stops by its quick stop option code (605Ah).
+    /// Stop by the quick stop option code (605Ah).
     #[default]
     QuickStop,
-    /// It takes the voltage from its motor, which coasts unless there is a brake.
+    /// Disable voltage: the motor coasts unless there is a brake.
     DisableVoltage,
-    /// It goes into fault, by its fault reaction option code (605Eh).
+    /// Fault, by the fault reaction option code (605Eh).
     Fault,
-    /// It goes on.
+    /// No reaction.
     Nothing,
-    /// What is set in the drive, which is not touched.
+    /// The setting stored in the drive is not changed.
     AsSet,
 }
 
-/// What becomes of a device after a fault, once its drives could follow commands again. Whatever is chosen, nothing moves
-/// before a program requests it.
+/// Recovery of a device after a fault, once its drives can follow commands again. In each case, nothing moves before
+/// a program requests it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Recovery {
-    /// Its faults are reset, its drives are enabled, and it looks for its commutation and its stops as far as it may.
+    /// Faults are reset, drives are enabled, and commutation and stops are searched as far as allowed.
     #[default]
     Automatic,
-    /// It brakes and is given no command until its driver starts again, with the controller.
+    /// It brakes and gets no commands until its driver restarts with the controller.
     OnRestart,
 }
 
-/// A robot arm made of drives, which are named as their bus names them.
+/// A robot arm made of drives, named as on their bus.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DriveArm<D> {
     /// Name by which nets find it.
     pub name: String,
-    /// Its kinematics, such as `staubli_tx90`; empty for none.
+    /// Kinematics model, such as `staubli_tx90`; empty for none.
     #[serde(default)]
     pub model: String,
-    /// What becomes of it after a fault.
+    /// Recovery after a fault.
     #[serde(default)]
     pub recovery: Recovery,
     /// Its joints, from the base.
@@ -215,15 +215,15 @@ pub struct DriveArm<D> {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DriveJoint<D> {
-    /// The drive: the name of the EtherCAT slave, or the number of the CANopen node.
+    /// The drive: name of the EtherCAT slave, or number of the CANopen node.
     #[serde(alias = "slave", alias = "node")]
     pub drive: D,
-    /// Which of its axes, from 0.
+    /// Axis of the drive, from 0.
     #[serde(default)]
     pub axis: u8,
-    /// Increments of the drive for a turn of the joint, gear included; negative if they count the other way.
+    /// Increments of the drive per turn of the joint, including gear; negative for the opposite direction.
     pub increments_per_turn: f64,
-    /// Increments at which the joint is at zero.
+    /// Increments at joint zero.
     #[serde(default)]
     pub zero: f64,
     /// Range of the joint, degrees.
@@ -232,21 +232,22 @@ pub struct DriveJoint<D> {
     pub velocity_max: f64,
     /// Largest acceleration, degrees per second squared.
     pub acceleration_max: f64,
-    /// Farthest that its motor may be from its target, degrees of the joint, before its power is taken, whatever the
-    /// drive's own 6065h says; `None` for a tenth of a second at its largest speed, but not less than one degree.
+    /// Largest following error, degrees of the joint, before power is removed, independent of 6065h; `None` for the
+    /// motion in a tenth of a second at its largest speed, but not less than one degree.
     #[serde(default)]
     pub following_error_max: Option<f64>,
-    /// Objects, by their index on the first axis, whose SDO upload does not show what PDOs carry, by the drive's manual.
-    /// They are not compared before the drive gets power; without them every mapped object of the axis is.
+    /// Objects, by their index on the first axis, whose SDO upload does not mirror the PDO values, according to the
+    /// drive's manual. They are excluded from the comparison before power-on; every other mapped object of the axis
+    /// is compared.
     #[serde(default)]
     pub not_mirrored: Vec<u16>,
-    /// What the drive does not do as CiA 402 wants it, by its manual or by what its faults name: `no_follow_bit`,
+    /// Deviations of the drive from CiA 402, by its manual or by the text of its faults: `no_follow_bit`,
     /// `sod_as_0020`, `mode_after_enable`.
     #[serde(default, deserialize_with = "quirks")]
     pub quirks: Vec<Quirk>,
 }
 
-/// Quirks by their names.
+/// Deserializes quirks by name.
 fn quirks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Quirk>, D::Error> {
     let names = Vec::<String>::deserialize(deserializer)?;
     let quirks = names.iter().map(|name| name.parse());
@@ -256,20 +257,20 @@ fn quirks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Quirk>, D::E
 }
 
 impl<D> DriveJoint<D> {
-    /// Farthest that its motor may be from its target, degrees of the joint.
+    /// Largest following error, degrees of the joint.
     #[must_use]
     pub fn following_error(&self) -> f64 {
         let usual = (self.velocity_max * FOLLOWING_TIME_S).max(FOLLOWING_MIN);
         self.following_error_max.unwrap_or(usual)
     }
 
-    /// What its drive may do otherwise than others.
+    /// Timeouts of its drive, adapted to its quirks.
     #[must_use]
     pub(crate) fn patience(&self) -> Patience {
         Patience::default().with_quirks(&self.quirks)
     }
 }
 
-/// A motor may lag by what it goes in this time at its largest speed, s, but by a degree at least.
+/// Default following error: motion in this time at the largest speed, s, but at least one degree.
 const FOLLOWING_TIME_S: f64 = 0.1;
 const FOLLOWING_MIN: f64 = 1.0;

@@ -1,5 +1,5 @@
-//! What a cell's file tells of the slaves of an EtherCAT segment, of their clocks, and of the inputs and outputs that
-//! nets find on them. What a master makes of it is in `device::ethercat`.
+//! Cell file configuration of the slaves of an EtherCAT segment, of their clocks, and of their inputs and outputs.
+//! The driver is in `device::ethercat`.
 
 use std::time::Duration;
 
@@ -9,19 +9,19 @@ use takt_ethercat::config::Patience;
 use super::OutputsOnEnd;
 use crate::span;
 
-/// How the clocks of a segment are brought together.
+/// Clock synchronization of a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EthercatClocks {
     /// Largest difference to the reference clock (092Ch) at which a clock counts as locked, up to 1 s.
     #[serde(deserialize_with = "span::text::deserialize")]
     pub window: Duration,
-    /// How long a clock may take to lock before its slave is given up for the moment.
+    /// Time for a clock to lock before its slave is given up temporarily.
     #[serde(deserialize_with = "span::text::deserialize")]
     pub lock: Duration,
-    /// What becomes of a slave whose clock does not lock in time.
+    /// Reaction to a slave whose clock does not lock in time.
     pub unlocked: UnlockedPolicy,
-    /// What becomes of an arm when a clock of its drives leaves the window while it runs.
+    /// Reaction of an arm to a clock that leaves the window at run time.
     pub lost: LostPolicy,
 }
 
@@ -36,32 +36,32 @@ impl Default for EthercatClocks {
     }
 }
 
-/// What becomes of a slave whose clock does not lock in time.
+/// Reaction to a slave whose clock does not lock in time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum UnlockedPolicy {
-    /// It stays in PRE-OP and is tried again; that is told.
+    /// The slave stays in PRE-OP and is retried; this is reported.
     #[default]
     Refuse,
-    /// It is started all the same; its difference is told.
+    /// The slave is started anyway; the difference is reported.
     Start,
 }
 
-/// What becomes of an arm when a clock of its drives was outside of the window three times in a row. In each case that is
-/// told, and so is the clock's return.
+/// Reaction of an arm to a drive clock outside of the window in three consecutive checks. The event and the recovery
+/// are reported in each case.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LostPolicy {
-    /// It goes on: drives see for themselves how SYNC0 and their set-points lie, and leave OP when they cannot go on.
+    /// Continue: drives monitor the phase of SYNC0 and set-points themselves, and leave OP if necessary.
     #[default]
     Ignore,
-    /// Its joints brake within their limits and are held there, its nets end; nothing moves it until the clock is back.
+    /// Hold: joints brake within their limits and hold, nets end, and commands are ignored until the clock recovers.
     Hold,
-    /// The same, and as soon as its motors stand they lose their power until the clock is back.
+    /// Hold, then remove power at standstill until the clock recovers.
     Stop,
 }
 
-/// How far a slave is brought.
+/// Target state of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 pub enum SlaveGoal {
     /// PRE-OP: its mailbox works, it exchanges no process data.
@@ -76,17 +76,17 @@ pub enum SlaveGoal {
     Op,
 }
 
-/// A slave that is expected: by one of `position`, `alias` and `sii_name`.
+/// An expected slave, identified by one of `position`, `alias` and `sii_name`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EthercatSlave {
     /// Its name.
     pub name: String,
-    /// Where it is in the ring, from 0, counted among the slaves that are not optional.
+    /// Position in the ring, from 0, counted among the slaves that are not optional.
     pub position: Option<u16>,
-    /// Its station alias, instead of a position.
+    /// Station alias, instead of a position.
     pub alias: Option<u16>,
-    /// Its name or order code as its SII has it, instead of a position; of several alike the first that is not taken.
+    /// Name or order code in its SII, instead of a position; of several equal ones the first free one.
     pub sii_name: Option<String>,
     /// Vendor (1018h:01); `None` for any.
     pub vendor: Option<u32>,
@@ -94,39 +94,40 @@ pub struct EthercatSlave {
     pub product: Option<u32>,
     /// Revision (1018h:03); `None` for any.
     pub revision: Option<u32>,
-    /// Whether it may be missing at start, and come and go (hot connect); not by position.
+    /// Whether it may be missing at start, and come and go (hot connect); not with `position`.
     pub optional: bool,
-    /// Slaves of one group, 0 to 7, share a datagram and its working counter: what fails in one group does not spoil
-    /// the inputs of another.
+    /// Group, 0 to 7: slaves of one group share a datagram and its working counter, so that a failure in one group
+    /// does not invalidate the inputs of another.
     pub group: u8,
-    /// How far it is brought.
+    /// Target state.
     pub goal: SlaveGoal,
-    /// CiA 402 axes in it, 0 to 8; with any, process data are set up for them unless `outputs` or `inputs` say which.
+    /// Number of CiA 402 axes, 0 to 8; their process data are mapped unless `outputs` or `inputs` are given.
     pub axes: u8,
-    /// PDOs that it is to receive; `None` leaves what it has assigned, or what its axes need.
+    /// Receive PDOs; `None` keeps the assignment of the slave, or that of its axes.
     pub outputs: Option<Vec<SlavePdo>>,
-    /// PDOs that it is to send; `None` leaves what it has assigned, or what its axes need.
+    /// Transmit PDOs; `None` keeps the assignment of the slave, or that of its axes.
     pub inputs: Option<Vec<SlavePdo>>,
-    /// Objects written in PRE-OP, in order, before PDOs are assigned and before what its axes need.
+    /// Objects written in PRE-OP, in order, before PDO assignment and the objects of its axes.
     pub startup: Vec<StartupObject>,
-    /// Whether it is run by SYNC0 each cycle.
+    /// Whether SYNC0 is enabled.
     pub sync0: bool,
-    /// How long after SYNC0 comes SYNC1; `None` for no SYNC1. Needs `sync0`.
+    /// Time from SYNC0 to SYNC1; `None` for no SYNC1. Needs `sync0`.
     #[serde(deserialize_with = "span::text::deserialize_some")]
     pub sync1: Option<Duration>,
-    /// SYNC0 behind the beginning of the cycle, ns, less than a cycle; negative is before.
+    /// Time from the cycle start to SYNC0, ns, less than a cycle; may be negative.
     #[serde(deserialize_with = "shift")]
     pub shift: i32,
-    /// Process data watchdog, in steps of 100 us, rounded up; zero switches it off, `None` leaves what the slave has.
+    /// Process data watchdog, in steps of 100 us, rounded up; zero disables it, `None` keeps the setting of the
+    /// slave.
     #[serde(deserialize_with = "span::text::deserialize_some")]
     pub watchdog: Option<Duration>,
-    /// Whether objects may be written by complete access, where its SII says that it has it.
+    /// Whether complete access may be used, if its SII supports it.
     pub complete_access: bool,
-    /// How long it may take where that is longer than usual.
+    /// Timeouts, if longer than usual.
     pub timeouts: SlaveTimeouts,
 }
 
-/// How long a slave may take before it counts as failed, 1 ms to 10 min each.
+/// Timeouts of a slave, 1 ms to 10 min each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SlaveTimeouts {
@@ -136,10 +137,10 @@ pub struct SlaveTimeouts {
     /// From a request of SAFE-OP or OP to the state; 10 s.
     #[serde(deserialize_with = "span::text::deserialize")]
     pub op: Duration,
-    /// For an answer in its mailbox, all attempts together; 4 s.
+    /// For a mailbox answer, all attempts together; 4 s.
     #[serde(deserialize_with = "span::text::deserialize")]
     pub mailbox: Duration,
-    /// For its EEPROM; 500 ms.
+    /// For EEPROM access; 500 ms.
     #[serde(deserialize_with = "span::text::deserialize")]
     pub sii: Duration,
 }
@@ -163,7 +164,7 @@ impl Default for SlaveTimeouts {
 }
 
 impl SlaveTimeouts {
-    /// The key of the first that is out of range.
+    /// The key of the first timeout that is out of range.
     pub(crate) fn out_of_range(&self) -> Option<&'static str> {
         let range = Duration::from_millis(1)..=Duration::from_mins(10);
         let Self {
@@ -182,7 +183,7 @@ impl SlaveTimeouts {
         found.map(|(key, _)| key)
     }
 
-    /// As a master takes them.
+    /// Converts them for the master.
     pub(crate) fn patience(self) -> Patience {
         let Self {
             pre_op,
@@ -201,7 +202,7 @@ impl SlaveTimeouts {
 }
 
 impl Default for EthercatSlave {
-    /// One without a name or a place, to be brought to OP as it is.
+    /// A slave without name and position, to be brought to OP unchanged.
     fn default() -> Self {
         Self {
             name: String::new(),
@@ -228,7 +229,7 @@ impl Default for EthercatSlave {
     }
 }
 
-/// A duration that may have a sign, as ns.
+/// A signed duration in ns.
 fn shift<'de, D: Deserializer<'de>>(input: D) -> Result<i32, D::Error> {
     use serde::de::Error as _;
 
@@ -243,13 +244,13 @@ fn shift<'de, D: Deserializer<'de>>(input: D) -> Result<i32, D::Error> {
     Ok(sign * ns)
 }
 
-/// A PDO by its objects.
+/// A PDO.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SlavePdo {
     /// 1600h or 1A00h and following.
     pub pdo: u16,
-    /// What it carries: index, sub-index and bits of each; index 0 is a gap. Empty leaves its mapping as it is.
+    /// Mapping: index, sub-index and bits of each object; index 0 is a gap. Empty keeps the mapping.
     #[serde(default)]
     pub entries: Vec<(u16, u8, u8)>,
 }
@@ -263,17 +264,17 @@ pub struct StartupObject {
     /// Its sub-index.
     #[serde(default)]
     pub sub: u8,
-    /// What is written.
+    /// The value.
     pub value: StartupValue,
-    /// Whether all entries from the sub-index on are written at once, by complete access.
+    /// Whether all entries from the sub-index on are written by complete access.
     #[serde(default)]
     pub complete: bool,
-    /// Whether to go on if the slave refuses it.
+    /// Whether to continue if the slave aborts the download.
     #[serde(default)]
     pub may_fail: bool,
 }
 
-/// A value of an object, with the type that says how many bytes it has.
+/// A value of an object, with the type that determines its size.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[expect(missing_docs, reason = "the names are the types")]
@@ -315,47 +316,47 @@ impl StartupValue {
     }
 }
 
-/// Inputs and outputs: of digital ones all bits of the process data of these slaves, in their order.
+/// Inputs and outputs: digital ones are all bits of the process data of these slaves, in order.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EthercatIo {
     /// Name by which nets find it.
     pub name: String,
-    /// Slave and number of bits that are digital inputs.
+    /// Slave and number of bits of digital inputs.
     pub digital_in: Vec<(String, usize)>,
-    /// Slave and number of bits that are digital outputs.
+    /// Slave and number of bits of digital outputs.
     pub digital_out: Vec<(String, usize)>,
     /// Analogue inputs.
     pub analogue_in: Vec<AnalogueChannel>,
     /// Analogue outputs.
     pub analogue_out: Vec<AnalogueChannel>,
-    /// What becomes of outputs when the net that wrote them ends: of bits and of channels, in their order.
+    /// Output policies at the end of a net: of bits and of channels, in order.
     pub on_end: OutputsOnEnd,
 }
 
-/// An analogue channel: a number in the process data of a slave, found by its object or by where it lies. Nets see
-/// `scale` times that number plus `offset`, and outputs beyond what the number holds are cut to it.
+/// An analogue channel: a number in the process data of a slave, located by its object or by its bit offset. Nets see
+/// `scale` times that number plus `offset`; outputs beyond the range of the number are clamped.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AnalogueChannel {
     /// The slave.
     pub slave: String,
-    /// Index and sub-index of the object that is mapped.
+    /// Index and sub-index of the mapped object.
     #[serde(default)]
     pub object: Option<(u16, u8)>,
-    /// Instead of an object, its first bit among the slave's inputs or outputs.
+    /// Offset of its first bit in the slave's inputs or outputs, instead of an object.
     #[serde(default)]
     pub bit: Option<usize>,
-    /// How many bits it has where no object says so, 1 to 32.
+    /// Number of bits if no object determines it, 1 to 32.
     #[serde(default = "AnalogueChannel::default_bits")]
     pub bits: u8,
-    /// Whether its highest bit is a sign.
+    /// Whether it is signed.
     #[serde(default = "AnalogueChannel::default_signed")]
     pub signed: bool,
-    /// What one increment means, in the unit that nets use.
+    /// Value of one increment, in the unit that nets use.
     #[serde(default = "AnalogueChannel::default_scale")]
     pub scale: f64,
-    /// What zero means, in that unit.
+    /// Value of zero, in that unit.
     #[serde(default)]
     pub offset: f64,
 }

@@ -1,4 +1,4 @@
-//! A KUKA youBot on an EtherCAT segment, as the cell's file tells it. How it is led is in `device::ethercat`.
+//! Cell file configuration of a KUKA youBot on an EtherCAT segment. The driver is in `device::ethercat`.
 
 use serde::Deserialize;
 
@@ -10,25 +10,25 @@ use super::Recovery;
 pub struct YouBotArm {
     /// Name by which nets find it.
     pub name: String,
-    /// Where its power board is in the ring, from 0; the drives follow.
+    /// Ring position of its power board, from 0; the drives follow.
     pub position: u16,
-    /// Name by which nets find the gripper behind its last joint; `None` for no gripper.
+    /// Name of the gripper behind its last joint; `None` for no gripper.
     #[serde(default)]
     pub gripper: Option<String>,
-    /// Whether arm and gripper may move by themselves, while nothing commands them, to find their commutation and
-    /// their stops. Without, they are operational only if their drives know both since power came on.
+    /// Whether arm and gripper may move by themselves, while no net commands them, to find their commutation and
+    /// their stops. Otherwise they are operational only if their drives have known both since power-on.
     #[serde(default)]
     pub homing: bool,
-    /// What becomes of arm and gripper after a fault.
+    /// Recovery of arm and gripper after a fault.
     #[serde(default)]
     pub recovery: Recovery,
-    /// By which loop of the drives joints are moved.
+    /// Control loop of the drives.
     #[serde(default)]
     pub control: YouBotControl,
     /// Largest current of each motor, A.
     #[serde(default = "YouBotArm::default_current")]
     pub current_max: [f64; 5],
-    /// Current of each motor at which it presses against its stop, A.
+    /// Motor currents for homing against the stops, A.
     #[serde(default = "YouBotArm::default_homing_current")]
     pub homing_current: [f64; 5],
     /// Range of each joint, degrees from its stop.
@@ -43,7 +43,7 @@ pub struct YouBotArm {
 }
 
 impl YouBotArm {
-    /// One of that name with its power board there, which does not move by itself.
+    /// An arm with its power board at that position, which does not move by itself.
     #[must_use]
     pub fn new(name: impl Into<String>, position: u16) -> Self {
         Self {
@@ -69,7 +69,7 @@ impl YouBotArm {
         [2.0, 0.5, 1.0, 0.5, 0.5]
     }
 
-    /// What the mechanics allow, from stop to stop; the third joint counts downwards.
+    /// Mechanical range from stop to stop; the third joint counts downwards.
     const fn default_range() -> [[f64; 2]; 5] {
         [
             [0.0, 338.0],
@@ -89,14 +89,14 @@ impl YouBotArm {
     }
 }
 
-/// By which loop of its drives an arm is moved.
+/// Control loop of an arm's drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum YouBotControl {
-    /// That of position: the drives keep to their own ramp on the way.
+    /// Position loop: the drives apply their own ramp.
     #[default]
     Position,
-    /// That of velocity, with positions corrected each cycle: less behind on fast motions.
+    /// Velocity loop, with position correction in each cycle: smaller following error in fast motions.
     Velocity,
 }
 
@@ -106,14 +106,14 @@ pub enum YouBotControl {
 pub struct YouBotBase {
     /// Name by which nets find it.
     pub name: String,
-    /// Where its power board is in the ring, from 0; the drives follow.
+    /// Ring position of its power board, from 0; the drives follow.
     #[serde(default)]
     pub position: u16,
-    /// Whether wheels may turn by themselves, while nothing commands the base, to find their commutation after power
-    /// came on: up to a fifth of a turn. Without, it is operational only if its drives know it.
+    /// Whether wheels may turn by themselves, while no net commands the base, to find their commutation after
+    /// power-on: up to a fifth of a turn. Otherwise the base is operational only if its drives know it.
     #[serde(default = "YouBotBase::default_commutation")]
     pub commutation: bool,
-    /// What becomes of it after a fault.
+    /// Recovery after a fault.
     #[serde(default)]
     pub recovery: Recovery,
     /// Largest current of each motor, A.
@@ -134,7 +134,7 @@ pub struct YouBotBase {
 }
 
 impl YouBotBase {
-    /// One of that name with its power board there.
+    /// A base with its power board at that position.
     #[must_use]
     pub fn new(name: impl Into<String>, position: u16) -> Self {
         Self {

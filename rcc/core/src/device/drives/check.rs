@@ -1,4 +1,4 @@
-//! An arm of drives as its cell describes it: what nets see of it, and what of it makes no sense. No drive is asked.
+//! Checks the configuration of an arm of drives and describes the arm to nets. It does not access drives.
 
 use takt_can::cia402::proof::Objects;
 use takt_net::JointLimits;
@@ -27,7 +27,7 @@ pub(in crate::device) fn describe<D>(arm: &DriveArm<D>, kind: &'static str) -> D
     }
 }
 
-/// What is wrong with an arm; `drive` says what is wrong with the drive of a joint.
+/// Checks an arm; `drive` checks the drive of a joint.
 pub(in crate::device) fn check<D>(
     arm: &DriveArm<D>,
     drive: impl Fn(&DriveJoint<D>) -> Result<(), String>,
@@ -82,7 +82,7 @@ fn check_joint<D>(joint: &DriveJoint<D>) -> Result<(), String> {
     }
     if let Err(index) = Objects::of(not_mirrored) {
         return Err(format!(
-            "not_mirrored: {index:04X}h leads no axis; name objects of the first axis that PDOs carry, such as 607Ah"
+            "not_mirrored: {index:04X}h is no object of an axis; name objects of the first axis that PDOs carry, such as 607Ah"
         ));
     }
     for end in [low, high] {

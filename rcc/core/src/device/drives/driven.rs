@@ -1,5 +1,5 @@
-//! A joint that an axis of a drive moves: its target in each cycle, and what is known of its motor. Whether the arm
-//! may move is not decided here.
+//! A joint that a drive axis moves: its target in each cycle, and the state of its motor. Whether the arm may move is
+//! decided elsewhere.
 
 use std::time::Duration;
 
@@ -8,28 +8,29 @@ use takt_net::device::JointError;
 use takt_rt::Nanos;
 
 use super::check::limits_of;
-use super::{Feedback, JointNews};
+use super::{Feedback, JointEvent};
 use crate::device::config::DriveJoint;
 use crate::device::setpoint::Joint;
 use crate::device::{DeviceStatus, JointSetPoints};
 
-/// A motor that moved by no more than this, rad at its joint, for [`STANDS_FOR`] stands: slower than 0.01 rad/s.
-const STANDS_WITHIN_RAD: f64 = 5e-4;
-const STANDS_FOR: Duration = Duration::from_millis(50);
+/// A motor that moved no more than this, rad at its joint, within [`STANDSTILL_TIME`] is at standstill: slower than
+/// 0.01 rad/s.
+const STANDSTILL_RAD: f64 = 5e-4;
+const STANDSTILL_TIME: Duration = Duration::from_millis(50);
 
-/// A motor is faster than its joint can be commanded from this share of its largest speed on: it may overshoot.
+/// Largest motor speed as a share of the joint's limit before the motor counts as a runaway; overshoot is allowed.
 const SPEED_SHARE: f64 = 1.5;
-/// A joint is out of its range from here on, and in it again half of that before its end, rad.
+/// A joint is out of range beyond this distance from the end, and back within half of it, rad.
 const OUT_OF_RANGE_RAD: f64 = 2e-3;
-/// A drive that was away for so long had its power cycled, as far as can be told.
+/// A drive that was offline this long is assumed to have been power-cycled.
 const POWER_CYCLED: Duration = Duration::from_secs(1);
 
-/// What the power stage of a drive does.
+/// State of a drive's power stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Power {
-    /// It has no voltage, as far as is known.
+    /// No voltage, as far as known.
     Off,
-    /// It has voltage, the motor gets none.
+    /// Voltage, but none at the motor.
     On,
     /// It moves or stops the motor.
     Drives,
@@ -50,28 +51,28 @@ impl Power {
     }
 }
 
-/// A joint and what is known of the axis that moves it.
+/// A joint and the known state of its axis.
 #[derive(Debug)]
 pub(super) struct Driven {
     axis: Option<Feedback>,
     pub(super) joint: Joint,
     increments_per_rad: f64,
     zero: f64,
-    /// 607Ah as it was last given.
+    /// The last 607Ah.
     target: Option<i32>,
-    /// Set-points that came while it could not follow them are refused until they end.
+    /// Whether set-points that began while it could not follow are refused; cleared when they end.
     refused: bool,
     /// Measured position and velocity, rad and rad/s.
     pub(super) measured: Option<[f64; 2]>,
-    /// Where the motor last came from, 6064h, and when it was seen away from there.
-    stood: (i32, Nanos),
+    /// 6064h where the motor was last seen to move, and when.
+    standstill: (i32, Nanos),
     monitor: Monitor,
-    /// It ran away, until its drive was away for [`POWER_CYCLED`].
+    /// Runaway, until its drive was offline for [`POWER_CYCLED`].
     runaway: Option<Runaway>,
     away_since: Option<Nanos>,
-    /// It stands out of its range.
+    /// Whether the joint is out of its range.
     outside: bool,
-    news: Option<JointNews>,
+    event: Option<JointEvent>,
 }
 
 impl Driven {
@@ -84,26 +85,27 @@ impl Driven {
             target: None,
             refused: false,
             measured: None,
-            stood: (0, Nanos(0)),
+            standstill: (0, Nanos(0)),
             monitor: Monitor::new(runaway_limits(joint)),
             runaway: None,
             away_since: None,
             outside: false,
-            news: None,
+            event: None,
         }
     }
 
-    /// Whether it went where it was not told to go, and must not have power.
+    /// Whether the motor did not follow its target and must not get power.
     pub(super) const fn has_run_away(&self) -> bool {
         self.runaway.is_some()
     }
 
-    /// What is to be reported of it, once.
-    pub(super) const fn poll_news(&mut self) -> Option<JointNews> {
-        self.news.take()
+    /// The next event; each is returned once.
+    pub(super) const fn poll_event(&mut self) -> Option<JointEvent> {
+        self.event.take()
     }
 
-    /// Whether its motor goes where it is told: each cycle, with the target of this one and the position of the last.
+    /// Checks that the motor follows its target: each cycle, with the target of this cycle and the position of the
+    /// last.
     fn supervise(&mut self, target: Option<i32>, now: Nanos) {
         let Some(axis) = self.axis.filter(|axis| axis.online) else {
             self.monitor.step(None, 0, Duration::ZERO);
@@ -118,11 +120,11 @@ impl Driven {
         let time = Duration::from_nanos(now.0.unsigned_abs());
         if let Some(runaway) = self.monitor.step(target, axis.increments, time) {
             self.runaway = Some(runaway);
-            self.news = Some(JointNews::Runaway(runaway));
+            self.event = Some(JointEvent::Runaway(runaway));
         }
     }
 
-    /// Notes whether it stands out of its range.
+    /// Detects that the joint is out of its range.
     fn mark_range(&mut self) {
         let Some([position, _]) = self.measured else {
             return;
@@ -133,7 +135,7 @@ impl Driven {
         let play = if before { 0.5 } else { 1.0 };
         self.outside = out > OUT_OF_RANGE_RAD * play;
         if self.outside && !before {
-            self.news.get_or_insert_with(|| JointNews::OutOfRange {
+            self.event.get_or_insert_with(|| JointEvent::OutOfRange {
                 position: position.to_degrees(),
                 range: [limits.position_min, limits.position_max].map(f64::to_degrees),
             });
@@ -144,7 +146,7 @@ impl Driven {
         (f64::from(increments) - self.zero) / self.increments_per_rad
     }
 
-    /// 607Ah for a position; `None` if that is no number.
+    /// 607Ah for a position; `None` if it is not finite.
     pub(super) fn increments(&self, position: f64) -> Option<i32> {
         #[expect(
             clippy::cast_possible_truncation,
@@ -168,14 +170,14 @@ impl Driven {
             .map_or(Power::Off, Power::of)
     }
 
-    /// Whether its motor stands, or has no power that could move it.
-    pub(super) fn stands(&self, now: Nanos) -> bool {
+    /// Whether its motor is at standstill, or has no power to move.
+    pub(super) fn is_at_rest(&self, now: Nanos) -> bool {
         let (_, velocity, _) = self.joint.motion();
-        let still = velocity == 0.0 && now - self.stood.1 >= Nanos::from(STANDS_FOR);
+        let still = velocity == 0.0 && now - self.standstill.1 >= Nanos::from(STANDSTILL_TIME);
         still || self.power() != Power::Drives
     }
 
-    /// The target of this cycle. One that may not move brakes, and stays where it then is.
+    /// The target of this cycle. A joint that may not move brakes and then holds its position.
     pub(super) fn aim(
         &mut self,
         set_points: &JointSetPoints,
@@ -194,7 +196,7 @@ impl Driven {
         self.target
     }
 
-    /// What its axis says to an order. One without a target rests where its drive holds it.
+    /// Handles the feedback of its axis. Without a target, the joint rests where its drive holds it.
     pub(super) fn take(&mut self, axis: Option<Feedback>, target: Option<i32>, when: &When) {
         self.axis = axis;
         let online = axis.filter(|axis| axis.online);
@@ -219,11 +221,11 @@ impl Driven {
 
     /// Notes when the motor was last seen to move.
     fn watch(&mut self, increments: i32, now: Nanos) {
-        let moved = f64::from(increments) - f64::from(self.stood.0);
-        // The encoder may stand on an edge.
-        let play = (STANDS_WITHIN_RAD * self.increments_per_rad).abs().max(2.0);
+        let moved = f64::from(increments) - f64::from(self.standstill.0);
+        // The encoder may rest on an edge.
+        let play = (STANDSTILL_RAD * self.increments_per_rad).abs().max(2.0);
         if moved.abs() > play {
-            self.stood = (increments, now);
+            self.standstill = (increments, now);
         }
     }
 
@@ -248,15 +250,15 @@ fn runaway_limits<D>(joint: &DriveJoint<D>) -> RunawayLimits {
     }
 }
 
-/// The cycle that joints are led through.
+/// Timing of the current cycle.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct When {
     pub(super) now: Nanos,
     /// Since the last one, s.
     pub(super) elapsed_s: f64,
-    /// For how long the target is, s: a drive takes one for a cycle of its own, however long the host was away before
-    /// and whatever phase the host's cycles are on the way to.
+    /// Duration for which the target is valid, s: one cycle of the drive, regardless of stalls and phase of this
+    /// host.
     pub(super) dt_s: f64,
-    /// Whether set-points still come.
+    /// Whether set-points are fresh.
     pub(super) fresh: bool,
 }

@@ -1,4 +1,4 @@
-//! Arms of made-up drives in virtual time: what they are told in each cycle, and where their motors are. The profile's
+//! Arms of made-up drives in virtual time: their commands in each cycle, and the positions of their motors. The profile's
 //! own machine is not asked here; drives come and go as a test says.
 
 use takt_net::device::JointError;
@@ -12,7 +12,7 @@ const CYCLE: Duration = Duration::from_millis(1);
 /// One turn of a joint, increments: so many that rounding to them is no acceleration to speak of.
 const TURN: f64 = 5e8;
 const PER_RAD: f64 = TURN / std::f64::consts::TAU;
-/// Share of its way to the target that a motor goes in a cycle.
+/// Share of its distance to the target that a motor moves in a cycle.
 const STIFFNESS: f64 = 0.3;
 
 #[expect(clippy::cast_possible_truncation, reason = "positions in here fit")]
@@ -41,7 +41,7 @@ fn config(joints: u8) -> DriveArm<u8> {
     }
 }
 
-/// A drive whose servo gives way to a load in proportion: told to stay where it is, it sags in every cycle.
+/// A drive whose servo gives way to a load in proportion: commanded to its own position, it sags in every cycle.
 #[derive(Debug)]
 struct Drive {
     state: State,
@@ -216,7 +216,7 @@ impl Bench {
 }
 
 #[test]
-fn a_joint_whose_arm_does_not_follow_keeps_its_place_under_a_load() {
+fn drive_arm_fault_other_joints_hold_against_load() {
     let mut bench = Bench::new(3);
     bench.drives[0].load = 2e5;
     bench.run(100, false);
@@ -229,7 +229,7 @@ fn a_joint_whose_arm_does_not_follow_keeps_its_place_under_a_load() {
 }
 
 #[test]
-fn a_moving_joint_brakes_within_its_limit_when_another_does_not_follow() {
+fn drive_arm_fault_other_joints_brake_within_limit() {
     let mut bench = Bench::new(3);
     bench.swing(0, 500);
     bench.drives[2].has_fault = true;
@@ -252,7 +252,7 @@ fn a_moving_joint_brakes_within_its_limit_when_another_does_not_follow() {
 }
 
 #[test]
-fn a_motor_does_not_jump_when_the_bus_stood_still_for_a_while() {
+fn drive_arm_bus_stall_causes_no_jump() {
     let mut bench = Bench::new(1);
     bench.swing(0, 500);
     let mut wanted = f64::from(bench.drives[0].targets[499]) / PER_RAD;
@@ -276,7 +276,7 @@ fn a_motor_does_not_jump_when_the_bus_stood_still_for_a_while() {
     assert!(behind < 0.01, "{behind} rad behind");
 }
 
-/// Set-points on a triangle, one in so many cycles, with what upsets them: the bus stands still, another drive has a fault
+/// Set-points on a triangle, one in so many cycles, with what upsets them: the bus stalls, another drive has a fault
 /// and comes back, the net stops for a while.
 #[test]
 fn triangles_of_any_period_leave_within_limits() {
@@ -320,7 +320,7 @@ fn triangles_of_any_period_leave_within_limits() {
 }
 
 #[test]
-fn set_points_of_the_time_in_which_the_arm_did_not_follow_are_refused_until_they_end() {
+fn drive_arm_set_points_during_fault_are_refused() {
     let mut bench = Bench::new(2);
     bench.swing(0, 100);
     let wanted = bench.drives[0].position / PER_RAD;
@@ -346,7 +346,7 @@ fn set_points_of_the_time_in_which_the_arm_did_not_follow_are_refused_until_they
 }
 
 #[test]
-fn an_arm_told_to_stop_in_mid_swing_brakes_within_its_limit_before_it_loses_power() {
+fn drive_arm_shutdown_in_motion_brakes_before_power_off() {
     let mut bench = Bench::new(3);
     let wanted = bench.swing(0, 500);
     bench
@@ -374,7 +374,7 @@ fn an_arm_told_to_stop_in_mid_swing_brakes_within_its_limit_before_it_loses_powe
 }
 
 #[test]
-fn a_drive_that_is_off_gets_no_power_because_its_arm_is_to_stop() {
+fn drive_arm_shutdown_does_not_power_off_drives() {
     let mut bench = Bench::new(2);
     let off = &mut bench.drives[1];
     (off.state, off.goal) = (State::SwitchOnDisabled, Goal::SwitchOnDisabled);
@@ -387,14 +387,18 @@ fn a_drive_that_is_off_gets_no_power_because_its_arm_is_to_stop() {
 }
 
 #[test]
-fn a_motor_that_does_not_come_to_rest_is_stopped_by_quick_stop() {
+fn drive_arm_shutdown_uses_quick_stop_after_timeout() {
     let mut bench = Bench::new(2);
     bench.drives[1].runaway = 2e3;
     bench.run(100, false);
     let before = bench.drives[0].goals.len();
     let patience = BRAKE_WITHIN.as_millis();
     bench.run(usize::try_from(patience).unwrap(), true);
-    assert_eq!(bench.drives[0].goals.len(), before, "it waits for a stand");
+    assert_eq!(
+        bench.drives[0].goals.len(),
+        before,
+        "it waits for standstill"
+    );
     assert!(!bench.arm.is_off());
     bench.run(1000, true);
     assert_eq!(bench.drives[1].goals[before], Goal::QuickStop);
@@ -403,7 +407,7 @@ fn a_motor_that_does_not_come_to_rest_is_stopped_by_quick_stop() {
 }
 
 #[test]
-fn joint_that_runs_away_loses_power_at_once_and_keeps_none() {
+fn drive_arm_runaway_joint_loses_power_at_once() {
     let mut bench = Bench::new(2);
     // 360 degrees in a second, of a joint that can be commanded 100.
     bench.drives[1].runaway = 5e5;
@@ -415,20 +419,20 @@ fn joint_that_runs_away_loses_power_at_once_and_keeps_none() {
     });
     let cycles = cycles.count();
     assert!(cycles <= 10, "{cycles} cycles");
-    let way = (bench.drives[1].position - start) / TURN * 360.0;
-    assert!(way < 4.0, "it went {way} degrees");
+    let distance = (bench.drives[1].position - start) / TURN * 360.0;
+    assert!(distance < 4.0, "it went {distance} degrees");
     bench.drives[1].runaway = 0.0;
     bench.run(5000, false);
     assert_eq!(bench.drives[1].state, State::SwitchOnDisabled);
     assert_eq!(bench.drives[0].state, State::OperationEnabled, "it holds");
     assert_eq!(bench.error(1), JointError::Runaway as i32);
     assert_eq!(bench.status(), DeviceStatus::SafeOperational);
-    let (joint, news) = bench.arm.poll_news().unwrap();
+    let (joint, event) = bench.arm.poll_event().unwrap();
     assert!(
-        matches!((joint, news), (1, JointNews::Runaway(_))),
-        "{news}"
+        matches!((joint, event), (1, JointEvent::Runaway(_))),
+        "{event}"
     );
-    assert!(bench.arm.poll_news().is_none(), "reported once");
+    assert!(bench.arm.poll_event().is_none(), "reported once");
     // Its power is cycled.
     bench.drives[1].is_online = false;
     bench.run(1200, false);
@@ -438,7 +442,7 @@ fn joint_that_runs_away_loses_power_at_once_and_keeps_none() {
 }
 
 #[test]
-fn joint_that_lags_by_more_than_its_limit_loses_power() {
+fn drive_arm_following_error_removes_power() {
     let mut bench = Bench::new(1);
     // 14 degrees, of 10 that it may lag.
     bench.drives[0].load = 2e7;
@@ -448,7 +452,7 @@ fn joint_that_lags_by_more_than_its_limit_loses_power() {
 }
 
 #[test]
-fn joint_out_of_range_is_reported_and_moved_back_slowly_on_request() {
+fn drive_arm_joint_out_of_range_returns_slowly() {
     let degrees = TURN / 360.0;
     let mut bench = Bench::new(1);
     bench.drives[0].is_online = false;
@@ -458,15 +462,15 @@ fn joint_out_of_range_is_reported_and_moved_back_slowly_on_request() {
     bench.run(2000, false);
     assert_eq!(bench.status(), DeviceStatus::Operational);
     assert_eq!(bench.error(0), JointError::OutOfRange as i32);
-    let (_, news) = bench.arm.poll_news().unwrap();
-    let text = news.to_string();
+    let (_, event) = bench.arm.poll_event().unwrap();
+    let text = event.to_string();
     assert!(
-        text.starts_with("it stands at 175.00 degrees, out of its range -170.00 to 170.00"),
+        text.starts_with("position 175.00 degrees is out of range -170.00 to 170.00"),
         "{text}"
     );
     let stayed = bench.drives[0].position / degrees;
     assert!((stayed - 175.0).abs() < 1e-3, "{stayed}");
-    // Set-points that begin where it stands, at 30 degrees in a second.
+    // Set-points that begin at its position, at 30 degrees in a second.
     let mut fastest = 0.0_f64;
     for n in 0..900 {
         let wanted = 175.0 - 0.03 * f64::from(n).min(300.0);
@@ -483,7 +487,7 @@ fn joint_out_of_range_is_reported_and_moved_back_slowly_on_request() {
 }
 
 #[test]
-fn a_drive_without_power_or_contact_is_not_waited_for() {
+fn drive_arm_shutdown_skips_offline_drives() {
     let mut bench = Bench::new(2);
     bench.drives[0].has_fault = true;
     bench.drives[1].is_online = false;
@@ -494,7 +498,7 @@ fn a_drive_without_power_or_contact_is_not_waited_for() {
 }
 
 #[test]
-fn an_arm_that_is_lost_in_motion_is_told_to_rest() {
+fn drive_arm_lost_in_motion_reports_rest() {
     let mut bench = Bench::new(2);
     bench.swing(0, 300);
     for drive in &mut bench.drives {
@@ -507,7 +511,7 @@ fn an_arm_that_is_lost_in_motion_is_told_to_rest() {
 }
 
 #[test]
-fn limits_that_are_no_numbers_or_do_not_fit_the_drive_are_refused() {
+fn drive_arm_invalid_limits_are_rejected() {
     let sound = |_: &DriveJoint<u8>| Ok(());
     assert_eq!(check(&config(2), sound), Ok(()));
     let fields: [fn(&mut DriveJoint<u8>) -> &mut f64; 6] = [
@@ -522,31 +526,31 @@ fn limits_that_are_no_numbers_or_do_not_fit_the_drive_are_refused() {
         for value in [f64::INFINITY, f64::NEG_INFINITY, f64::NAN] {
             let mut arm = config(2);
             *field(&mut arm.joints[1]) = value;
-            let told = check(&arm, sound).unwrap_err();
+            let error = check(&arm, sound).unwrap_err();
             let wanted = "arm arm: joint 1: increments_per_turn must not be 0";
-            assert!(told.starts_with(wanted), "{number}, {value}: {told}");
+            assert!(error.starts_with(wanted), "{number}, {value}: {error}");
         }
     }
     for (field, value) in [(4, 0.0), (5, 0.0), (5, 1e-320), (4, 1e300)] {
         let mut arm = config(1);
         *fields[field](&mut arm.joints[0]) = value;
-        let told = check(&arm, sound).unwrap_err();
+        let error = check(&arm, sound).unwrap_err();
         assert!(
-            told.contains("from 1e-6 to 1e9"),
-            "{field}, {value}: {told}"
+            error.contains("from 1e-6 to 1e9"),
+            "{field}, {value}: {error}"
         );
     }
     let mut arm = config(1);
     arm.joints[0].zero = 2e9;
-    let told = check(&arm, sound).unwrap_err();
+    let error = check(&arm, sound).unwrap_err();
     assert!(
-        told.contains("170 degrees are 2236111111 increments"),
-        "{told}"
+        error.contains("170 degrees are 2236111111 increments"),
+        "{error}"
     );
 }
 
 #[test]
-fn a_position_that_is_no_number_is_no_target() {
+fn drive_arm_nan_position_is_no_target() {
     let arm = config(1);
     let driven = Driven::new(&arm.joints[0]);
     assert_eq!(
@@ -560,7 +564,7 @@ fn a_position_that_is_no_number_is_no_target() {
 }
 
 #[test]
-fn arm_after_fault_gets_power_as_its_recovery_says() {
+fn drive_arm_power_after_fault_follows_recovery_setting() {
     for recovery in [Recovery::Automatic, Recovery::OnRestart] {
         for away in [false, true] {
             let mut bench = Bench::new(3);

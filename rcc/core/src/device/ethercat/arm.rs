@@ -1,5 +1,5 @@
-//! The axes of an arm on the segment: found in the process data as soon as that is known, and led by the
-//! profile. What the arm does with them is in `device::drives`.
+//! The axes of an arm on the segment: located in the process data once the mapping is known, and controlled by the
+//! drive profile. The arm's own logic is in `device::drives`.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use takt_rt::cycle::Tick;
 use super::describe::slave;
 use crate::device::config::{DriveArm, EthercatConfig, LostPolicy};
 use crate::device::driver::DeviceEnd;
-use crate::device::drives::{self, Feedback, JointNews};
+use crate::device::drives::{self, Feedback, JointEvent};
 
 /// An axis of a slave.
 #[derive(Debug)]
@@ -22,27 +22,27 @@ struct Place {
     slave: usize,
     number: u8,
     axis: Option<Axis>,
-    /// Why it cannot be led, as its slave is set up, and whether that is still to be told.
+    /// Why the axis cannot be controlled as its slave is configured, and whether that is still to be reported.
     lack: Option<(NotMapped, bool)>,
     /// Objects that are taken on trust.
     not_mirrored: Objects,
-    /// With the quirks of its drive.
+    /// Timeouts, with the quirks of its drive.
     patience: Patience,
-    /// Why it is not where it is wanted, as reported last, and what is still to be reported.
+    /// The fault reported last, and the one still to be reported.
     hindered: Option<Discriminant<DriveFault>>,
     drive_fault: Option<DriveFault>,
-    /// How long the proof of its process data took, and whether that is still to be reported.
+    /// Duration of the proof of its process data, and whether it is still to be reported.
     proven: Option<(Duration, bool)>,
 }
 
-/// What is reported of an axis, once each time that it comes to be so.
+/// An event of an axis, reported once per occurrence.
 #[derive(Debug)]
-pub(super) enum AxisNews {
-    /// It cannot be led.
+pub(super) enum AxisEvent {
+    /// The axis cannot be controlled.
     Lack(NotMapped),
-    /// It is not where it is wanted.
+    /// The drive is not in the requested state.
     DriveFault(DriveFault),
-    /// Its process data are proven, but for these.
+    /// Its process data are proven, except these objects.
     Proven(Duration, Objects),
 }
 
@@ -74,18 +74,18 @@ impl Arm {
         }
     }
 
-    /// A slave, an axis of it, and what is to be reported of that; each once.
-    pub(super) fn poll_news(&mut self) -> Option<(usize, u8, AxisNews)> {
+    /// The next event of an axis: slave, axis, event.
+    pub(super) fn poll_event(&mut self) -> Option<(usize, u8, AxisEvent)> {
         let mut places = self.places.iter_mut();
-        places.find_map(|place| Some((place.slave, place.number, place.poll_news()?)))
+        places.find_map(|place| Some((place.slave, place.number, place.poll_event()?)))
     }
 
-    /// A joint and what is to be reported of it; each once.
-    pub(super) fn poll_joint(&mut self) -> Option<(usize, JointNews)> {
-        self.arm.poll_news()
+    /// The next event of a joint.
+    pub(super) fn poll_joint(&mut self) -> Option<(usize, JointEvent)> {
+        self.arm.poll_event()
     }
 
-    /// Takes the reply to an upload of its axes; gives back what is another's.
+    /// Handles the reply to an upload of its axes; returns replies that are not its own.
     pub(super) fn handle_reply(&mut self, reply: Reply, tick: &Tick) -> Result<(), Reply> {
         let now = time(tick);
         let axes = self.places.iter_mut();
@@ -96,7 +96,7 @@ impl Arm {
         }
     }
 
-    /// Axes whose process data are not proven.
+    /// Number of axes whose process data are not proven.
     pub(super) fn unproven(&self) -> u64 {
         let proven = |place: &&Place| {
             let axis = place.axis.as_ref();
@@ -106,12 +106,12 @@ impl Arm {
         count as u64
     }
 
-    /// Whether no drive of it has power.
+    /// Whether no drive has power.
     pub(super) fn is_off(&self) -> bool {
         self.arm.is_off()
     }
 
-    /// Whether the clock of a drive that runs by SYNC0 does not follow any more.
+    /// Whether the clock of a running SYNC0 drive left its window.
     fn has_lost_clock(&self, master: &Master) -> bool {
         self.places.iter().any(|place| {
             let slave = master.slave(place.slave);
@@ -119,7 +119,7 @@ impl Arm {
         })
     }
 
-    /// Leads its drives through one cycle.
+    /// Steps its drives by one cycle.
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
         let now = time(tick);
         let (hold, stop) = match self.lost {
@@ -171,23 +171,23 @@ impl Place {
         };
     }
 
-    fn poll_news(&mut self) -> Option<AxisNews> {
+    fn poll_event(&mut self) -> Option<AxisEvent> {
         if let Some((lack, due)) = &mut self.lack
             && std::mem::take(due)
         {
-            return Some(AxisNews::Lack(*lack));
+            return Some(AxisEvent::Lack(*lack));
         }
         if let Some(drive_fault) = self.drive_fault.take() {
-            return Some(AxisNews::DriveFault(drive_fault));
+            return Some(AxisEvent::DriveFault(drive_fault));
         }
         let (took, due) = self.proven.as_mut()?;
         let trusted = self.axis.as_ref()?.proof().taken_on_trust();
-        std::mem::take(due).then_some(AxisNews::Proven(*took, trusted))
+        std::mem::take(due).then_some(AxisEvent::Proven(*took, trusted))
     }
 
     fn find(&mut self, master: &Master) {
         if !master.is_exchanging() {
-            // It may be set up in another way when it runs again.
+            // The slave may be configured differently when it runs again.
             self.lack = None;
         } else if self.axis.is_none()
             && self.lack.is_none()

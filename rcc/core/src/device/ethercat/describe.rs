@@ -1,4 +1,5 @@
-//! From the cell's words to a master's configuration and to devices. It opens nothing.
+//! Converts the cell's configuration of a segment to a master configuration and device descriptions. It opens
+//! nothing.
 
 use std::time::Duration;
 
@@ -19,16 +20,16 @@ use crate::device::config::{
 };
 use crate::device::{DeviceDescription, Part, drives};
 
-/// Datagrams for mailboxes in a cycle: nine drives of a youBot are asked at once.
+/// Mailbox datagrams per cycle: up to nine youBot drives are polled at once.
 const YOUBOT_ACYCLIC: u8 = 4;
-/// Most bits of one device: what a frame can carry.
+/// Most bits of one device: the payload of a frame.
 const BITS_MAX: usize = 8 * IMAGE_MAX;
 /// Longest watchdog: 65,535 steps of 100 us.
 const WATCHDOG_MAX: Duration = Duration::from_micros(6_553_500);
-/// Widest window of clocks, and longest delay of SYNC1.
+/// Largest clock window and longest SYNC1 delay.
 const CLOCK_MAX: Duration = Duration::from_secs(1);
 
-/// The devices of a segment: first its arms, then its inputs and outputs, then its youBots.
+/// The devices of a segment: arms, then inputs and outputs, then youBots.
 #[must_use]
 pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
     let arms = config
@@ -45,7 +46,7 @@ pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
     arms.chain(ios).chain(youbot::describe(config)).collect()
 }
 
-/// What nets find of inputs and outputs.
+/// The device of inputs and outputs, as nets see it.
 pub(super) fn part(io: &EthercatIo) -> Part {
     Part::Io {
         bool_in: bits(&io.digital_in).min(BITS_MAX),
@@ -55,18 +56,18 @@ pub(super) fn part(io: &EthercatIo) -> Part {
     }
 }
 
-/// How many bits are named.
+/// Number of configured bits.
 pub(super) fn bits(of: &[(String, usize)]) -> usize {
     of.iter()
         .fold(0, |sum: usize, (_, bits)| sum.saturating_add(*bits))
 }
 
-/// The slave of that name.
+/// The slave with that name.
 pub(super) fn slave(config: &EthercatConfig, name: &str) -> Option<usize> {
     config.slaves.iter().position(|slave| slave.name == name)
 }
 
-/// What a master of a segment is to expect and to set up.
+/// Configuration of the segment's master.
 #[must_use]
 pub fn master_config(config: &EthercatConfig) -> MasterConfig {
     let EthercatConfig { clocks, .. } = config;
@@ -175,24 +176,24 @@ fn startup(object: &StartupObject) -> StartupSdo {
     }
 }
 
-/// What is wrong with a configuration.
+/// Checks a configuration.
 ///
 /// # Errors
-/// A text that names it.
+/// With a text that names the finding.
 pub fn check(config: &EthercatConfig) -> Result<(), String> {
-    let told = |what: String| format!("{}: {what}", config.name);
-    check_segment(config).map_err(told)?;
-    Master::new(master_config(config)).map_err(|error| told(error.to_string()))?;
+    let named = |what: String| format!("{}: {what}", config.name);
+    check_segment(config).map_err(named)?;
+    Master::new(master_config(config)).map_err(|error| named(error.to_string()))?;
     for slave in &config.slaves {
         check_slave(slave, config.cycle)
-            .map_err(|what| told(format!("slave {}: {what}", slave.name)))?;
+            .map_err(|what| named(format!("slave {}: {what}", slave.name)))?;
     }
     for arm in &config.arms {
-        drives::check(arm, |joint| check_drive(config, joint)).map_err(told)?;
+        drives::check(arm, |joint| check_drive(config, joint)).map_err(named)?;
     }
-    youbot::check(config).map_err(told)?;
+    youbot::check(config).map_err(named)?;
     for io in &config.ios {
-        check_io(config, io).map_err(|what| told(format!("io {}: {what}", io.name)))?;
+        check_io(config, io).map_err(|what| named(format!("io {}: {what}", io.name)))?;
     }
     Ok(())
 }
@@ -259,12 +260,12 @@ fn check_slave(slave: &EthercatSlave, cycle: Duration) -> Result<(), String> {
     check_axes(slave)
 }
 
-/// PDOs that replace those of the axes carry at least what leads them by position.
+/// PDOs that replace those of the axes must carry the objects for position control.
 fn check_axes(slave: &EthercatSlave) -> Result<(), String> {
     let lacks = |pdos: &Option<Vec<SlavePdo>>, index: u16, axis: u8| {
         let pdos = pdos.as_ref()?;
         let address = Address::new(index, 0).on_axis(axis)?;
-        // What a PDO carries that is left as it is, is not known here.
+        // The content of a PDO that keeps its mapping is unknown here.
         let kept = pdos.iter().any(|pdo| pdo.entries.is_empty());
         let mut entries = pdos.iter().flat_map(|pdo| &pdo.entries);
         let mapped = entries.any(|(index, sub, _)| Address::new(*index, *sub) == address);
@@ -275,7 +276,7 @@ fn check_axes(slave: &EthercatSlave) -> Result<(), String> {
         let inputs = [0x6041, 0x6064].map(|index| lacks(&slave.inputs, index, axis));
         if let Some(address) = outputs.into_iter().chain(inputs).flatten().next() {
             return Err(format!(
-                "axis {axis} cannot be led without {address}; map it, or leave `outputs` and `inputs` out"
+                "axis {axis} cannot be controlled without {address}; map it, or omit `outputs` and `inputs`"
             ));
         }
     }

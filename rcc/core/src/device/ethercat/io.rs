@@ -1,5 +1,6 @@
-//! Digital and analogue inputs and outputs: bits and numbers of the process data of slaves. Outputs keep what nets
-//! wrote when those end, or take the value that the cell states for that; when the segment stops, the slaves' watchdogs switch them off.
+//! Digital and analogue inputs and outputs: bits and numbers in the process data of slaves. When a net ends, outputs
+//! keep its values or take those that the cell configures; when the segment stops, the slaves' watchdogs switch them
+//! off.
 
 use std::fmt;
 
@@ -14,8 +15,8 @@ use crate::device::config::{AnalogueChannel, EthercatConfig, EthercatIo, Outputs
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
 
-/// Cycles without inputs after which a slave counts as gone.
-const GONE: u32 = 4;
+/// Cycles without inputs after which a slave counts as lost.
+const LOST_AFTER: u32 = 4;
 
 /// A bit of a slave's process data.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +30,7 @@ struct Bit {
 struct Number {
     slave: usize,
     object: Option<Address>,
-    /// First bit and how many; `None` while that is not known.
+    /// First bit and number of bits; `None` until the mapping is known.
     place: Option<(usize, u32)>,
     signed: bool,
     scale: f64,
@@ -95,12 +96,12 @@ impl Number {
         Some(raw * self.scale + self.offset)
     }
 
-    /// Writes a value, cut to what the number holds; returns whether there was room.
+    /// Writes a value, clamped to the range of the number; returns whether it lies in the data.
     fn write(&self, bytes: &mut [u8], value: f64) -> bool {
         let Some((first, count)) = self.place else {
             return false;
         };
-        // What ends beyond the slave's bytes must not write the part of it that is within: that belongs to others.
+        // A number beyond the end of the slave's bytes is not written in part: those bytes belong to other values.
         if first + count as usize > 8 * bytes.len() {
             return false;
         }
@@ -130,23 +131,23 @@ impl Number {
     }
 }
 
-/// What the cell names and the process data of a slave lacks.
+/// An input or output that the cell names and the slave's process data lack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Lack {
-    /// More bits are named than there are.
+    /// More bits are named than exist.
     Bits {
         slave: usize,
         outputs: bool,
         has: usize,
         named: usize,
     },
-    /// A number is not where it should be.
+    /// A number lies beyond the data.
     Number {
         slave: usize,
         object: Option<Address>,
         outputs: bool,
     },
-    /// An object is no number that a channel could be.
+    /// An object is no number of a supported size.
     Width {
         slave: usize,
         object: Address,
@@ -208,7 +209,7 @@ pub(super) struct InOut {
     analogue_out: Vec<Number>,
     on_end: OutputsOnEnd,
     interfaces: Interfaces,
-    told: DeviceState,
+    reported: DeviceState,
     taken: DeviceCommand,
     state: LatestWriter<DeviceState>,
     command: LatestReader<DeviceCommand>,
@@ -237,14 +238,14 @@ impl InOut {
             analogue_out: numbers(&io.analogue_out),
             on_end: io.on_end.clone(),
             interfaces,
-            told: DeviceState::new(layout.signals),
+            reported: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
             state: end.state,
             command: end.command,
         }
     }
 
-    /// The process data is known: finds its numbers in it, and gives what is not there.
+    /// Locates its numbers in the process data, once that is known; returns those that are missing.
     pub(super) fn find(&mut self, master: &Master) -> Vec<Lack> {
         let mut lacks = Vec::new();
         for (outputs, bits) in [(false, &self.inputs), (true, &self.outputs)] {
@@ -276,43 +277,46 @@ impl InOut {
         lacks
     }
 
-    /// Takes inputs of the last frame and gives outputs of the next.
+    /// Reads inputs of the last frame and writes outputs of the next.
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick) {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
-        let mut gone = !master.is_exchanging();
-        gone |= self.digital(master);
-        gone |= self.analogue(master);
-        let status = if gone {
+        let mut offline = !master.is_exchanging();
+        offline |= self.digital(master);
+        offline |= self.analogue(master);
+        let status = if offline {
             DeviceStatus::Offline
         } else {
             DeviceStatus::Operational
         };
-        self.told.enter(status, tick.scheduled);
-        let told = &self.told;
-        self.state.write_with(|state| state.copy_from(told));
+        self.reported.enter(status, tick.scheduled);
+        let reported = &self.reported;
+        self.state.write_with(|state| state.copy_from(reported));
     }
 
-    /// Returns whether something is gone.
+    /// The digital part; returns whether a slave is lost.
     fn digital(&mut self, master: &mut Master) -> bool {
         let Some(io) = &self.interfaces.io else {
             return true;
         };
-        let mut gone = false;
+        let mut offline = false;
         for (place, bit) in io.bool_in.iter().zip(&self.inputs) {
             let (bytes, age) = master.inputs(bit.slave);
             let value = bytes
                 .get(bit.bit / 8)
                 .map(|byte| byte >> (bit.bit % 8) & 1 != 0);
-            gone |= age > GONE;
-            place.report(&mut self.told.signals, value.filter(|_| age <= GONE));
+            offline |= age > LOST_AFTER;
+            place.report(
+                &mut self.reported.signals,
+                value.filter(|_| age <= LOST_AFTER),
+            );
         }
         for (port, (place, bit)) in io.bool_out.iter().zip(&self.outputs).enumerate() {
             let given = place.command.read(&self.taken.words);
             let wanted = self.on_end.truth(port, given);
             let bytes = master.outputs_mut(bit.slave);
             let Some(byte) = bytes.get_mut(bit.bit / 8) else {
-                gone = true;
+                offline = true;
                 continue;
             };
             let mask = 1 << (bit.bit % 8);
@@ -322,35 +326,35 @@ impl InOut {
                 None => {}
             }
             let value = *byte & mask != 0;
-            place.state.report(&mut self.told.signals, Some(value));
+            place.state.report(&mut self.reported.signals, Some(value));
         }
-        gone
+        offline
     }
 
-    /// The same of numbers. What an output is, is told as it was cut and rounded.
+    /// The analogue part. Outputs are reported as clamped and rounded.
     fn analogue(&mut self, master: &mut Master) -> bool {
         let Some(io) = &self.interfaces.io else {
             return true;
         };
-        let mut gone = false;
+        let mut offline = false;
         for (place, number) in io.real_in.iter().zip(&self.analogue_in) {
             let (bytes, age) = master.inputs(number.slave);
-            let value = number.read(bytes).filter(|_| age <= GONE);
-            gone |= value.is_none();
-            place.report(&mut self.told.signals, value);
+            let value = number.read(bytes).filter(|_| age <= LOST_AFTER);
+            offline |= value.is_none();
+            place.report(&mut self.reported.signals, value);
         }
         for (port, (place, number)) in io.real_out.iter().zip(&self.analogue_out).enumerate() {
             let given = place.command.read(&self.taken.words);
             let wanted = self.on_end.number(port, given);
             let bytes = master.outputs_mut(number.slave);
             if let Some(wanted) = wanted.filter(|wanted| wanted.is_finite()) {
-                gone |= !number.write(bytes, wanted);
+                offline |= !number.write(bytes, wanted);
             }
             let value = number.read(bytes);
-            gone |= value.is_none();
-            place.state.report(&mut self.told.signals, value);
+            offline |= value.is_none();
+            place.state.report(&mut self.reported.signals, value);
         }
-        gone
+        offline
     }
 }
 
@@ -370,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_is_read_as_it_was_written_and_cut_to_its_range() {
+    fn analogue_channel_reads_back_clamped_to_range() {
         let mut bytes = [0xFF; 6];
         for (of, value, read) in [
             (number(3, 16, true), -20.0, -20.0),

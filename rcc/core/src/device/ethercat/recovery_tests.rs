@@ -1,4 +1,4 @@
-//! Devices of an emulated segment whose master stands still until watchdogs trip, in virtual time: which of them follow
+//! Devices of an emulated segment whose master stalls until watchdogs trip, in virtual time: which of them follow
 //! again by themselves and which do not, and that nothing moves before a net requests it.
 
 use takt_ethercat::emulator::{Segment, ServoConfig, ServoDrive, YouBot, YouBotConfig};

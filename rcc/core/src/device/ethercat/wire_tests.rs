@@ -205,8 +205,8 @@ impl Bench {
             if n % every == 0 {
                 let t = seconds(Nanos(n * self.cycle.0));
                 let phase = t % 4.0;
-                let way = if phase < 2.0 { phase } else { 4.0 - phase };
-                self.want(joint, start + slope * way, every);
+                let profile = if phase < 2.0 { phase } else { 4.0 - phase };
+                self.want(joint, start + slope * profile, every);
             }
             if n == cycles * 3 / 4 {
                 self.away += 3;
@@ -258,7 +258,7 @@ fn check(left: &[f64], resolution: f64, dt_s: f64, velocity: f64, acceleration: 
 }
 
 #[test]
-fn triangles_leave_for_cia402_drives_within_limits() {
+fn cia402_triangles_leave_within_limits() {
     let turn = 409_600.0;
     let text = format!(
         "cycle = '2ms'\n\
@@ -337,7 +337,7 @@ fn youbot(control: YouBotControl, every: i64, firmware: usize) -> (Vec<f64>, f64
 }
 
 #[test]
-fn triangles_leave_for_a_youbot_arm_within_limits() {
+fn youbot_arm_triangles_leave_within_limits() {
     for every in [1, 5, 25, 250] {
         let (left, resolution) = youbot(YouBotControl::Position, every, 0);
         let what = format!("every {every}");
@@ -353,7 +353,7 @@ fn triangles_leave_for_a_youbot_arm_within_limits() {
 }
 
 #[test]
-fn triangles_leave_as_speeds_for_a_youbot_arm_within_limits() {
+fn youbot_arm_triangles_leave_as_speeds_within_limits() {
     for every in [1, 25, 250] {
         let (left, resolution) = youbot(YouBotControl::Velocity, every, 1);
         let changes = left.windows(2).map(|pair| (pair[1] - pair[0]).abs() / 4e-3);
@@ -372,7 +372,7 @@ fn triangles_leave_as_speeds_for_a_youbot_arm_within_limits() {
 }
 
 #[test]
-fn velocities_leave_for_wheels_of_a_base_within_limits() {
+fn youbot_base_velocities_leave_within_limits() {
     let config = config(YOUBOT);
     let (segment, _bot) = YouBot::segment(&YouBotConfig::default());
     let mut bench = Bench::new(&config, segment, 0);

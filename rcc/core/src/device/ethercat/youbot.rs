@@ -1,5 +1,5 @@
-//! youBots on the segment: arms with their grippers, and bases. Which slaves they are follows from where their power
-//! boards stand; what drives, homing and grippers do is in `takt_ethercat::youbot`.
+//! youBots on the segment: arms with their grippers, and bases. Their slaves follow from the positions of their power
+//! boards; drives, homing and grippers are in `takt_ethercat::youbot`.
 
 mod arm;
 mod base;
@@ -22,45 +22,43 @@ use arm::Arm;
 use base::Base;
 pub(super) use describe::{check, describe, specs};
 
-/// Cycles without inputs after which a drive counts as gone.
-const GONE: u32 = 4;
-/// Commands older than this many cycles of the segment are no longer followed.
+/// Cycles without inputs after which a drive counts as lost.
+const LOST_AFTER: u32 = 4;
+/// Commands older than this many cycles of the segment are ignored.
 const STALE_AFTER: i64 = 10;
 
-/// What happened to all drives of all youBots.
+/// Fault counters of all youBot drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct YouBotFigures {
-    /// EtherCAT time-outs of drives, each cleared.
+    /// EtherCAT timeouts of drives, each cleared.
     pub timeouts: u64,
-    /// I2t of drives, each cleared unless there were too many.
+    /// I2t faults of drives, each cleared unless there were too many.
     pub i2t: u64,
-    /// Cycles in which a current was cut to the largest one.
+    /// Cycles in which a current was clamped to the maximum.
     pub clamped: u64,
-    /// TMCL requests that were asked again.
+    /// TMCL requests that were repeated.
     pub repeats: u64,
 }
 
 /// Why a device is not operational.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Wait {
-    /// A drive does not do what it is told.
+    /// A drive has a fault or does not follow.
     #[error("{0}")]
     Drive(DriveFault),
-    /// A joint was not homed since power came on.
-    #[error("it was not homed since power came on; `homing = true` lets it look for its stop")]
+    /// A joint was not homed since power-on.
+    #[error("it was not homed since power-on; `homing = true` lets it home")]
     NotHomed,
-    /// It is being homed.
-    #[error("it is on its way to its stop")]
+    /// A joint is being homed.
+    #[error("it is being homed")]
     Homing,
-    /// It could not be homed.
+    /// Homing failed.
     #[error("homing failed: {0}")]
     Failed(HomingError),
-    /// The gripper behind it was not homed since power came on.
-    #[error(
-        "its gripper was not homed since power came on; `homing = true` lets it open to its stops"
-    )]
+    /// The gripper was not homed since power-on.
+    #[error("its gripper was not homed since power-on; `homing = true` lets it home")]
     GripperNotHomed,
-    /// The gripper behind it cannot be used.
+    /// The gripper cannot be used.
     #[error("its gripper: {0}")]
     Gripper(GripperError),
 }
@@ -68,7 +66,7 @@ pub enum Wait {
 /// A drive that a device waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Waiting {
-    /// Number of the drive with the master.
+    /// Index of the drive in the master.
     pub(super) slave: usize,
     pub(super) why: Wait,
 }
@@ -91,7 +89,7 @@ pub(super) struct YouBots {
 }
 
 impl YouBots {
-    /// Takes the ends of its devices, in the order of [`describe`].
+    /// Takes the endpoints of its devices, in the order of [`describe`].
     pub(super) fn new(config: &EthercatConfig, ends: &mut impl Iterator<Item = DeviceEnd>) -> Self {
         let places = describe::Places::new(config);
         let bases = config.youbot_bases.iter().zip(&places.bases);
@@ -110,7 +108,7 @@ impl YouBots {
         Self { bases, arms }
     }
 
-    /// A reply of the master to a job of one of them.
+    /// Handles a reply of the master to one of their jobs.
     pub(super) fn handle_reply(&mut self, reply: Reply, tick: &Tick) {
         let bases = self.bases.iter_mut().flat_map(|base| &mut base.drives);
         let arms = self.arms.iter_mut().flat_map(|arm| &mut arm.drives);
@@ -120,7 +118,7 @@ impl YouBots {
         }
     }
 
-    /// Leads all through one cycle.
+    /// Steps all of them by one cycle.
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
         for base in &mut self.bases {
             base.cycle(master, tick, stopping);
@@ -130,7 +128,7 @@ impl YouBots {
         }
     }
 
-    /// Whether nothing moves any more.
+    /// Whether all are at rest.
     pub(super) fn rest(&self) -> bool {
         self.bases.iter().all(Base::rests) && self.arms.iter().all(Arm::rests)
     }
@@ -148,7 +146,7 @@ impl YouBots {
         of_drives.or_else(|| self.arms.iter().find_map(Arm::waits_for))
     }
 
-    /// What happened to their drives.
+    /// Their fault counters.
     pub(super) fn figures(&self) -> YouBotFigures {
         let mut figures = YouBotFigures::default();
         let bases = self.bases.iter().flat_map(|base| &base.drives);
@@ -179,7 +177,7 @@ fn lead(
 ) {
     let slave = drive.slave();
     let (bytes, age) = master.inputs(slave);
-    let there = master.is_exchanging() && age <= GONE && !bytes.is_empty();
+    let there = master.is_exchanging() && age <= LOST_AFTER && !bytes.is_empty();
     let command = drive.cycle(there.then_some(bytes), wanted, may_move, now(tick));
     if let Some(outputs) = master.outputs_mut(slave).first_chunk_mut() {
         *outputs = command.encode();

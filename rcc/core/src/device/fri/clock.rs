@@ -1,17 +1,17 @@
-//! The robot's clock as told by its datagrams: it ticks once a period, and arrivals only say how
-//! it runs. Jitter of the network and of this host must not become jitter of the motion.
+//! The robot's clock, estimated from datagram arrivals: it ticks once per period. Jitter of the network and of this
+//! host must not become jitter of the motion.
 //!
-//! How it is found is the servo's affair; here is what a datagram means to it.
+//! The estimator is the servo of `takt_rt`; this module feeds it.
 
 use takt_rt::Nanos;
 use takt_rt::servo::{Estimate, Servo, ServoConfig};
 
-/// The instant that the newest datagram stands for.
+/// Estimate of the instant of the newest datagram.
 #[derive(Debug, Default)]
 pub(super) struct DatagramClock {
     /// `None` before the first datagram.
     servo: Option<Servo>,
-    /// The robot's own time: periods since its first datagram.
+    /// The robot's time: periods since its first datagram.
     robot: Nanos,
     now: Nanos,
     period: Nanos,
@@ -19,7 +19,7 @@ pub(super) struct DatagramClock {
 }
 
 impl DatagramClock {
-    /// A datagram arrived, `lost` periods after those before it at least.
+    /// Handles a datagram that arrived after at least `lost` lost periods.
     pub(super) fn tick(&mut self, arrival: Nanos, period: Nanos, lost: u16) {
         if self.period != period {
             (self.servo, self.period) = (None, period);
@@ -37,14 +37,14 @@ impl DatagramClock {
         self.now = now;
     }
 
-    /// It is `now`, and no datagram came.
+    /// Handles the time `now` without a datagram.
     pub(super) fn handle_time(&mut self, now: Nanos) {
         if let Some(servo) = &mut self.servo {
             servo.handle_time(now);
         }
     }
 
-    /// The clock, for those who follow it: zero and every whole period is the instant of a datagram.
+    /// The clock for net threads: zero and every whole period is the instant of a datagram.
     pub(super) fn estimate(&self) -> Estimate {
         self.servo.as_ref().map(Servo::estimate).unwrap_or_default()
     }
@@ -70,8 +70,8 @@ impl DatagramClock {
     }
 }
 
-/// Datagrams come over a network and past a scheduler: what would be much uncertainty for a fieldbus is
-/// ordinary here, and set-points are interpolated over more than a period anyway.
+/// Datagrams pass a network and a scheduler: an uncertainty that is large for a fieldbus is normal here, and
+/// set-points are interpolated over more than a period anyway.
 fn new_servo(period: Nanos) -> Servo {
     let config = ServoConfig::new(period.try_into().unwrap_or_default());
     Servo::new(&ServoConfig {
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn jitter_is_smoothed() {
+    fn datagram_clock_smooths_jitter() {
         let jitter = [0, 300_000, -200_000, 100_000];
         let clock =
             after((0..1000).map(|i| i * PERIOD.0 + jitter[usize::try_from(i).unwrap() % 4]));
@@ -109,13 +109,13 @@ mod tests {
     }
 
     #[test]
-    fn drift_is_followed() {
+    fn datagram_clock_follows_drift() {
         let clock = after((0..5000).map(|i| i * 1_000_100));
         assert!((clock.now() - Nanos(4999 * 1_000_100)).abs() < Nanos(10_000));
     }
 
     #[test]
-    fn a_stall_does_not_move_it() {
+    fn datagram_clock_ignores_stall() {
         let mut clock = after((0..100).map(|i| i * PERIOD.0));
         for i in 100..105 {
             clock.tick(Nanos(110 * PERIOD.0), PERIOD, 0);
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_datagrams_count_as_time() {
+    fn datagram_clock_counts_lost_datagrams_as_time() {
         let mut clock = after((0..10).map(|i| i * PERIOD.0));
         clock.tick(Nanos(12 * PERIOD.0), PERIOD, 2);
         assert_eq!(clock.now(), Nanos(12 * PERIOD.0));
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn others_may_follow_it_until_datagrams_stop() {
+    fn datagram_clock_is_valid_until_datagrams_stop() {
         let mut clock = after((0..2000).map(|i| i * 1_000_100));
         let estimate = clock.estimate();
         assert!(estimate.is_valid_at(clock.now()));
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_phase_is_taken_over_in_the_end() {
+    fn datagram_clock_adopts_new_phase() {
         let mut clock = after((0..10).map(|i| i * PERIOD.0));
         for i in 10..40 {
             clock.tick(Nanos(i * PERIOD.0 + 20_000_000), PERIOD, 0);

@@ -1,5 +1,5 @@
-//! What the thread of a FRI arm does with datagrams: who is heard, what is answered, and what nets are told. It moves
-//! no bytes and makes no thread, so that tests run it in virtual time; the clock of this host it reads not at all.
+//! Datagram handling of a FRI arm's thread: which peer is accepted, what is answered, and what is published to nets.
+//! It moves no bytes and creates no thread, so that tests run it in virtual time; it never reads this host's clock.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -16,20 +16,20 @@ use takt_rt::servo::Estimate;
 use takt_rt::stats::Recorder;
 
 use super::clock::DatagramClock;
+use super::events::{Event, EventSender};
 use super::force::ForceByTorques;
-use super::news::{Herald, News};
 use super::{AXES, Joints, Orders, Protocol, Shared};
 use crate::device::continuity::Continuity;
 use crate::device::driver::DeviceEnd;
 use crate::device::setpoint::Joint;
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, parts};
 
-/// Set-points older than this many cycles of the driver are no longer followed.
+/// Set-points older than this many cycles of the driver are ignored.
 const STALE_AFTER: i64 = 10;
-/// Faster than this a joint moves, rad/s.
+/// A joint faster than this moves, rad/s.
 const MOVES_FROM: f64 = 1e-3;
 
-/// What was last told to nets, for differences.
+/// Values published last, for differences.
 #[derive(Default)]
 struct Published {
     state: DeviceState,
@@ -38,43 +38,43 @@ struct Published {
     velocities: Option<[f64; AXES]>,
 }
 
-/// The arm and all that is known of it.
+/// The arm and its state.
 pub(super) struct Driver<P> {
     pub(super) session: P,
-    /// Whose measurements count, while the session lasts.
+    /// The peer, while the session lasts.
     peer: Option<SocketAddr>,
-    /// The newest measurement and its quality, until it is judged.
-    heard: Option<(Measurement, i32)>,
+    /// The newest measurement and its quality, until it is evaluated.
+    received: Option<(Measurement, i32)>,
     clock: DatagramClock,
     pub(super) joints: Vec<Joint>,
-    /// Limits of the arm, by which it brakes whatever its joints went by.
+    /// Limits of the arm, for braking, independent of those of its joints.
     limits: Vec<JointLimits>,
-    /// Where the joints are by the last answers, rad, and how fast, rad/s.
+    /// Joint positions of the last answers, rad, and velocities, rad/s.
     sent: [Joints; 2],
-    /// What a guard refused in the last answer.
+    /// The guard violation of the last answer.
     withheld: Option<Violation>,
     last: Published,
     /// The newest command.
     taken: DeviceCommand,
     interfaces: Interfaces,
     force: ForceByTorques,
-    /// Time from one cycle of the net thread to the next.
+    /// Period of the net thread.
     net_period: Nanos,
-    /// The robot's cycles since the last answer. Its speed check counts in these, so the joints'
-    /// limits do too, whatever its clock does.
+    /// The robot's cycles since the last answer. The robot's speed check counts in these, so the joints' limits do
+    /// too, independent of its clock.
     cycles: i64,
-    /// Whether the last answer was given while the robot followed, and nothing has come between since.
+    /// Whether the robot followed at the last answer, and has done so since.
     was_commanding: bool,
-    /// Whether the robot began anew although it was last told to follow: those who command it learn that.
+    /// Whether the robot restarted while its published state was operational; nets that command it must see this.
     has_fallen: bool,
-    /// Whether the thread is to end: nothing is followed any more.
+    /// Whether the thread is stopping: no command is followed.
     is_stopping: bool,
-    /// Whether an answer left since then: nothing is added any more.
+    /// Whether an answer was sent since the stop: nothing is added.
     has_let_go: bool,
     state: LatestWriter<DeviceState>,
     command: LatestReader<DeviceCommand>,
     shared: Arc<Shared>,
-    herald: Herald,
+    event_sender: EventSender,
     pub(super) answer_time: Recorder,
     pub(super) set_point_age: Recorder,
     pub(super) phase_error: Recorder,
@@ -85,7 +85,7 @@ impl<P: Protocol> Driver<P> {
     pub(super) fn new(
         session: P,
         description: &DeviceDescription,
-        herald: Herald,
+        event_sender: EventSender,
         (end, clock_out, shared): (DeviceEnd, LatestWriter<Estimate>, Arc<Shared>),
     ) -> Self {
         let mut layout = Layout::default();
@@ -93,7 +93,7 @@ impl<P: Protocol> Driver<P> {
         Self {
             session,
             peer: None,
-            heard: None,
+            received: None,
             clock: DatagramClock::default(),
             joints: description.limits.iter().copied().map(Joint::new).collect(),
             limits: description.limits.clone(),
@@ -115,7 +115,7 @@ impl<P: Protocol> Driver<P> {
             state: end.state,
             command: end.command,
             shared,
-            herald,
+            event_sender,
             answer_time: Recorder::new(),
             set_point_age: Recorder::new(),
             phase_error: Recorder::new(),
@@ -127,23 +127,23 @@ impl<P: Protocol> Driver<P> {
         self.session.status() == DeviceStatus::Operational
     }
 
-    /// From now on it brakes, whatever nets want.
+    /// Starts braking, whatever nets command.
     pub(super) const fn begin_stop(&mut self) {
         self.is_stopping = true;
     }
 
-    /// Whether nothing that it commands moves, and the robot was told that nothing is added.
+    /// Whether nothing moves by command, and the robot was sent that nothing is added.
     pub(super) fn is_at_rest(&self) -> bool {
         let is_resting = |joint: &Joint| joint.motion().1.abs() < f64::EPSILON;
         !self.is_commanding() || (self.has_let_go && self.joints.iter().all(is_resting))
     }
 
-    /// To whom answers go.
+    /// The peer that answers go to.
     pub(super) const fn peer(&self) -> Option<SocketAddr> {
         self.peer
     }
 
-    /// Where it told its clock.
+    /// The clock endpoint.
     pub(super) fn into_clock(self) -> LatestWriter<Estimate> {
         self.clock_out
     }
@@ -153,68 +153,68 @@ impl<P: Protocol> Driver<P> {
         self.clock.is_late(at)
     }
 
-    /// It is `now`, and nothing came that is new.
+    /// Handles the time `now` without a new datagram.
     pub(super) fn handle_silence(&mut self, now: Duration) {
         self.clock.handle_time(now.into());
         self.publish_clock();
-        let is_gone = self.session.hear_nothing(now);
+        let is_lost = self.session.handle_silence(now);
         self.take_orders(now);
         self.note_heard();
-        if is_gone {
+        if is_lost {
             self.was_commanding = false;
-            self.herald.tell(News::Gone, now);
-            self.herald.begin_anew();
-            self.herald.publish();
+            self.event_sender.send(Event::Lost, now);
+            self.event_sender.restart();
+            self.event_sender.publish();
             self.publish(now.into());
         } else {
-            self.tell();
+            self.write_state();
         }
     }
 
-    /// Takes a datagram that came from there `at`; whether it is a new measurement. Two controllers that send here
-    /// would drive one arm by the other's measurements: whoever comes second is not heard before the first is gone.
+    /// Handles a datagram from `from` that arrived `at`; returns whether it is a new measurement. Two controllers
+    /// that send here would drive one arm by the other's measurements: the second is ignored until the first is lost.
     pub(super) fn accept(&mut self, from: SocketAddr, datagram: &[u8], at: Duration) -> bool {
         let lasts = self.session.status() != DeviceStatus::Offline;
         if lasts && self.peer.is_some_and(|peer| peer != from) {
-            self.herald.note_foreign();
-            self.herald.tell(News::Foreign(from), at);
+            self.event_sender.note_foreign();
+            self.event_sender.send(Event::Foreign(from), at);
             return false;
         }
-        let heard = match self.session.hear(datagram, at) {
-            Ok(heard) => heard,
+        let received = match self.session.receive(datagram, at) {
+            Ok(received) => received,
             Err(error) => {
-                // Counted by the session; a stranger's datagram is no reason to stop.
-                self.herald.note_refusal(error);
-                self.herald.tell(News::Refused(error), at);
+                // The session counts it; a foreign datagram is no reason to stop.
+                self.event_sender.note_decode_error(error);
+                self.event_sender.send(Event::Refused(error), at);
                 self.count();
                 return false;
             }
         };
         self.note_heard();
-        if heard.is_first {
-            self.herald.begin_anew();
+        if received.is_first {
+            self.event_sender.restart();
         }
         let quality = self.session.quality_code();
         let measurement = self.session.measurement(at);
-        self.heard = measurement.map(|measurement| (measurement, quality));
-        if !heard.is_new {
+        self.received = measurement.map(|measurement| (measurement, quality));
+        if !received.is_new {
             return false;
         }
         self.peer = Some(from);
-        if heard.is_first {
+        if received.is_first {
             self.has_fallen |= self.last.state.status == DeviceStatus::Operational;
             self.cycles = 0;
         }
-        self.was_commanding &= !heard.is_first && self.is_commanding();
+        self.was_commanding &= !received.is_first && self.is_commanding();
         let period = self.session.cycle().unwrap_or(Duration::from_millis(1));
-        self.clock.tick(at.into(), period.into(), heard.lost);
+        self.clock.tick(at.into(), period.into(), received.lost);
         self.phase_error
             .record((Nanos::from(at) - self.clock.now()).abs());
-        self.cycles += 1 + i64::from(heard.lost);
+        self.cycles += 1 + i64::from(received.lost);
         true
     }
 
-    /// Writes the answer to the newest measurement, which came `at`, if it wants one.
+    /// Writes the answer to the newest measurement, which arrived `at`, if it requests one.
     pub(super) fn answer(&mut self, at: Nanos, buffer: &mut [u8]) -> Option<usize> {
         if !self.session.is_due() {
             return None;
@@ -229,8 +229,8 @@ impl<P: Protocol> Driver<P> {
         Some(len)
     }
 
-    /// What may be sent of these positions, `dt_s` after the last ones. If a guard refuses them, all joints brake from what
-    /// was sent last, whatever brought them there, and whoever asked for them is refused until it ends.
+    /// The positions to send, `dt_s` after the last ones. If a guard refuses them, all joints brake from the
+    /// positions sent last, and their set-points are refused until they end.
     fn admit(&mut self, wanted: Joints, dt_s: f64) -> Joints {
         self.withheld = self.session.check(&wanted).err();
         let mut positions = wanted;
@@ -247,8 +247,8 @@ impl<P: Protocol> Driver<P> {
         positions
     }
 
-    /// The session's own guard holds what it refuses, at once. Whoever asked for it is refused until it ends: else the joint
-    /// would run away from where the robot is held.
+    /// The session's own guard holds the robot at once. The set-points that caused it are refused until they end:
+    /// else the joint would run away from where the robot is held.
     fn take_back(&mut self, wanted: &Joints) {
         let sent = self.session.rest();
         if sent.map(f64::to_bits) != wanted.map(f64::to_bits) {
@@ -264,12 +264,12 @@ impl<P: Protocol> Driver<P> {
         }
     }
 
-    /// The answer to the measurement that came `at` left at `now`.
+    /// Notes that the answer to the measurement of `at` left at `now`.
     pub(super) fn handle_sent(&mut self, at: Nanos, now: Nanos) {
         self.answer_time.record(now - at);
         self.note_heard();
         let sequence = self.session.sent_sequence();
-        self.herald.note_answer(now, sequence);
+        self.event_sender.note_answer(now, sequence);
         let mut joints = self.joints.iter().zip(&self.taken.joints);
         let moving = joints.find(|(_, set_points)| set_points.active);
         if let Some((joint, set_points)) = moving.filter(|_| self.is_commanding()) {
@@ -278,31 +278,31 @@ impl<P: Protocol> Driver<P> {
         }
     }
 
-    /// Has the newest measurement judged: nothing that its answer waits for.
+    /// Evaluates the newest measurement; its answer does not wait for this.
     fn note_heard(&mut self) {
-        if let Some((measurement, quality)) = self.heard.take() {
-            self.herald.note_measurement(measurement, quality);
+        if let Some((measurement, quality)) = self.received.take() {
+            self.event_sender.note_measurement(measurement, quality);
         }
     }
 
-    /// Tells what the measurement that came `at` says, after its answer.
+    /// Publishes the measurement that arrived `at`, after its answer.
     pub(super) fn finish(&mut self, at: Nanos) {
         self.note_heard();
         self.publish_clock();
         let braked = self.withheld.take();
         let violation = braked.or_else(|| self.session.violation());
-        // That the arm brakes is told also while something else is withheld in every cycle.
-        if (self.herald.note_violation(violation) || braked.is_some())
+        // Braking is reported even if something else is withheld in every cycle.
+        if (self.event_sender.note_violation(violation) || braked.is_some())
             && let Some(violation) = violation
         {
             let at = Duration::from_nanos(at.0.unsigned_abs());
-            self.herald.tell(News::Withheld(violation), at);
+            self.event_sender.send(Event::Withheld(violation), at);
         }
         self.publish(at);
         self.count();
     }
 
-    /// Takes what nets command now.
+    /// Reads the commands of nets.
     fn take_orders(&mut self, now: Duration) {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
@@ -315,17 +315,17 @@ impl<P: Protocol> Driver<P> {
             moves: self.joints.iter().any(moves),
             now,
         };
-        self.session.obey(&self.interfaces, &orders);
+        self.session.apply(&self.interfaces, &orders);
     }
 
-    /// Whether the net thread is alive and to be followed.
+    /// Whether the net thread is alive and followed.
     fn is_fresh(&self) -> bool {
         let stale = Nanos(self.clock.period().0 * STALE_AFTER) + self.net_period;
         !self.is_stopping && self.clock.now() - self.taken.time <= stale
     }
 
-    /// Where the joints are to be now. In the first cycle in which the robot follows, they are where it is: what a net
-    /// wanted before does not go on.
+    /// The current joint positions. In the first cycle in which the robot follows, they are those of the robot:
+    /// motion that a net commanded before does not continue.
     fn next_positions(&mut self) -> Joints {
         let is_commanding = self.is_commanding();
         let enters = is_commanding && !self.was_commanding;
@@ -356,7 +356,7 @@ impl<P: Protocol> Driver<P> {
         self.admit(positions, dt_s)
     }
 
-    /// Tells nets how the arm is.
+    /// Publishes the state of the arm to nets.
     fn publish(&mut self, at: Nanos) {
         let status = self.session.status();
         let state = &mut self.last.state;
@@ -368,7 +368,7 @@ impl<P: Protocol> Driver<P> {
         let velocities = rates(measured, self.last.positions, self.clock.elapsed());
         let accelerations = rates(velocities, self.last.velocities, self.clock.elapsed());
         (self.last.positions, self.last.velocities) = (measured, velocities);
-        for (i, told) in state.joints.iter_mut().enumerate().take(AXES) {
+        for (i, reported) in state.joints.iter_mut().enumerate().take(AXES) {
             let (position, velocity, acceleration) = self.joints[i].motion();
             state.limited[i] = *self.joints[i].limited();
             let error = match status {
@@ -376,7 +376,7 @@ impl<P: Protocol> Driver<P> {
                 DeviceStatus::SafeOperational => JointError::NotEnabled,
                 DeviceStatus::Operational => self.joints[i].error(),
             };
-            *told = JointState {
+            *reported = JointState {
                 commanded_position: Some(position),
                 commanded_velocity: Some(velocity),
                 commanded_acceleration: Some(acceleration),
@@ -392,23 +392,23 @@ impl<P: Protocol> Driver<P> {
         } = &mut self.last;
         continuity.check(state, |number| Some(limits.get(number)?.velocity_max));
         self.tell_torques();
-        self.tell();
+        self.write_state();
     }
 
-    /// Hands over what is known, with what became of orders.
-    fn tell(&mut self) {
+    /// Writes the state, with the answers to orders.
+    fn write_state(&mut self) {
         let signals = &mut self.last.state.signals;
         self.session.report(&self.interfaces, signals);
-        let told = &self.last.state;
-        self.state.write_with(|state| state.copy_from(told));
+        let reported = &self.last.state;
+        self.state.write_with(|state| state.copy_from(reported));
     }
 
-    /// Tells what the robot's sensors say of torques and forces; nothing while it is silent.
+    /// Reports torques and forces; null while the robot is silent.
     fn tell_torques(&mut self) {
         let silent = self.last.state.status == DeviceStatus::Offline;
-        let heard = Some(&self.session).filter(|_| !silent);
-        let estimated = heard.and_then(P::external_torques);
-        let measured = heard.and_then(P::measured_torques);
+        let received = Some(&self.session).filter(|_| !silent);
+        let estimated = received.and_then(P::external_torques);
+        let measured = received.and_then(P::measured_torques);
         let signals = &mut self.last.state.signals;
         let places = self.interfaces.torques.iter().flat_map(|t| t.iter());
         for (axis, place) in places.enumerate() {
@@ -417,8 +417,8 @@ impl<P: Protocol> Driver<P> {
             place.measured.report(signals, measured.and_then(of_axis));
         }
         if let Some(place) = &self.interfaces.wrench {
-            let felt = || heard.and_then(P::measured).zip(estimated);
-            let wrench = heard.and_then(P::wrench).or_else(|| {
+            let felt = || received.and_then(P::measured).zip(estimated);
+            let wrench = received.and_then(P::wrench).or_else(|| {
                 felt().and_then(|(joints, torques)| self.force.estimate(&joints, &torques))
             });
             place.report(signals, wrench);
@@ -438,7 +438,7 @@ impl<P: Protocol> Driver<P> {
     }
 
     fn count(&mut self) {
-        self.herald.publish();
+        self.event_sender.publish();
         let totals = self.session.totals();
         let shared = &self.shared;
         shared.received.store(totals.received, Ordering::Relaxed);
@@ -459,7 +459,7 @@ impl<P: Protocol> Driver<P> {
     }
 }
 
-/// Change of each value per second; `None` while there is no earlier value or no time has passed.
+/// Rate of change of each value; `None` without an earlier value or elapsed time.
 fn rates(
     now: Option<[f64; AXES]>,
     before: Option<[f64; AXES]>,

@@ -1,5 +1,5 @@
-//! The force at the tool by the torques at the joints, for controllers that tell only those. It is as good as their
-//! estimate of what acts from outside, and knows nothing of forces on other links than the last.
+//! Estimates the force at the tool from joint torques, for controllers that report only those. It is as good as their
+//! estimate of external torques, and assumes that the force acts on the last link.
 
 use std::sync::Arc;
 
@@ -9,19 +9,19 @@ use takt_net::value::{Vector, Wrench};
 
 use super::protocol::{AXES, Joints};
 
-/// By how much joints are moved to see what that does to the flange, rad.
+/// Joint step for numerical differentiation, rad.
 const PROBE: f64 = 1e-6;
-/// Poses from whose joints a direction is felt with less leverage than this, m or 1, tell no force.
+/// Poses with less leverage than this in a direction, m or 1, yield no estimate.
 const LEVERAGE_MIN: f64 = 0.05;
 
-/// The geometry of an arm, and what torques at its joints say by it.
+/// Estimator of an arm, by its kinematics.
 #[derive(Debug)]
 pub(super) struct ForceByTorques {
     kinematics: Option<Arc<dyn Kinematics>>,
 }
 
 impl ForceByTorques {
-    /// Of the arm of that model; nothing is told of one that is not known.
+    /// For the arm of that model; an unknown model yields no estimates.
     pub(super) fn new(model: &str) -> Self {
         let kinematics = takt_motion::kinematics::named(model);
         Self {
@@ -29,8 +29,9 @@ impl ForceByTorques {
         }
     }
 
-    /// Force and torque on the flange, along and about the axes of the base, that cause these torques, Nm, at these
-    /// joints, rad. Of seven torques, the part that no such force causes is left out. `None` near singular poses.
+    /// Force and torque at the flange, along and about the axes of the base, that cause these torques, Nm, at these
+    /// joint positions, rad. The part of the seven torques that no such force causes is ignored. `None` near singular
+    /// poses.
     pub(super) fn estimate(&self, joints: &Joints, torques: &Joints) -> Option<Wrench> {
         let columns = self.jacobian(joints)?;
         let mut square = Matrix6::zeros();
@@ -48,7 +49,7 @@ impl ForceByTorques {
         })
     }
 
-    /// How the flange moves and turns per angle of each joint.
+    /// Jacobian of the flange.
     fn jacobian(&self, joints: &Joints) -> Option<[Vector6<f64>; AXES]> {
         let kinematics = self.kinematics.as_ref()?;
         let flange = kinematics.forward(joints);
@@ -57,9 +58,9 @@ impl ForceByTorques {
             let mut probed = *joints;
             probed[axis] += PROBE;
             let moved = kinematics.forward(&probed);
-            let way = (moved.translation.vector - flange.translation.vector) / PROBE;
+            let shift = (moved.translation.vector - flange.translation.vector) / PROBE;
             let turn = (moved.rotation * back).scaled_axis() / PROBE;
-            Vector6::new(way.x, way.y, way.z, turn.x, turn.y, turn.z)
+            Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
         }))
     }
 }
@@ -78,19 +79,19 @@ mod tests {
     }
 
     #[test]
-    fn what_a_force_does_to_the_joints_tells_the_force() {
+    fn force_estimate_recovers_wrench_from_torques() {
         for model in ["kuka_lwr4", "kuka_iiwa7", "kuka_iiwa14"] {
             let arm = ForceByTorques::new(model);
             let wrench = [10.0, -20.0, 30.0, 1.0, -2.0, 3.0];
-            let told = arm.estimate(&BENT, &torques(&arm, wrench)).unwrap();
-            let force = told.force - Vector::new(10.0, -20.0, 30.0);
-            let torque = told.torque - Vector::new(1.0, -2.0, 3.0);
-            assert!(force.norm() < 1e-4 && torque.norm() < 1e-4, "{told:?}");
+            let estimate = arm.estimate(&BENT, &torques(&arm, wrench)).unwrap();
+            let force = estimate.force - Vector::new(10.0, -20.0, 30.0);
+            let torque = estimate.torque - Vector::new(1.0, -2.0, 3.0);
+            assert!(force.norm() < 1e-4 && torque.norm() < 1e-4, "{estimate:?}");
         }
     }
 
     #[test]
-    fn a_stretched_arm_and_an_unknown_one_tell_nothing() {
+    fn force_estimate_singular_or_unknown_arm_is_none() {
         let arm = ForceByTorques::new("kuka_iiwa7");
         assert_eq!(arm.estimate(&[0.0; AXES], &[1.0; AXES]), None);
         let arm = ForceByTorques::new("staubli_tx90");

@@ -15,7 +15,7 @@ use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
 use super::driver::Driver;
-use super::news::{Listener, herald};
+use super::events::{EventReceiver, event_channel};
 use super::*;
 use crate::device::config::{IiwaIo, IiwaModel};
 use crate::device::driver::DeviceEnd;
@@ -39,13 +39,13 @@ const JOINT: usize = 6;
 trait Controller {
     /// When it has something to do.
     fn due(&self) -> Duration;
-    /// What is under way to the driver.
+    /// Datagrams in flight to the driver.
     fn transmit(&mut self, now: Duration, buffer: &mut [u8]) -> Option<usize>;
     /// Takes an answer.
     fn take(&mut self, answer: &[u8], now: Duration);
     /// Gives its drives power, or takes it.
     fn power(&mut self, is_on: bool);
-    /// What goes wrong on the way to the driver, and back.
+    /// Network faults in both directions.
     fn lines(&mut self) -> [&mut LineFaults; 2];
     /// Set-point, rad.
     fn set_point(&self) -> Joints;
@@ -53,7 +53,7 @@ trait Controller {
     fn follows(&self) -> bool;
     /// Whether quality is the best there is, and whether it suffices.
     fn judges(&self) -> [bool; 2];
-    /// Command periods without an answer in time, and datagrams lost both ways.
+    /// Command periods without an answer in time, and datagrams lost in both directions.
     fn losses(&self) -> [u64; 2];
     /// Why it left command mode, oldest first.
     fn reasons(&self) -> Vec<String>;
@@ -136,7 +136,7 @@ type Net = fn(f64) -> f64;
 struct Rig<C, P> {
     controller: C,
     driver: Driver<P>,
-    listener: Listener,
+    event_receiver: EventReceiver,
     shared: Arc<Shared>,
     now: Duration,
     command: LatestWriter<DeviceCommand>,
@@ -171,7 +171,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
     fn new(controller: C, session: P, description: &DeviceDescription) -> Self {
         let mut layout = takt_net::device::Layout::default();
         let _places = crate::device::parts::lay(&description.parts, AXES, &mut layout);
-        let (state, told) = latest(1, || DeviceState::new(layout.signals));
+        let (state, reported) = latest(1, || DeviceState::new(layout.signals));
         let (command, taken) = latest(1, || DeviceCommand::new(layout.commands));
         let (clock, _) = latest(1, takt_rt::servo::Estimate::default);
         let end = DeviceEnd {
@@ -180,7 +180,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
             net_period: Duration::from_nanos(NET.0.unsigned_abs()),
         };
         let shared = Arc::new(Shared::default());
-        let (herald, listener) = herald(session.observer());
+        let (event_sender, event_receiver) = event_channel(session.observer());
         let parts = (end, clock, Arc::clone(&shared));
         let mut wanted = DeviceCommand::new(layout.commands);
         for joint in &mut wanted.joints {
@@ -188,8 +188,8 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
         }
         Self {
             controller,
-            driver: Driver::new(session, description, herald, parts),
-            listener,
+            driver: Driver::new(session, description, event_sender, parts),
+            event_receiver,
             shared,
             now: Duration::ZERO,
             command,
@@ -197,7 +197,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
             every: 1,
             is_led: false,
             net: None,
-            state: told,
+            state: reported,
             path: Vec::new(),
             judged: Vec::new(),
             missed: Vec::new(),
@@ -235,14 +235,14 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
         self.think();
         let mut measurement = [0; ROOM];
         while let Some(len) = self.controller.transmit(self.now, &mut measurement) {
-            self.hear(at_port(1), &measurement[..len]);
+            self.receive(at_port(1), &measurement[..len]);
         }
         self.path.push(self.controller.set_point()[JOINT]);
         self.judged.push(self.controller.judges());
         self.missed.push(self.controller.losses()[0]);
     }
 
-    fn hear(&mut self, from: SocketAddr, datagram: &[u8]) {
+    fn receive(&mut self, from: SocketAddr, datagram: &[u8]) {
         if !self.driver.accept(from, datagram, self.now) {
             return self.driver.handle_silence(self.now);
         }
@@ -325,9 +325,9 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
         [worst(&speeds), worst(&rates(&speeds))]
     }
 
-    fn news(&self) -> Vec<String> {
-        std::iter::from_fn(|| self.listener.news())
-            .map(|news| news.text(|code| format!("{:?}", P::quality(code))))
+    fn events(&self) -> Vec<String> {
+        std::iter::from_fn(|| self.event_receiver.poll())
+            .map(|event| event.text(|code| format!("{:?}", P::quality(code))))
             .collect()
     }
 }
@@ -397,7 +397,7 @@ fn after_a_silence<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, silence: u32
     }
     assert_eq!(rig.status(), DeviceStatus::Offline);
     assert_eq!(
-        rig.listener.told().verdict,
+        rig.event_receiver.diagnostics().verdict,
         Verdict::Silent,
         "what was is over"
     );
@@ -419,11 +419,15 @@ fn nothing_goes_on<C: Controller, P: Protocol>(rig: &mut Rig<C, P>) {
     rig.net = None;
     rig.run(5);
     assert_eq!(rig.mode(), Mode::Held);
-    assert!(rig.news().iter().any(|news| news.contains("fell silent")));
+    assert!(
+        rig.events()
+            .iter()
+            .any(|event| event.contains("stopped sending"))
+    );
 }
 
 #[test]
-fn what_ran_before_a_silence_does_not_go_on_when_the_robot_comes_back_in_command_mode() {
+fn fri_motion_before_silence_does_not_resume_in_command_mode() {
     nothing_goes_on(&mut krc(KrcConfig {
         timing: patient(),
         ..KrcConfig::default()
@@ -438,7 +442,7 @@ fn what_ran_before_a_silence_does_not_go_on_when_the_robot_comes_back_in_command
 }
 
 #[test]
-fn a_controller_that_starts_again_in_command_mode_ends_what_ran() {
+fn fri_controller_restart_in_command_mode_ends_motion() {
     let mut rig = krc(KrcConfig {
         timing: patient(),
         control: Control::JointImpedance,
@@ -481,7 +485,7 @@ fn a_controller_that_starts_again_in_command_mode_ends_what_ran() {
     assert_eq!(
         added[2..],
         [&[5.0][..], &[0.0; 17]].concat(),
-        "nobody asked anew"
+        "not requested again"
     );
     assert_eq!((rig.mode(), rig.faults()), (Mode::Refused, faults + 1));
     assert_eq!(rig.status(), DeviceStatus::Operational);
@@ -490,7 +494,7 @@ fn a_controller_that_starts_again_in_command_mode_ends_what_ran() {
 // ------------------------------------------------------------------------------------------------------- strangers
 
 #[test]
-fn of_two_controllers_that_send_here_one_is_heard_until_it_is_gone() {
+fn fri_second_controller_is_ignored_until_first_lost() {
     let mut rig = krc(KrcConfig::default());
     let mut other = Krc::new(
         KrcConfig {
@@ -520,12 +524,15 @@ fn of_two_controllers_that_send_here_one_is_heard_until_it_is_gone() {
     assert_eq!(rig.controller.reasons(), Vec::<String>::new());
     assert_eq!((rig.mode(), rig.faults()), (Mode::Follow, 0));
     assert_eq!(rig.shared.lost.load(Ordering::Relaxed), 0);
-    let told = rig.listener.told();
-    assert!(told.foreign >= 999, "{told:?}");
-    let news = rig.news();
+    let reported = rig.event_receiver.diagnostics();
+    assert!(reported.foreign >= 999, "{reported:?}");
+    let events = rig.events();
     let ignored = "measurements of a second controller at 192.168.0.20:2 are ignored";
-    assert!(news.iter().any(|it| it.starts_with(ignored)), "{news:?}");
-    // The first falls silent, and the second is heard.
+    assert!(
+        events.iter().any(|it| it.starts_with(ignored)),
+        "{events:?}"
+    );
+    // The first stops sending, and the second is accepted.
     for _ in 0..200 {
         rig.now += MS;
         rig.think();
@@ -536,20 +543,28 @@ fn of_two_controllers_that_send_here_one_is_heard_until_it_is_gone() {
 }
 
 #[test]
-fn what_is_refused_is_told_with_the_reason() {
+fn fri_malformed_datagram_is_reported_with_reason() {
     let mut rig = krc(KrcConfig::default());
     rig.follow();
     assert!(!rig.driver.accept(at_port(1), &[0; 12], rig.now));
     rig.run(2);
-    let refusal = rig.listener.told().refusal.unwrap().to_string();
-    assert!(refusal.contains("12 bytes"), "{refusal}");
-    assert_eq!(rig.news(), [format!("a datagram was refused: {refusal}")]);
-    // A flood of them is told once a second.
+    let decode_error = rig
+        .event_receiver
+        .diagnostics()
+        .decode_error
+        .unwrap()
+        .to_string();
+    assert!(decode_error.contains("12 bytes"), "{decode_error}");
+    assert_eq!(
+        rig.events(),
+        [format!("malformed datagram: {decode_error}")]
+    );
+    // A flood of them is reported once a second.
     for _ in 0..500 {
         rig.step();
         rig.driver.accept(at_port(1), &[0; 12], rig.now);
     }
-    assert_eq!(rig.news().len(), 0);
+    assert_eq!(rig.events().len(), 0);
     assert_eq!(rig.shared.malformed.load(Ordering::Relaxed), 501);
 }
 
@@ -565,7 +580,7 @@ fn run_up(t: f64) -> f64 {
 }
 
 /// A joint that has lost its mind, its own limits are none, goes where a net wants it; until then it goes as it should.
-fn lets_go<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, net: Net, name: &str, told: &str) {
+fn lets_go<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, net: Net, name: &str, expected: &str) {
     rig.follow();
     let wild = JointLimits {
         position_min: -1e9,
@@ -594,14 +609,19 @@ fn lets_go<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, net: Net, name: &str
     );
     let [.., a, b] = rig.path[..] else { panic!() };
     assert!((a - b).abs() < 1e-9, "still moves");
-    let violation = rig.listener.told().violation.unwrap().to_string();
+    let violation = rig
+        .event_receiver
+        .diagnostics()
+        .violation
+        .unwrap()
+        .to_string();
     assert!(
-        violation.starts_with(name) && violation.contains(told),
+        violation.starts_with(name) && violation.contains(expected),
         "{violation}"
     );
-    let wanted = format!("the robot brakes and is held: {violation}; look for a slip");
-    let news = rig.news();
-    assert!(news.iter().any(|it| it.contains(&wanted)), "{news:?}");
+    let wanted = format!("the robot brakes and is held: {violation}\nhint: check the net");
+    let events = rig.events();
+    assert!(events.iter().any(|it| it.contains(&wanted)), "{events:?}");
     // The net goes on and on, and is not followed.
     assert_eq!(
         (rig.mode(), rig.status()),
@@ -610,7 +630,7 @@ fn lets_go<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, net: Net, name: &str
 }
 
 #[test]
-fn a_guard_that_bites_brakes_the_arm_at_its_limit_and_names_joint_limit_and_value() {
+fn fri_guard_violation_brakes_arm_and_names_limit() {
     let cases: [(Net, &str); 4] = [
         (
             |t| run_up(t) + if t < 0.75 { 0.0 } else { 30.0 * (t - 0.75) },
@@ -626,13 +646,18 @@ fn a_guard_that_bites_brakes_the_arm_at_its_limit_and_names_joint_limit_and_valu
         ),
         (run_up, " rad/s, too fast to stop in the range "),
     ];
-    for (net, told) in cases {
-        lets_go(&mut krc(KrcConfig::default()), net, "A6 commanded", told);
+    for (net, expected) in cases {
+        lets_go(
+            &mut krc(KrcConfig::default()),
+            net,
+            "A6 commanded",
+            expected,
+        );
         lets_go(
             &mut cabinet(CabinetConfig::default()),
             net,
             "A7 commanded",
-            told,
+            expected,
         );
     }
 }
@@ -687,12 +712,12 @@ fn adds_nothing<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, parts: &[Part],
     assert!(hardest <= 1.5, "{hardest} rad/s²");
     assert_eq!(rig.mode(), Mode::Follow, "the motion goes on");
     let wanted = format!("nothing is added: {name} commanded 500.00 Nm, limit ");
-    let news = rig.news();
-    assert!(news.iter().any(|it| it.contains(&wanted)), "{news:?}");
+    let events = rig.events();
+    assert!(events.iter().any(|it| it.contains(&wanted)), "{events:?}");
 }
 
 #[test]
-fn a_torque_beyond_its_guard_is_not_added_and_told_with_joint_limit_and_value() {
+fn fri_torque_beyond_guard_is_withheld_and_reported() {
     let mut rig = krc(KrcConfig {
         control: Control::JointImpedance,
         ..KrcConfig::default()
@@ -703,7 +728,7 @@ fn a_torque_beyond_its_guard_is_not_added_and_told_with_joint_limit_and_value() 
 }
 
 #[test]
-fn every_limit_of_the_data_sheets_is_guarded() {
+fn fri_guard_covers_every_data_sheet_limit() {
     let limits = lwr::describe("arm").limits;
     let guard = guard(
         takt_fri::lwr::JOINT_NAMES,
@@ -775,7 +800,7 @@ fn comes_to_rest<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, acceleration: 
 }
 
 #[test]
-fn a_driver_that_is_to_end_in_mid_swing_brakes_first() {
+fn fri_driver_shutdown_in_motion_brakes_first() {
     comes_to_rest(&mut krc(KrcConfig::default()), 4.0);
     comes_to_rest(&mut cabinet(CabinetConfig::default()), 4.0);
 }
@@ -855,7 +880,7 @@ fn lossy<C: Controller, P: Protocol>(
         "{fastest} rad/s, {hardest} rad/s²"
     );
     assert_eq!(
-        (rig.mode(), rig.listener.told().violation),
+        (rig.mode(), rig.event_receiver.diagnostics().violation),
         (Mode::Follow, None)
     );
 }
@@ -863,7 +888,7 @@ fn lossy<C: Controller, P: Protocol>(
 /// What is left of best quality is what chance leaves: three of a hundred exchanges may be lost, of which one is on
 /// average, or two. With one that is 98 % of the time, with two 86 %; the bounds leave room for five seconds of chance.
 #[test]
-fn one_per_cent_of_loss_and_jitter_leave_quality_good_and_motion_within_limits() {
+fn fri_one_percent_loss_keeps_quality_and_limits() {
     // By exchange, and in each direction.
     let cases: [(f64, (Net, f64), f64); 2] =
         [(0.005, (swing, 0.42), 0.95), (0.01, (race, 1.77), 0.85)];
@@ -905,13 +930,13 @@ fn braked<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, deceleration: f64) {
     assert!(reasons[0].contains("no answer for 10"), "{reasons:?}");
     let [.., a, b] = rig.path[..] else { panic!() };
     assert!((a - b).abs() < 1e-9, "still moves");
-    let news = rig.news();
+    let events = rig.events();
     let blame = "the network loses measurements";
-    assert!(news.iter().any(|it| it.contains(blame)), "{news:?}");
+    assert!(events.iter().any(|it| it.contains(blame)), "{events:?}");
 }
 
 #[test]
-fn twenty_losses_in_a_row_brake_the_arm_at_its_limit_and_never_faster() {
+fn fri_twenty_losses_brake_within_limit() {
     let krc_limits = takt_fri::lwr::emulator::Limits::default();
     braked(
         &mut krc(KrcConfig::default()),
@@ -923,37 +948,37 @@ fn twenty_losses_in_a_row_brake_the_arm_at_its_limit_and_never_faster() {
 }
 
 #[test]
-fn a_fall_of_quality_is_told_with_who_is_to_blame() {
+fn fri_quality_loss_is_reported_with_cause() {
     let mut rig = krc(KrcConfig::default());
     rig.follow();
     rig.run(300);
-    assert_eq!(rig.listener.told().verdict, Verdict::Good);
+    assert_eq!(rig.event_receiver.diagnostics().verdict, Verdict::Good);
     let [_, to_krc] = rig.controller.lines();
     to_krc.drop = 0.08;
     rig.run(300);
-    let news = rig.news();
+    let events = rig.events();
     let fall = "quality fell from Perfect to Ok: the network loses answers";
-    assert!(news.iter().any(|it| it.starts_with(fall)), "{news:?}");
+    assert!(events.iter().any(|it| it.starts_with(fall)), "{events:?}");
 }
 
 #[test]
-fn a_fall_within_the_pause_is_told_after_it_and_a_controller_that_begins_anew_does_not_fall() {
+fn fri_quality_loss_in_pause_is_reported_after_it() {
     let mut rig = krc(KrcConfig::default());
     rig.follow();
     let forced = |rig: &mut Rig<Krc, lwr::End>, quality: Option<Quality>| {
         rig.controller.faults_mut().quality = quality;
         rig.run(300);
-        rig.news()
+        rig.events()
     };
     rig.run(1_000);
-    rig.news();
+    rig.events();
     assert_eq!(forced(&mut rig, Some(Quality::Ok)).len(), 1);
     assert_eq!(forced(&mut rig, Some(Quality::Bad)), Vec::<String>::new());
     rig.run(500);
-    let news = rig.news();
+    let events = rig.events();
     assert!(
-        news[0].starts_with("quality fell from Ok to Bad"),
-        "{news:?}"
+        events[0].starts_with("quality fell from Ok to Bad"),
+        "{events:?}"
     );
     // Silence, and one that begins at the worst quality there is.
     forced(&mut rig, None);
@@ -967,9 +992,9 @@ fn a_fall_within_the_pause_is_told_after_it_and_a_controller_that_begins_anew_do
     };
     rig.controller = Krc::new(config, rig.now);
     rig.run(2_000);
-    let news = rig.news();
+    let events = rig.events();
     assert!(
-        !news.iter().any(|it| it.contains("quality fell")),
-        "{news:?}"
+        !events.iter().any(|it| it.contains("quality fell")),
+        "{events:?}"
     );
 }

@@ -1,5 +1,5 @@
-//! Our end of the connection to a Sunrise cabinet, as the driver of FRI arms sees it: the session, and what nets
-//! ordered beside positions. What the overlay of the robot program does not take is refused, not emulated.
+//! The session with a Sunrise cabinet as the FRI driver uses it, with the orders of nets besides positions. Orders
+//! that the overlay of the robot program does not support are refused, not emulated.
 
 use std::time::Duration;
 
@@ -16,21 +16,21 @@ use takt_net::value::Wrench;
 use crate::device::DeviceStatus;
 use crate::device::config::{IiwaIo, IiwaModel, OutputsOnEnd};
 use crate::device::fri::orders::{Gate, answer, error, first, from_wire, to_wire};
-use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
+use crate::device::fri::{Joints, Orders, Protocol, Reception, Totals, guard};
 
-/// The session with a cabinet, and orders to it.
+/// The session with a cabinet and its orders.
 #[derive(Debug)]
 pub struct End {
     session: Session,
     guard: Guard,
     /// Why the last answer held the robot.
     violation: Option<Violation>,
-    /// What nets ask to add beyond a guard.
+    /// The guard violation of added torques or wrenches.
     beyond: Option<Violation>,
-    /// What goes on top of the springs, Nm.
+    /// Added joint torques, Nm.
     torque: Joints,
     torque_gates: [Gate; AXES],
-    /// The same at the tool, in the wire's order, N and Nm.
+    /// Added wrench at the tool, in wire order, N and Nm.
     wrench: [f64; 6],
     wrench_gate: Gate,
     answers: Answers,
@@ -38,7 +38,7 @@ pub struct End {
     on_end: OutputsOnEnd,
 }
 
-/// What became of the last orders.
+/// Answers to the last orders.
 #[derive(Debug, Default)]
 struct Answers {
     strategy: Option<Answer>,
@@ -47,7 +47,7 @@ struct Answers {
 }
 
 impl End {
-    /// Nothing heard yet.
+    /// A session without data.
     #[must_use]
     pub fn new(model: IiwaModel, io: IiwaIo) -> Self {
         let (torque_max, wrench_max) = (super::torque_max(model), super::wrench_max(model));
@@ -72,24 +72,24 @@ impl End {
         }
     }
 
-    /// The same with what becomes of outputs when the net that wrote them ends.
+    /// Sets the output policies at the end of a net.
     #[must_use]
     pub fn on_end(mut self, on_end: OutputsOnEnd) -> Self {
         self.on_end = on_end;
         self
     }
 
-    fn told(&self) -> Option<&MonitorData> {
+    fn monitor(&self) -> Option<&MonitorData> {
         self.session.message()?.monitor.as_ref()
     }
 
-    /// Notes what is beyond a guard.
+    /// Checks added values by a guard and notes a violation.
     fn admits(&mut self, verdict: Result<(), Violation>) -> bool {
         self.beyond = self.beyond.or_else(|| verdict.err());
         verdict.is_ok()
     }
 
-    /// Whether the overlay takes what only one command mode carries.
+    /// Whether the overlay supports what only one command mode carries.
     fn verdict(&self, needed: CommandMode) -> i32 {
         match self.session.phase() {
             Phase::Offline | Phase::Idle => error::NOT_THERE,
@@ -101,7 +101,7 @@ impl End {
         }
     }
 
-    /// The strategy is the robot program's: an order for the one in force is fulfilled, others are impossible.
+    /// The robot program determines the strategy: an order for the current one succeeds, others are impossible.
     fn take_strategy(&self, wanted: i32) -> i32 {
         let message = self.session.message();
         let in_force = message
@@ -128,9 +128,9 @@ impl End {
         &mut self,
         axis: usize,
         wanted: &JointImpedance,
-        (stands, follows): (bool, bool),
+        (in_force, follows): (bool, bool),
     ) -> i32 {
-        let torque = wanted.torque.filter(|_| stands).unwrap_or(0.0);
+        let torque = wanted.torque.filter(|_| in_force).unwrap_or(0.0);
         let fits = self.admits(self.guard.check_torque_of(axis, torque));
         let ([torque], refused) = self.torque_gates[axis].pass([torque], fits, follows);
         self.torque[axis] = torque;
@@ -147,9 +147,9 @@ impl End {
     fn take_cartesian(
         &mut self,
         wanted: &CartesianImpedance,
-        (stands, follows): (bool, bool),
+        (in_force, follows): (bool, bool),
     ) -> i32 {
-        let wrench = to_wire(&wanted.wrench.filter(|_| stands).unwrap_or_default());
+        let wrench = to_wire(&wanted.wrench.filter(|_| in_force).unwrap_or_default());
         let fits = self.admits(self.guard.check_wrench(&wrench));
         let (added, refused) = self.wrench_gate.pass(wrench, fits, follows);
         self.wrench = added;
@@ -161,7 +161,7 @@ impl End {
         verdict(refused, is_fixed, needed)
     }
 
-    /// Writes the outputs that nets command. One that the robot program does not share is not written, and its
+    /// Writes the outputs that nets command. An output that the robot program does not share is not written, and its
     /// state stays null.
     fn write(&mut self, io: &Io, orders: &Orders<'_>) {
         let outputs = self.io.bool_out.iter().zip(io.bool_out.iter());
@@ -200,8 +200,8 @@ impl End {
     }
 }
 
-/// The first of what is wrong with an order: its values, that it fixes what FRI of Sunrise carries none of (stiffness and
-/// damping), what the overlay does not take, and what is to be asked for anew.
+/// The first error of an order: its values, stiffness and damping (not carried by Sunrise FRI), what the overlay does
+/// not support, and what must be requested again.
 fn verdict(refused: i32, is_fixed: bool, needed: i32) -> i32 {
     let range = if refused == error::RANGE {
         refused
@@ -235,7 +235,7 @@ const fn real(level: IoLevel) -> Option<f64> {
     }
 }
 
-/// The number by which nets know a control mode.
+/// Number of a control mode for nets.
 const fn number(mode: ControlMode) -> Option<i32> {
     match mode {
         ControlMode::Position => Some(1),
@@ -245,8 +245,8 @@ const fn number(mode: ControlMode) -> Option<i32> {
     }
 }
 
-/// What brings the joints to these positions under an overlay of this kind, with what is added: they are the
-/// centre of the impedance where the overlay adds a wrench or torques. `None` where they cannot be commanded.
+/// The command for these positions in an overlay of this kind, with the added values: positions are the centre of the
+/// impedance if the overlay adds a wrench or torques. `None` if positions cannot be commanded.
 fn demand(mode: CommandMode, joints: &Joints, torque: Joints, wrench: [f64; 6]) -> Option<Demand> {
     let joints = Some(*joints);
     match mode {
@@ -260,14 +260,14 @@ fn demand(mode: CommandMode, joints: &Joints, torque: Joints, wrench: [f64; 6]) 
 impl Protocol for End {
     type Quality = Quality;
 
-    /// Engages as soon as the overlay is active: set-points that are under way then are refused by the
-    /// joints until they end, so nothing moves that was not asked for anew.
-    fn hear(&mut self, datagram: &[u8], at: Duration) -> Result<Heard, DecodeError> {
+    /// Engages as soon as the overlay is active: the joints refuse set-points of an earlier run until they end, so
+    /// only motion that is requested again starts.
+    fn receive(&mut self, datagram: &[u8], at: Duration) -> Result<Reception, DecodeError> {
         let reception = self.session.handle_datagram(datagram, at)?;
         if self.session.phase() == Phase::CommandingActive && !self.session.is_engaged() {
             let _not_active = self.session.engage();
         }
-        Ok(Heard::of(reception.order, reception.lost))
+        Ok(Reception::of(reception.order, reception.lost))
     }
 
     fn observer(&self) -> Observer {
@@ -275,8 +275,8 @@ impl Protocol for End {
     }
 
     fn measurement(&self, at: Duration) -> Option<Measurement> {
-        let heard = self.session.message();
-        heard.map(|message| Measurement {
+        let received = self.session.message();
+        received.map(|message| Measurement {
             is_due: self.session.is_pending(),
             ..Measurement::sunrise(at, message)
         })
@@ -294,7 +294,7 @@ impl Protocol for End {
         self.violation.or(self.beyond)
     }
 
-    fn hear_nothing(&mut self, now: Duration) -> bool {
+    fn handle_silence(&mut self, now: Duration) -> bool {
         self.session.handle_timeout(now)
     }
 
@@ -302,17 +302,20 @@ impl Protocol for End {
         self.session.is_pending()
     }
 
-    fn obey(&mut self, has: &Interfaces, orders: &Orders<'_>) {
+    fn apply(&mut self, has: &Interfaces, orders: &Orders<'_>) {
         self.beyond = None;
-        // Answered anew each time: it is the robot program that switches.
+        // Answered again in each cycle, because the robot program does the switching.
         if let Some(given) = has.strategy.and_then(|it| it.command.read(orders.words)) {
             self.answers.strategy = answer(given.cycle, self.take_strategy(given.value));
         }
         let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
         for (axis, order) in joints.take(AXES).enumerate() {
             if let Some(given) = order.command.read(orders.words) {
-                let error =
-                    self.take_joint(axis, &given.value, (orders.stands(&given), orders.follows));
+                let error = self.take_joint(
+                    axis,
+                    &given.value,
+                    (orders.is_in_force(&given), orders.follows),
+                );
                 self.answers.joints[axis] = answer(given.cycle, error);
             }
         }
@@ -320,7 +323,8 @@ impl Protocol for End {
             .cartesian_impedance
             .and_then(|it| it.command.read(orders.words))
         {
-            let error = self.take_cartesian(&given.value, (orders.stands(&given), orders.follows));
+            let error =
+                self.take_cartesian(&given.value, (orders.is_in_force(&given), orders.follows));
             self.answers.cartesian = answer(given.cycle, error);
         }
         if let Some(io) = &has.io {
@@ -385,19 +389,19 @@ impl Protocol for End {
     }
 
     fn measured(&self) -> Option<Joints> {
-        self.told()?.measured
+        self.monitor()?.measured
     }
 
     fn external_torques(&self) -> Option<Joints> {
-        self.told()?.external_torque
+        self.monitor()?.external_torque
     }
 
     fn measured_torques(&self) -> Option<Joints> {
-        self.told()?.torque
+        self.monitor()?.torque
     }
 
     fn wrench(&self) -> Option<Wrench> {
-        self.told()?.external_force.map(from_wire)
+        self.monitor()?.external_force.map(from_wire)
     }
 
     fn cycle(&self) -> Option<Duration> {
@@ -406,7 +410,7 @@ impl Protocol for End {
 
     fn quality_code(&self) -> i32 {
         let message = self.session.message();
-        message.map_or(0, |told| told.quality().code())
+        message.map_or(0, |message| message.quality().code())
     }
 
     fn quality(code: i32) -> Quality {
@@ -428,7 +432,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wrench_that_no_arm_holds_is_out_of_range() {
+    fn iiwa_wrench_beyond_guard_is_rejected() {
         let mut end = End::new(IiwaModel::Iiwa7, IiwaIo::default());
         for (force, torque, is_refused) in [
             (350.0, -110.0, false),
@@ -442,13 +446,13 @@ mod tests {
                 wrench: Some(wrench),
                 ..CartesianImpedance::default()
             };
-            let told = end.take_cartesian(&wanted, (true, true));
-            assert_eq!(told == error::RANGE, is_refused, "{force} N, {torque} Nm");
+            let code = end.take_cartesian(&wanted, (true, true));
+            assert_eq!(code == error::RANGE, is_refused, "{force} N, {torque} Nm");
         }
     }
 
     #[test]
-    fn joints_and_what_is_added_go_with_every_overlay_that_takes_them() {
+    fn iiwa_overlays_carry_joints_and_added_values() {
         let (joints, torque, wrench) = ([0.1; AXES], [1.0; AXES], [2.0; 6]);
         let with = |mode| demand(mode, &joints, torque, wrench);
         let joints = Some(joints);

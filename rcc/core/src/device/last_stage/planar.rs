@@ -1,12 +1,12 @@
-//! The last stage of a mobile base: the velocity that leaves for its wheels, bounded in size and change along the floor
-//! and in turning. A base has no range; where it is does not matter here.
+//! The last stage of a mobile base: the output velocity, limited in size and change along the floor and in turning. A
+//! base has no range, so its position does not matter here.
 
 use super::{APPROACH_SHARE, Bound, Excess, Limited, closing_speed};
 
 /// x and y (m/s) and turning (rad/s), in the base's own frame.
 pub type Twist3 = [f64; 3];
 
-/// Held back by less than this for a cycle, a velocity is not reported, m/s and rad/s.
+/// A smaller deviation of velocity is not reported, m/s and rad/s.
 const REPORTED_FROM: f64 = 0.05;
 
 /// Limits of a base: along the floor, and of turning.
@@ -38,31 +38,31 @@ impl PlanarStage {
         }
     }
 
-    /// The base is not ours to move: it rests.
+    /// Sets rest while the driver does not control the base.
     pub const fn rest(&mut self) {
         self.velocity = [0.0; 3];
     }
 
-    /// The velocity that left last.
+    /// The last output velocity.
     #[must_use]
     pub const fn velocity(&self) -> Twist3 {
         self.velocity
     }
 
-    /// Whether it stands by what left last.
+    /// Whether the last output is at rest.
     #[must_use]
     pub fn rests(&self) -> bool {
         self.velocity.iter().all(|v| v.abs() < 1e-9)
     }
 
-    /// How often it held something back: along the floor, and turning.
+    /// Limit reports: along the floor, and turning.
     #[must_use]
     pub const fn limited(&self) -> &[Limited; 2] {
         &self.limited
     }
 
-    /// One cycle of `dt_s` towards a velocity; without one it brakes. `reach` says to what share of a velocity its wheels
-    /// can turn; what is too fast for them, or for its limits, is slower on the same way.
+    /// One cycle of `dt_s` towards a velocity; without one it brakes. `reach` returns the share of a velocity that
+    /// its wheels can drive; a velocity beyond that, or beyond the limits, is scaled down in its direction.
     pub fn step(
         &mut self,
         wanted: Option<Twist3>,
@@ -82,7 +82,7 @@ impl PlanarStage {
             share(turning * dt_s, change[2]),
         ];
         let mut next = self.towards(change, shares);
-        // Between two velocities that wheels can turn to, on the line, they can always.
+        // Between two velocities that the wheels can drive, they can drive all on the line.
         if reach(next) < 1.0 {
             next = self.towards(change, [shares[0].min(shares[1]); 2]);
         }
@@ -95,26 +95,26 @@ impl PlanarStage {
         next
     }
 
-    /// One cycle of `dt_s` towards a place that lies so far away at its end, m and rad in the base's own frame, and moves
-    /// at `speed`: right there if that is within the limits, or else on the way that ends there by constant braking.
-    pub fn track(&mut self, way: Twist3, speed: Twist3, dt_s: f64) -> Twist3 {
+    /// One cycle of `dt_s` towards a position at this offset at its end, m and rad in the base's frame, that moves at
+    /// `speed`: directly if that is within the limits, otherwise on the path that ends there by constant braking.
+    pub fn track(&mut self, path: Twist3, speed: Twist3, dt_s: f64) -> Twist3 {
         if dt_s <= 0.0 {
             return self.velocity;
         }
         let of = |a: Twist3, b: Twist3| speeds(std::array::from_fn(|i| a[i] - b[i]));
-        let direct = way.map(|distance| distance / dt_s);
+        let direct = path.map(|distance| distance / dt_s);
         let (change, stay) = (of(direct, self.velocity), of(direct, speed));
         let fast = speeds(direct);
         let is_within = |i: usize| {
             let most = self.limits.acceleration[i] * dt_s * (1.0 + 1e-9);
             change[i] <= most && stay[i] <= most && fast[i] <= self.limits.velocity[i]
         };
-        let behind: Twist3 = std::array::from_fn(|i| way[i] - speed[i] * dt_s);
+        let behind: Twist3 = std::array::from_fn(|i| path[i] - speed[i] * dt_s);
         let [floor, turning] = speeds(behind);
         let closing = |i: usize, distance| {
             closing_speed(distance, APPROACH_SHARE * self.limits.acceleration[i], dt_s)
         };
-        // No way at all has no direction.
+        // A zero offset has no direction.
         let along = if floor > 0.0 {
             closing(0, floor) / floor
         } else {
@@ -141,7 +141,7 @@ impl PlanarStage {
         })
     }
 
-    /// Slower on the same way, if it is too fast.
+    /// Scales it down in its direction, if it is too fast.
     fn within(&self, wanted: Twist3, reach: &impl Fn(Twist3) -> f64) -> Twist3 {
         let [floor, turning] = speeds(wanted);
         let [floor_max, turning_max] = self.limits.velocity;
@@ -155,7 +155,7 @@ impl PlanarStage {
         }
     }
 
-    /// Counts what was held back.
+    /// Counts limited cycles.
     fn judge(&mut self, asked: Twist3, within: Twist3, next: Twist3, is_number: bool, dt_s: f64) {
         let of = |a: Twist3, b: Twist3| speeds(std::array::from_fn(|i| a[i] - b[i]));
         let (cut, ramped) = (of(asked, within), of(within, next));
@@ -182,7 +182,7 @@ impl PlanarStage {
             } else {
                 f64::INFINITY
             };
-            // Of the same size as what is reported of a position.
+            // Of the same size as the threshold for positions.
             let off = off / REPORTED_FROM * super::REPORTED_FROM;
             let excess = Excess {
                 bound,

@@ -49,7 +49,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_sequence_of_commands_leaves_beyond_limits(
+    fn last_stage_any_commands_leave_within_limits(
         steps in prop::collection::vec((step(), 1..60_u8, 250e-6..50e-3), 1..40),
     ) {
         let mut stage = LastStage::new(LIMITS);
@@ -77,18 +77,18 @@ proptest! {
             }
         }
         // It can always stop, and does so within its limits.
-        let (mut way, from) = (0, stage.motion());
+        let (mut steps, from) = (0, stage.motion());
         while stage.motion().1.abs() > 0.0 {
             stage.brake(DT_S);
-            way += 1;
-            prop_assert!(way <= 377);
+            steps += 1;
+            prop_assert!(steps <= 377);
         }
         let stop = from.1 * from.1 / 2.0 / 4.0;
         prop_assert!((stage.motion().0 - from.0).abs() <= stop + 1e-9);
     }
 
     #[test]
-    fn no_velocity_of_a_base_leaves_beyond_limits(
+    fn base_last_stage_any_velocities_leave_within_limits(
         steps in prop::collection::vec(
             (prop::option::of((value(3.0), value(3.0), value(3.0))), 1..40_u8, 1e-3..0.3), 1..30),
     ) {
@@ -122,7 +122,7 @@ fn motion(t: f64) -> f64 {
 }
 
 #[test]
-fn motion_within_limits_passes_to_the_bit() {
+fn last_stage_motion_within_limits_passes_unchanged() {
     let mut stage = LastStage::new(LIMITS);
     for i in 1..5_000 {
         let t = f64::from(i) * DT_S;
@@ -133,7 +133,7 @@ fn motion_within_limits_passes_to_the_bit() {
 }
 
 #[test]
-fn step_is_reported_once_with_its_figures() {
+fn last_stage_step_is_reported_once_with_figures() {
     let mut stage = LastStage::new(LIMITS);
     for _ in 0..1000 {
         stage.track(0.5, 0.0, DT_S);
@@ -157,7 +157,7 @@ fn step_is_reported_once_with_its_figures() {
 }
 
 #[test]
-fn target_beyond_the_range_is_reported_and_its_end_reached() {
+fn last_stage_target_beyond_range_reported_end_reached() {
     let mut stage = LastStage::new(LIMITS);
     stage.rest_at(1.9);
     for _ in 0..2000 {
@@ -171,7 +171,7 @@ fn target_beyond_the_range_is_reported_and_its_end_reached() {
 }
 
 #[test]
-fn way_to_a_first_target_nearby_is_not_reported() {
+fn last_stage_nearby_first_target_is_not_reported() {
     let mut stage = LastStage::new(LIMITS);
     stage.begin_quietly(0.02);
     for _ in 0..500 {
@@ -185,7 +185,7 @@ fn way_to_a_first_target_nearby_is_not_reported() {
 }
 
 #[test]
-fn numbers_that_are_none_brake_and_are_reported() {
+fn last_stage_nan_brakes_and_is_reported() {
     let mut stage = LastStage::moving(LIMITS, 0.0, 1.0);
     for _ in 0..300 {
         stage.track(f64::NAN, 0.0, DT_S);
@@ -200,7 +200,7 @@ fn numbers_that_are_none_brake_and_are_reported() {
 }
 
 #[test]
-fn joint_too_fast_for_its_range_brakes_and_stops_at_the_end() {
+fn last_stage_overspeed_joint_stops_at_range_end() {
     let mut stage = LastStage::moving(LIMITS, 1.9, 1.5);
     let mut last = (1.9, 1.5);
     for _ in 0..500 {
@@ -217,21 +217,21 @@ fn joint_too_fast_for_its_range_brakes_and_stops_at_the_end() {
 }
 
 #[test]
-fn speed_of_a_joint_changes_within_limits_wherever_it_is() {
+fn last_stage_steer_changes_speed_within_limits() {
     let mut stage = LastStage::new(LIMITS);
     let mut last = 0.0;
     // Measured positions jump about the end of its range, and wishes are wild.
     for i in 0..4000_u32 {
         let at = 2.0 + 0.05 * f64::from(i % 7) - 0.15 - if i < 2000 { 1.0 } else { 0.0 };
-        let wish = [9.0, -9.0, f64::NAN, 1.0][usize::try_from(i / 500).unwrap() % 4];
-        let speed = stage.steer(at, wish, DT_S);
+        let target = [9.0, -9.0, f64::NAN, 1.0][usize::try_from(i / 500).unwrap() % 4];
+        let speed = stage.steer(at, target, DT_S);
         assert!((speed - last).abs() <= 4.0 * DT_S * (1.0 + 1e-9) && speed.abs() <= 1.5);
         last = speed;
     }
 }
 
 #[test]
-fn base_too_fast_keeps_its_way_and_is_reported() {
+fn base_last_stage_overspeed_keeps_direction_is_reported() {
     let limits = PlanarLimits {
         velocity: [0.5, 1.0],
         acceleration: [1.0, 2.0],

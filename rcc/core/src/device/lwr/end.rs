@@ -1,5 +1,5 @@
-//! Our end of the connection to a KRC, as the driver of FRI arms sees it: the session, and what nets ordered
-//! beside positions. It makes no thread and opens no socket.
+//! The session with a KRC as the FRI driver uses it, with the orders of nets besides positions. It creates no thread
+//! and opens no socket.
 
 use std::time::Duration;
 
@@ -11,28 +11,28 @@ use takt_fri::lwr::{JOINT_NAMES, Phase, Session, SessionConfig};
 use takt_net::device::{Interfaces, Io};
 use takt_net::value::Wrench;
 
-use super::impedance::{Impedance, Standing};
+use super::impedance::{Impedance, OrderContext};
 use super::program::Program;
 use super::{TORQUE_MAX, WRENCH_MAX};
 use crate::device::DeviceStatus;
 use crate::device::config::OutputsOnEnd;
 use crate::device::fri::orders::from_wire;
-use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
+use crate::device::fri::{Joints, Orders, Protocol, Reception, Totals, guard};
 
-/// The session with a KRC, and orders to it.
+/// The session with a KRC and its orders.
 #[derive(Debug)]
 pub struct End {
     session: Session,
     program: Program,
     impedance: Impedance,
     guard: Guard,
-    /// User data as it goes out.
+    /// User data to send.
     krl: Krl,
     on_end: OutputsOnEnd,
 }
 
 impl End {
-    /// Nothing heard yet. `handshake` is the convention by which the KRL program takes orders, if it does.
+    /// A session without data. `handshake` is that of the KRL program for orders, if it has one.
     #[must_use]
     pub fn new(handshake: Option<takt_fri::lwr::Protocol>) -> Self {
         let limits = super::describe("").limits;
@@ -51,23 +51,23 @@ impl End {
         }
     }
 
-    /// The same with what becomes of outputs when the net that wrote them ends.
+    /// Sets the output policies at the end of a net.
     #[must_use]
     pub fn on_end(mut self, on_end: OutputsOnEnd) -> Self {
         self.on_end = on_end;
         self
     }
 
-    fn standing(&self) -> Standing {
+    fn context(&self) -> OrderContext {
         let control = self.session.measurement().map(|msr| msr.robot.control);
-        Standing {
+        OrderContext {
             phase: self.session.phase(),
             control: control.unwrap_or(Control::Unspecified),
             flags: self.session.flags(),
         }
     }
 
-    /// Sets the user data that nets command, but for what the handshake uses.
+    /// Sets the user data that nets command, except those of the handshake.
     fn write(&mut self, io: &Io, orders: &Orders<'_>) {
         for ((at, index), output) in (0_usize..).zip(0_u32..).zip(io.bool_out.iter()) {
             let wanted = self.on_end.truth(at, output.command.read(orders.words));
@@ -83,23 +83,23 @@ impl End {
         }
     }
 
-    /// Tells the user data of both directions; nothing while the robot is silent.
+    /// Reports the user data of both directions; null while the robot is silent.
     fn read(&self, io: &Io, signals: &mut [u64]) {
         let is_silent = self.session.phase() == Phase::Offline;
-        let heard = self.session.measurement().filter(|_| !is_silent);
+        let received = self.session.measurement().filter(|_| !is_silent);
         for (index, input) in (0..).zip(io.bool_in.iter()) {
-            input.report(signals, heard.map(|msr| msr.krl.bool(index)));
+            input.report(signals, received.map(|msr| msr.krl.bool(index)));
         }
         for (at, input) in io.real_in.iter().enumerate() {
-            let value = heard.and_then(|msr| msr.krl.real.get(at));
+            let value = received.and_then(|msr| msr.krl.real.get(at));
             input.report(signals, value.map(|value| f64::from(*value)));
         }
         for (index, output) in (0..).zip(io.bool_out.iter()) {
-            let sent = heard.map(|_| self.krl.bool(index));
+            let sent = received.map(|_| self.krl.bool(index));
             output.state.report(signals, sent);
         }
         for (output, sent) in io.real_out.iter().zip(self.krl.real) {
-            let sent = heard.map(|_| f64::from(sent));
+            let sent = received.map(|_| f64::from(sent));
             output.state.report(signals, sent);
         }
     }
@@ -108,13 +108,13 @@ impl End {
 impl Protocol for End {
     type Quality = Quality;
 
-    fn hear(&mut self, datagram: &[u8], at: Duration) -> Result<Heard, DecodeError> {
+    fn receive(&mut self, datagram: &[u8], at: Duration) -> Result<Reception, DecodeError> {
         let reception = self.session.handle_datagram(datagram, at)?;
-        let heard = Heard::of(reception.order, reception.lost);
-        if heard.is_first {
+        let received = Reception::of(reception.order, reception.lost);
+        if received.is_first {
             self.program.handle_silence(&mut self.krl);
         }
-        Ok(heard)
+        Ok(received)
     }
 
     fn observer(&self) -> Observer {
@@ -122,8 +122,8 @@ impl Protocol for End {
     }
 
     fn measurement(&self, at: Duration) -> Option<Measurement> {
-        let heard = self.session.measurement();
-        heard.map(|msr| Measurement::lwr(at, msr))
+        let received = self.session.measurement();
+        received.map(|msr| Measurement::lwr(at, msr))
     }
 
     fn sent_sequence(&self) -> u32 {
@@ -140,29 +140,29 @@ impl Protocol for End {
             .or_else(|| self.impedance.violation())
     }
 
-    fn hear_nothing(&mut self, now: Duration) -> bool {
-        let is_gone = self.session.handle_timeout(now);
-        if is_gone {
+    fn handle_silence(&mut self, now: Duration) -> bool {
+        let is_lost = self.session.handle_timeout(now);
+        if is_lost {
             self.program.handle_silence(&mut self.krl);
         }
-        is_gone
+        is_lost
     }
 
     fn is_due(&self) -> bool {
         self.session.is_pending()
     }
 
-    fn obey(&mut self, has: &Interfaces, orders: &Orders<'_>) {
+    fn apply(&mut self, has: &Interfaces, orders: &Orders<'_>) {
         if let Some(io) = &has.io {
             self.write(io, orders);
         }
-        let heard = (self.session.phase(), self.session.measurement());
-        self.program.turn(has, orders, heard, &mut self.krl);
+        let received = (self.session.phase(), self.session.measurement());
+        self.program.turn(has, orders, received, &mut self.krl);
         *self.session.krl_mut() = self.krl;
-        let standing = self.standing();
+        let context = self.context();
         let taken = (self.session.fields_mut(), &self.guard);
-        self.impedance.obey(has, orders, &standing, taken);
-        // Refused in command mode: then the answers keep the fields with which it was entered.
+        self.impedance.apply(has, orders, &context, taken);
+        // Refused in command mode: then answers keep the fields with which it was entered.
         let _in_command = self.session.choose(self.impedance.chosen());
     }
 
@@ -195,23 +195,23 @@ impl Protocol for End {
     }
 
     fn measured(&self) -> Option<Joints> {
-        let heard = self.session.measurement();
-        heard.map(|msr| msr.measured_joints.map(f64::from))
+        let received = self.session.measurement();
+        received.map(|msr| msr.measured_joints.map(f64::from))
     }
 
     fn external_torques(&self) -> Option<Joints> {
-        let heard = self.session.measurement();
-        heard.map(|msr| msr.external_torque.map(f64::from))
+        let received = self.session.measurement();
+        received.map(|msr| msr.external_torque.map(f64::from))
     }
 
     fn measured_torques(&self) -> Option<Joints> {
-        let heard = self.session.measurement();
-        heard.map(|msr| msr.measured_torque.map(f64::from))
+        let received = self.session.measurement();
+        received.map(|msr| msr.measured_torque.map(f64::from))
     }
 
     fn wrench(&self) -> Option<Wrench> {
-        let heard = self.session.measurement();
-        heard.map(|msr| from_wire(msr.external_wrench.map(f64::from)))
+        let received = self.session.measurement();
+        received.map(|msr| from_wire(msr.external_wrench.map(f64::from)))
     }
 
     fn cycle(&self) -> Option<Duration> {
@@ -219,8 +219,8 @@ impl Protocol for End {
     }
 
     fn quality_code(&self) -> i32 {
-        let heard = self.session.measurement();
-        let quality = heard.map(|msr| msr.interface.quality.code());
+        let received = self.session.measurement();
+        let quality = received.map(|msr| msr.interface.quality.code());
         quality.unwrap_or_default().into()
     }
 

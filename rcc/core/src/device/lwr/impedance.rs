@@ -1,5 +1,5 @@
-//! Stiffness, damping and what is added to the springs, as nets order them for joints and for the tool. Which
-//! strategy is in force is the KRL program's affair.
+//! Stiffness, damping and added torques as nets order them for joints and for the tool. The KRL program selects the
+//! strategy.
 
 use takt_fri::guard::{Guard, Violation};
 use takt_fri::lwr::wire::{CmdFlags, Control};
@@ -10,21 +10,21 @@ use takt_net::value::Wrench;
 use crate::device::fri::orders::{Gate, answer, error, first, to_wire};
 use crate::device::fri::{AXES, Orders};
 
-/// Stiffer than this is a slip of a unit, Nm/rad.
+/// Largest plausible stiffness, Nm/rad: beyond is an error of a unit.
 const JOINT_STIFFNESS_MAX: f64 = 5000.0;
-/// Stiffer than this is a slip of a unit, N/m and Nm/rad.
+/// Largest plausible stiffness, N/m and Nm/rad: beyond is an error of a unit.
 const CARTESIAN_STIFFNESS_MAX: f64 = 10_000.0;
 
-/// Where the session stands, for the verdict on an order.
+/// State of the session, from which orders are answered.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Standing {
+pub(super) struct OrderContext {
     pub(super) phase: Phase,
     pub(super) control: Control,
     /// Fields that go out with the next answer.
     pub(super) flags: CmdFlags,
 }
 
-impl Standing {
+impl OrderContext {
     /// Whether these fields reach the robot.
     fn verdict(&self, fields: CmdFlags) -> i32 {
         match self.phase {
@@ -34,7 +34,7 @@ impl Standing {
             {
                 error::IMPOSSIBLE
             }
-            // They are chosen now, and in force with the next friStart.
+            // They are selected now, and take effect with the next friStart.
             Phase::Monitor => error::NONE,
             Phase::Command if self.flags.contains(fields) => error::NONE,
             Phase::Command => error::NOT_NOW,
@@ -42,16 +42,16 @@ impl Standing {
     }
 }
 
-/// What became of orders, and which fields they need.
+/// Answers to orders, and the fields that they need.
 #[derive(Debug)]
 pub(super) struct Impedance {
-    /// Fields that were ever ordered: what no net orders stays as `$STIFFNESS` says.
+    /// Fields that were ever ordered: others stay as `$STIFFNESS` sets them.
     chosen: CmdFlags,
     joints: [Option<Answer>; AXES],
     joint_gates: [Gate; AXES],
     cartesian: Option<Answer>,
     cartesian_gate: Gate,
-    /// What nets ask to add beyond a guard.
+    /// Torques and wrenches that nets add, and the guard violation.
     violation: Option<Violation>,
 }
 
@@ -69,37 +69,37 @@ impl Default for Impedance {
 }
 
 impl Impedance {
-    /// The fields to be chosen when that is possible.
+    /// The fields to select when that is possible.
     pub(super) const fn chosen(&self) -> CmdFlags {
         self.chosen
     }
 
-    /// Which guard refuses what nets ask to add now.
+    /// The guard violation of the added values.
     pub(super) const fn violation(&self) -> Option<Violation> {
         self.violation
     }
 
-    /// Takes what nets order into the fields of the answers, as far as the guard lets it.
-    pub(super) fn obey(
+    /// Writes orders of nets to the fields of the answers, as far as the guard permits.
+    pub(super) fn apply(
         &mut self,
         has: &Interfaces,
         orders: &Orders<'_>,
-        standing: &Standing,
+        context: &OrderContext,
         (fields, guard): (&mut Fields, &Guard),
     ) {
         self.violation = None;
         let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
         for (axis, order) in joints.take(AXES).enumerate() {
             if let Some(given) = order.command.read(orders.words) {
-                let wish = (orders.stands(&given), orders.follows);
-                // Of a net that ended nothing is taken any more; what is in force stays.
+                let request = (orders.is_in_force(&given), orders.follows);
+                // Orders of an ended net are ignored; parameters in force stay.
                 let none = JointImpedance::default();
                 let wanted = if given.is_withdrawn() {
                     &none
                 } else {
                     &given.value
                 };
-                let error = self.take_joint(axis, wanted, wish, standing, (fields, guard));
+                let error = self.take_joint(axis, wanted, request, context, (fields, guard));
                 if !given.is_withdrawn() {
                     self.joints[axis] = answer(given.cycle, error);
                 }
@@ -109,14 +109,14 @@ impl Impedance {
             .cartesian_impedance
             .and_then(|order| order.command.read(orders.words))
         {
-            let wish = (orders.stands(&given), orders.follows);
+            let request = (orders.is_in_force(&given), orders.follows);
             let none = CartesianImpedance::default();
             let wanted = if given.is_withdrawn() {
                 &none
             } else {
                 &given.value
             };
-            let error = self.take_cartesian(wanted, wish, standing, (fields, guard));
+            let error = self.take_cartesian(wanted, request, context, (fields, guard));
             if !given.is_withdrawn() {
                 self.cartesian = answer(given.cycle, error);
             }
@@ -127,11 +127,11 @@ impl Impedance {
         &mut self,
         axis: usize,
         wanted: &JointImpedance,
-        (stands, follows): (bool, bool),
-        standing: &Standing,
+        (in_force, follows): (bool, bool),
+        context: &OrderContext,
         (fields, guard): (&mut Fields, &Guard),
     ) -> i32 {
-        let torque = wanted.torque.filter(|_| stands).unwrap_or(0.0);
+        let torque = wanted.torque.filter(|_| in_force).unwrap_or(0.0);
         let beyond = guard.check_torque_of(axis, torque).err();
         self.violation = self.violation.or(beyond);
         let gate = &mut self.joint_gates[axis];
@@ -155,11 +155,11 @@ impl Impedance {
             (wanted.torque.is_some(), CmdFlags::JNTTRQ),
         ]);
         self.chosen = self.chosen | needed;
-        // Torques are limited by the strategy's parameters on this arm.
+        // The strategy's parameters limit torques on this arm.
         let is_capped = wanted.torque_max.is_some_and(|torque| torque > 0.0);
         first([
             if is_capped { error::IMPOSSIBLE } else { 0 },
-            standing.verdict(needed),
+            context.verdict(needed),
             refused,
         ])
     }
@@ -167,11 +167,11 @@ impl Impedance {
     fn take_cartesian(
         &mut self,
         wanted: &CartesianImpedance,
-        (stands, follows): (bool, bool),
-        standing: &Standing,
+        (in_force, follows): (bool, bool),
+        context: &OrderContext,
         (fields, guard): (&mut Fields, &Guard),
     ) -> i32 {
-        let wrench = to_wire(&wanted.wrench.filter(|_| stands).unwrap_or_default());
+        let wrench = to_wire(&wanted.wrench.filter(|_| in_force).unwrap_or_default());
         let beyond = guard.check_wrench(&wrench).err();
         self.violation = self.violation.or(beyond);
         let gate = &mut self.cartesian_gate;
@@ -196,7 +196,7 @@ impl Impedance {
             (wanted.wrench.is_some(), CmdFlags::TCPFT),
         ]);
         self.chosen = self.chosen | needed;
-        first([standing.verdict(needed), refused])
+        first([context.verdict(needed), refused])
     }
 
     pub(super) fn report(&self, has: &Interfaces, signals: &mut [u64]) {
@@ -225,8 +225,8 @@ mod tests {
     use crate::device::fri::orders::from_wire;
 
     #[test]
-    fn a_wrench_that_no_arm_holds_is_out_of_range_and_not_added() {
-        let standing = Standing {
+    fn lwr_wrench_beyond_guard_is_rejected() {
+        let context = OrderContext {
             phase: Phase::Command,
             control: Control::CartesianImpedance,
             flags: CmdFlags::JNTPOS | CmdFlags::TCPFT,
@@ -249,10 +249,10 @@ mod tests {
                 wrench: Some(from_wire(wrench)),
                 ..CartesianImpedance::default()
             };
-            let told =
-                impedance.take_cartesian(&wanted, (true, true), &standing, (&mut fields, &guard));
+            let code =
+                impedance.take_cartesian(&wanted, (true, true), &context, (&mut fields, &guard));
             assert_eq!(impedance.violation().is_some(), is_refused);
-            assert_eq!(told == error::RANGE, is_refused, "{force} N, {torque} Nm");
+            assert_eq!(code == error::RANGE, is_refused, "{force} N, {torque} Nm");
             let sent = if is_refused { [0.0; 6] } else { wrench };
             assert_eq!(fields.wrench.map(f64::to_bits), sent.map(f64::to_bits));
         }

@@ -1,5 +1,5 @@
-//! Orders that only the KRL program can carry out: control strategy, tool and load. They are handed to it over user
-//! data, in the convention that the cell names. Impedances are elsewhere: they need no program.
+//! Orders that only the KRL program can execute: control strategy, tool and load. They are passed over user data, by
+//! the handshake that the cell configures. Impedances need no program.
 
 use std::time::Duration;
 
@@ -11,31 +11,31 @@ use takt_net::value::Frame;
 use crate::device::fri::Orders;
 use crate::device::fri::orders::{answer, error};
 
-/// The handshake with the KRL program, and what became of orders to it.
+/// The handshake with the KRL program, and answers to its orders.
 #[derive(Debug)]
 pub(super) struct Program {
-    /// `None` if nobody said which convention the program follows: then nothing is asked of it.
+    /// `None` if no handshake is configured: then nothing is requested of the program.
     dialog: Option<Dialog>,
     job: Option<Job>,
     strategy: Option<Answer>,
     tool: Option<Answer>,
 }
 
-/// An order under way.
+/// An order in progress.
 #[derive(Clone, Copy, Debug)]
 struct Job {
     goal: Goal,
-    /// The order to be answered.
+    /// The order to answer.
     order: u64,
-    /// What the program is asked for next.
+    /// The next request to the program.
     then: Option<Request>,
 }
 
-/// What an order wants.
+/// The content of an order.
 #[derive(Clone, Copy, Debug)]
 enum Goal {
     Strategy(Control),
-    /// Out of command mode.
+    /// Waits to leave command mode.
     Stop,
     Tool(Tool),
 }
@@ -50,7 +50,7 @@ impl Program {
         }
     }
 
-    /// Whether the handshake owns the truth value of that index, from 0.
+    /// Whether the handshake uses the digital signal of that index, from 0.
     pub(super) fn owns_bool(&self, index: usize) -> bool {
         match self.dialog.as_ref().map(Dialog::protocol) {
             Some(Protocol::Rcc) => index == 15,
@@ -59,7 +59,7 @@ impl Program {
         }
     }
 
-    /// Whether the handshake owns the real number of that index, from 0.
+    /// Whether the handshake uses the number of that index, from 0.
     pub(super) fn owns_real(&self, index: usize) -> bool {
         match self.dialog.as_ref().map(Dialog::protocol) {
             Some(Protocol::Rcc) => index == 14,
@@ -68,7 +68,7 @@ impl Program {
         }
     }
 
-    /// One turn: goes on with what is under way, or begins what was ordered since.
+    /// One step: continues the order in progress, or starts the next.
     pub(super) fn turn(
         &mut self,
         has: &Interfaces,
@@ -83,7 +83,7 @@ impl Program {
         }
     }
 
-    /// The robot fell silent or began anew: what the program was asked for is given up, also what it would only see now.
+    /// The robot was lost or restarted: requests to the program are dropped, also those that it has not seen yet.
     pub(super) fn handle_silence(&mut self, krl: &mut Krl) {
         if let Some(dialog) = &mut self.dialog {
             dialog.handle_silence(krl);
@@ -127,7 +127,7 @@ impl Program {
         }
     }
 
-    /// Asks the program for it, unless there is nothing to be done.
+    /// Sends the request to the program, unless there is nothing to do.
     fn ask(&mut self, job: Job, phase: Phase, msr: &Msr, krl: &mut Krl, now: Duration) {
         let Some(dialog) = &mut self.dialog else {
             let is_so = match job.goal {
@@ -200,7 +200,7 @@ impl Program {
     }
 }
 
-/// The order, unless it was answered already, or its net ended before it was begun.
+/// The order, unless it is answered, or its net ended before it was started.
 fn newer<T: takt_net::device::Words>(
     order: Option<&Order<T>>,
     orders: &Orders<'_>,
@@ -214,7 +214,7 @@ fn newer<T: takt_net::device::Words>(
         .then_some(given)
 }
 
-/// Numbers of strategies as nets know them; 0 is none.
+/// Numbers of strategies for nets; 0 is none.
 fn goal(number: i32) -> Option<Goal> {
     match number {
         0 => Some(Goal::Stop),
@@ -225,8 +225,8 @@ fn goal(number: i32) -> Option<Goal> {
     }
 }
 
-/// What the program is asked for, one after the other; nothing if all is as wanted. Only RCC's program changes
-/// anything by itself: others take the strategy with friStart.
+/// Requests to the program, in order; empty if everything is as ordered. Only RCC's program applies changes by
+/// itself: others apply the strategy with friStart.
 fn steps(
     protocol: Protocol,
     goal: &Goal,
@@ -295,7 +295,7 @@ fn code(why: &DialogError) -> i32 {
         DialogError::Deviation { .. } => error::MOVES,
         DialogError::Unsupported { .. } => error::IMPOSSIBLE,
         DialogError::Silent { .. } => error::NO_REACTION,
-        // Busy cannot be: one order at a time is handed over.
+        // Cannot be busy: orders are passed one at a time.
         DialogError::Busy | _ => error::NOT_NOW,
     }
 }

@@ -92,7 +92,7 @@ impl Bench {
                 platform: Led::new(&config),
                 is_stopping: false,
                 interfaces,
-                told: DeviceState::new(layout.signals),
+                reported: DeviceState::new(layout.signals),
                 taken: DeviceCommand::new(layout.commands),
                 taken_at: Duration::ZERO,
                 followed: false,
@@ -140,7 +140,7 @@ impl Plant for Bench {
     }
 
     fn copy_state(&mut self, state: &mut DeviceState) {
-        self.state.read_with(|told| state.copy_from(told));
+        self.state.read_with(|reported| state.copy_from(reported));
     }
 
     fn sent(&mut self) -> f64 {

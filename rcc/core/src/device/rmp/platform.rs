@@ -1,5 +1,5 @@
-//! One power base or two as what nets command, and the last stage before them: every command that leaves keeps the limits of
-//! the base. It has no link and reads no clock.
+//! One or two power bases as a platform that nets command, with the last stage: every command sent keeps the limits
+//! of the base. It has no link and reads no clock.
 
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
@@ -11,12 +11,12 @@ use crate::device::DeviceStatus;
 use crate::device::config::RmpConfig;
 use crate::device::last_stage::{Limited, PlanarLimits, PlanarStage};
 
-/// A platform and what bounds each command that leaves for it.
+/// A platform and the last stage of its commands.
 #[derive(Debug)]
 pub(super) struct Led {
     platform: Platform,
     stage: PlanarStage,
-    /// Time between two commands, s.
+    /// Period of commands, s.
     period_s: f64,
 }
 
@@ -46,17 +46,17 @@ impl Led {
         }
     }
 
-    /// Whether it stands by what it was commanded last.
+    /// Whether it is at rest by its last command.
     pub(super) fn rests(&self) -> bool {
         self.stage.rests()
     }
 
-    /// What its last stage held back: along the floor, and turning.
+    /// Limit reports of its last stage: along the floor, and turning.
     pub(super) const fn limited(&self) -> &[Limited; 2] {
         self.stage.limited()
     }
 
-    /// The frames of the command that is due, towards a velocity; without one it brakes.
+    /// Frames of the due command towards a velocity; without one it brakes.
     pub(super) fn command(
         &mut self,
         wanted: Option<[f64; 3]>,
@@ -66,7 +66,7 @@ impl Led {
         self.platform.transmit(bounded, now)
     }
 
-    /// What of that leaves with the command that is due; nothing once the base rests and no net wants it to move.
+    /// The velocity of the due command; `None` once the base rests and no net moves it.
     fn bound(&mut self, wanted: Option<[f64; 3]>, now: Duration) -> Option<[f64; 3]> {
         if !self.platform.follows() {
             self.stage.rest();
@@ -145,7 +145,7 @@ impl Platform {
         }
     }
 
-    /// To what share of a velocity it can drive.
+    /// The share of a velocity that it can drive.
     fn reach(&self, twist: [f64; 3]) -> f64 {
         match self {
             Self::One(base) => {
@@ -156,7 +156,7 @@ impl Platform {
         }
     }
 
-    /// What of a velocity to the left it can do: two wheels can none.
+    /// The lateral part of a velocity that it can drive: none with two wheels.
     const fn left(&self, velocity: f64) -> f64 {
         match self {
             Self::One(_) => 0.0,
@@ -209,7 +209,7 @@ impl Platform {
         }
     }
 
-    /// The last of these.
+    /// The latest of these times.
     pub(super) const fn jump(&self) -> Option<rmp::Jump> {
         match self {
             Self::One(base) => base.jump(),

@@ -70,7 +70,7 @@ impl Bench {
 
 /// Whatever nets want, also no numbers, and while the host is away.
 #[test]
-fn commands_to_a_segway_change_within_its_acceleration() {
+fn rmp_commands_change_within_acceleration() {
     let mut bench = Bench::new(Model::Rmp200, 1);
     for (wanted, span) in [
         (Some([1.0, 0.0, 0.5]), 700),
@@ -110,7 +110,7 @@ fn commands_to_a_segway_change_within_its_acceleration() {
 }
 
 #[test]
-fn commands_to_a_platform_change_within_its_acceleration() {
+fn rmp_platform_commands_change_within_acceleration() {
     let mut bench = Bench::new(Model::Rmp50, 2);
     for (wanted, span) in [
         (Some([0.6, 0.0, 0.0]), 700),

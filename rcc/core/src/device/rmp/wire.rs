@@ -1,4 +1,4 @@
-//! The two ways to a power base: a CAN interface, or its USB port. It knows frames, not what they say.
+//! The two connections to a power base: a CAN interface, or its USB port. Frames are not interpreted here.
 
 use std::io;
 use std::time::Duration;
@@ -11,10 +11,10 @@ use takt_rt::interface::Medium;
 
 use crate::device::link_watch::{LinkErrors, LinkWatch};
 
-/// A way to one power base.
+/// A connection to one power base.
 #[derive(Debug)]
 pub enum Wire {
-    /// A CAN interface, or a bus inside of this process.
+    /// A CAN interface, or an in-process bus.
     Can(Box<dyn CanLink>),
     /// A serial port that carries packets.
     Usb(Box<Serial>),
@@ -41,7 +41,7 @@ impl Wire {
         Ok(Self::Can(Box::new(SocketCan::open(name, &options)?)))
     }
 
-    /// Watches whether it carries frames; a serial port is shown under its name.
+    /// Watches the link; a serial port is reported under its name.
     pub(super) fn watch(&self, name: &str) -> LinkWatch {
         match self {
             Self::Can(link) => LinkWatch::new(name, link.interface(), Medium::Can),
@@ -49,7 +49,7 @@ impl Wire {
         }
     }
 
-    /// Sends a frame; false if it could not be sent, which is noted.
+    /// Sends a frame; false on an error, which is noted.
     pub(super) fn send(&mut self, frame: &Frame, errors: &LinkErrors) -> bool {
         match self {
             Self::Can(link) => match link.send(&(*frame).into()) {
@@ -69,19 +69,19 @@ impl Wire {
         }
     }
 
-    /// Waits at most so long for a frame that another sent. On CAN both boards of a power base are one: which
-    /// of them sent is not told.
+    /// Waits at most `timeout` for a frame of another sender. On CAN the two boards of a power base are not
+    /// distinguished.
     pub(super) fn receive(
         &mut self,
         timeout: Duration,
         errors: &LinkErrors,
-    ) -> Result<Option<(Channel, Frame, Duration)>, Gone> {
+    ) -> Result<Option<(Channel, Frame, Duration)>, LinkLost> {
         match self {
             Self::Can(link) => Ok(link
                 .receive(timeout)
                 .map_err(|error| {
                     errors.note_can(error);
-                    Gone
+                    LinkLost
                 })?
                 .and_then(|received| {
                     let frame = received
@@ -92,12 +92,12 @@ impl Wire {
                 })),
             Self::Usb(serial) => serial.receive(timeout).map_err(|error| {
                 errors.note_io(&error);
-                Gone
+                LinkLost
             }),
         }
     }
 }
 
-/// The way is not there: an adapter was unplugged, or an interface is down.
+/// Whether the connection is missing: an adapter was unplugged, or an interface is down.
 #[derive(Debug)]
-pub(super) struct Gone;
+pub(super) struct LinkLost;

@@ -27,9 +27,9 @@ enum Part {
     Nan,
     /// None come, for so many driver cycles; then they go on.
     Gap(u16),
-    /// The net thread stands still for so many driver cycles.
+    /// The net thread stalls for this number of driver cycles.
     Stall(u16),
-    /// The host stands still for so many driver cycles, the driver too, and its drives take what comes for one cycle.
+    /// The host stalls for this number of driver cycles, the driver too, and its drives take what comes for one cycle.
     Freeze(u16),
     /// Datagrams are lost: the next position is for so many cycles.
     Loss(u8),
@@ -220,7 +220,7 @@ proptest! {
 
     /// From net periods of 250 us to 60 s, driver cycles of 250 us to 4 ms.
     #[test]
-    fn no_stream_of_any_period_leaves_beyond_limits(
+    fn setpoint_stream_of_any_period_stays_within_limits(
         period in period(),
         cycle in prop::sample::select(vec![250_000_i64, 500_000, 1_000_000, 2_000_000, 4_000_000]),
         parts in prop::collection::vec(part(), 1..10),

@@ -1,5 +1,5 @@
 //! The state machine cell by cell, interpolation, and properties over random streams of
-//! set-points. Velocity and acceleration are differentiated anew here.
+//! set-points. Velocity and acceleration are differentiated again here.
 
 #![expect(
     clippy::float_cmp,
@@ -57,7 +57,7 @@ fn moving(mode: Mode, position: f64, velocity: f64) -> Joint {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Input {
     None,
-    /// Right where the joint is, but the net thread stands still.
+    /// Right where the joint is, but the net thread stalls.
     Stale,
     /// A single set-point at this position, rad.
     At(f64),
@@ -72,7 +72,7 @@ const FAR: Input = Input::At(0.1);
 const LOST: Input = Input::At(-0.21);
 
 #[test]
-fn every_cell_of_the_state_machine() {
+fn setpoint_state_machine_every_transition() {
     use Mode::{Approach, Follow, Held, Refused};
     let at_rest = [
         //        None  Stale    HERE     WITHIN    BEYOND    FAR       LOST
@@ -133,7 +133,7 @@ fn every_cell_of_the_state_machine() {
 }
 
 #[test]
-fn a_moving_joint_follows_what_its_acceleration_allows() {
+fn setpoint_moving_joint_follows_within_acceleration() {
     for (velocity, mode) in [
         (0.5, Mode::Follow),
         (0.504, Mode::Follow),
@@ -151,7 +151,7 @@ fn a_moving_joint_follows_what_its_acceleration_allows() {
 }
 
 #[test]
-fn only_a_refused_joint_tells_an_error() {
+fn setpoint_only_refused_joint_reports_error() {
     for mode in [Mode::Held, Mode::Approach, Mode::Follow] {
         assert_eq!(in_mode(mode, 0.0).error(), JointError::None);
     }
@@ -159,7 +159,7 @@ fn only_a_refused_joint_tells_an_error() {
 }
 
 #[test]
-fn a_joint_that_comes_back_waits_for_the_end_of_its_set_points() {
+fn setpoint_recovered_joint_waits_for_end_of_stream() {
     let mut joint = in_mode(Mode::Follow, 0.5);
     joint.rest_at(0.3, &stream(&[0.3]));
     assert_eq!(
@@ -171,7 +171,7 @@ fn a_joint_that_comes_back_waits_for_the_end_of_its_set_points() {
 }
 
 #[test]
-fn a_joint_that_runs_through_its_target_does_not_follow_it_yet() {
+fn setpoint_joint_passing_target_is_not_following() {
     let mut joint = in_mode(Mode::Approach, 0.5);
     let next = (0.5 - ACCELERATION_MAX * DT_S) * DT_S;
     assert_eq!(joint.sample(&stream(&[next]), true, Nanos(0), DT_S), next);
@@ -179,7 +179,7 @@ fn a_joint_that_runs_through_its_target_does_not_follow_it_yet() {
 }
 
 #[test]
-fn without_time_passing_nothing_changes() {
+fn setpoint_zero_time_step_changes_nothing() {
     for mode in [Mode::Held, Mode::Approach, Mode::Follow, Mode::Refused] {
         for points in [JointSetPoints::default(), stream(&[0.001]), stream(&[0.5])] {
             let mut joint = in_mode(mode, 0.5);
@@ -190,7 +190,7 @@ fn without_time_passing_nothing_changes() {
 }
 
 #[test]
-fn what_lies_beyond_the_last_set_point_stays_in_range() {
+fn setpoint_extrapolation_stays_in_range() {
     let mut joint = moving(Mode::Follow, 2.9995, 1.0);
     let position = joint.sample(&stream(&[2.998, 2.999]), true, Nanos(5 * PERIOD.0), DT_S);
     assert_eq!(position, LIMITS.position_max);
@@ -252,7 +252,7 @@ fn interpolation() {
 }
 
 #[test]
-fn interpolation_of_sparse_set_points_cuts_corners_by_parabolas() {
+fn setpoint_sparse_interpolation_cuts_corners_by_parabolas() {
     let one = stream(&[0.7]);
     // Speeds of 100, 200 and 100 rad/s between them, from the first of the run on.
     let three = stream(&[0.1, 0.2, 0.4]);
@@ -302,20 +302,20 @@ fn interpolation_of_sparse_set_points_cuts_corners_by_parabolas() {
 
 /// Sparse set-points that keep the limit by their own differences never need more between them.
 #[test]
-fn sparse_set_points_within_limits_need_no_limiting() {
+fn setpoint_sparse_stream_within_limits_passes_unchanged() {
     for (every, step) in [(2, 1), (4, 1), (10, 1), (100, 1), (1000, 1), (20, 4)] {
         let mut rig = Rig::every(every);
         // Speeds up and down at the joint's acceleration, differentiated over the period of the net.
-        let (mut wanted, mut speed, mut way) = (0.0_f64, 0.0_f64, 1.0);
+        let (mut wanted, mut speed, mut direction) = (0.0_f64, 0.0_f64, 1.0);
         let period_s = every as f64 * DT_S;
         let mut positions = vec![0.0];
         for _ in 0..12_000 / every + 8 {
             let change = ACCELERATION_MAX * period_s * 0.999;
             // Enough to turn back before the end of the range.
-            if speed * way + change > 1.8 || wanted * way > 1.0 {
-                way = -way;
+            if speed * direction + change > 1.8 || wanted * direction > 1.0 {
+                direction = -direction;
             }
-            speed += change.min(1.8) * way;
+            speed += change.min(1.8) * direction;
             speed = speed.clamp(-1.8, 1.8);
             wanted += speed * period_s;
             if wanted.abs() > 2.9 {
@@ -344,7 +344,7 @@ fn sparse_set_points_within_limits_need_no_limiting() {
 
 /// Set-points on a triangle, so far apart: 632, 222 and 80 rad/s² left for the wire once.
 #[test]
-fn triangles_of_any_period_keep_the_acceleration_limit() {
+fn setpoint_triangles_keep_acceleration_limit() {
     for (every, slope) in [
         (1, 0.9),
         (4, 0.9),
@@ -429,7 +429,7 @@ impl Rig {
         rig
     }
 
-    /// The cycle of that number of a net thread, in which a slower net gives a set-point, or its last one stands.
+    /// The cycle of that number of a net thread, in which a slower net gives a set-point, or its last one is in force.
     fn sparse_cycle(&mut self, position: f64, number: i64) {
         let every = self.points.period.0 / PERIOD.0;
         self.net_time += PERIOD;
@@ -545,7 +545,7 @@ fn halt(t: f64) -> f64 {
 }
 
 #[test]
-fn after_a_gap_of_30_ms_the_joint_catches_up_and_follows_again() {
+fn setpoint_gap_of_30_ms_is_caught_up() {
     let quiet = |rig: &mut Rig| rig.cycle(None).check();
     let stalled = |rig: &mut Rig| rig.sample(PERIOD, Nanos(0)).check();
     for (name, motion) in [
@@ -556,14 +556,14 @@ fn after_a_gap_of_30_ms_the_joint_catches_up_and_follows_again() {
         let (beyond, cycles) = catch_up(motion, 30, quiet);
         assert!(beyond <= 1e-6, "{name}, no set-points: {beyond} rad beyond");
         assert!(cycles <= 200, "{name}, no set-points: {cycles} cycles");
-        // A thread that stands still is followed at its last speed for a while, perhaps too far.
+        // A stalled thread is followed at its last speed for a while, perhaps too far.
         let (_, cycles) = catch_up(motion, 30, stalled);
         assert!(cycles <= 200, "{name}, stalled: {cycles} cycles");
     }
 }
 
 #[test]
-fn a_step_is_approached_without_overshoot_or_chatter() {
+fn setpoint_step_is_approached_without_overshoot() {
     for step in [0.0019, -0.003, 0.01, 0.019_999_9, -0.02] {
         let mut rig = Rig::new();
         let (mut fastest, mut braking) = (0.0_f64, false);
@@ -594,7 +594,7 @@ fn a_step_is_approached_without_overshoot_or_chatter() {
 }
 
 #[test]
-fn a_run_of_set_points_may_end_and_begin_elsewhere_nearby() {
+fn setpoint_new_run_may_start_nearby() {
     let mut rig = Rig::new();
     for i in 0..100 {
         rig.cycle(Some(1e-3 * f64::from(i)));
@@ -613,7 +613,7 @@ fn a_run_of_set_points_may_end_and_begin_elsewhere_nearby() {
 }
 
 #[test]
-fn a_clock_that_is_set_anew_and_a_stream_that_steps_are_no_jump() {
+fn setpoint_clock_or_stream_step_causes_no_jump() {
     // Both are steps that the joint's speed allows.
     for (jitter, step) in [(5_000_000, 0.0), (-1_000_000, 0.0), (0, 0.0015)] {
         let mut rig = Rig::new();
@@ -644,7 +644,7 @@ fn a_clock_that_is_set_anew_and_a_stream_that_steps_are_no_jump() {
 
 /// A driver with a cycle of four of the net's, which plays far behind: before the oldest set-point that is kept.
 #[test]
-fn a_joint_that_plays_before_the_oldest_set_point_kept_catches_up_and_follows_to_the_end() {
+fn setpoint_playback_before_history_catches_up() {
     let behind = Nanos(DELAY.0 - 5 * PERIOD.0);
     let mut rig = Rig::new();
     for i in 0..1_008 {
@@ -667,7 +667,7 @@ fn a_joint_that_plays_before_the_oldest_set_point_kept_catches_up_and_follows_to
 }
 
 #[test]
-fn a_joint_brakes_ahead_of_the_end_of_its_range_and_comes_to_the_very_end() {
+fn setpoint_joint_brakes_before_range_end_reaches_it() {
     for (speed, step) in [(1.89, 1), (0.3, 1), (-1.89, 4), (-0.4, 7), (-0.02, 1)] {
         let mut rig = Rig::new();
         rig.joint.rest_at(2.5_f64.copysign(speed), &rig.points);
@@ -702,7 +702,7 @@ fn a_joint_brakes_ahead_of_the_end_of_its_range_and_comes_to_the_very_end() {
 }
 
 #[test]
-fn a_joint_beyond_its_range_stays_or_comes_back() {
+fn setpoint_joint_beyond_range_stays_or_returns() {
     let mut joint = in_mode(Mode::Held, 0.0);
     joint.rest_at(3.01, &JointSetPoints::default());
     // It is moved back only by set-points that lead back.
@@ -732,7 +732,7 @@ enum Phase {
     Flip,
     /// The motion goes on, but no set-points come.
     Gap(u16),
-    /// The net thread stands still and then skips the cycles it missed.
+    /// The net thread stalls and then skips the cycles it missed.
     Stall(u16),
     /// The net ends, and the next begins at this distance from where the joint has come to rest.
     Restart(f64),
@@ -763,7 +763,7 @@ const NEAR: f64 = 2.3;
 /// Motions go to the very end of the range.
 const FULL: f64 = LIMITS.position_max;
 
-/// A stream under way.
+/// A running stream.
 struct Play {
     rig: Rig,
     position: f64,
@@ -795,11 +795,11 @@ impl Play {
         self.modes[seen.mode as usize] += 1;
         if matches!(seen.mode, Mode::Held | Mode::Refused) {
             let (position, velocity) = *self.left.get_or_insert(before);
-            let way = (seen.position - position) * velocity.signum();
+            let distance = (seen.position - position) * velocity.signum();
             let stop = velocity * velocity / (2.0 * ACCELERATION_MAX);
             assert!(
-                (-1e-9..=stop + 1e-9).contains(&way),
-                "{seen:?}: {way} rad, not {stop}"
+                (-1e-9..=stop + 1e-9).contains(&distance),
+                "{seen:?}: {distance} rad, not {stop}"
             );
         } else {
             self.left = None;
@@ -907,7 +907,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_stream_drives_a_joint_beyond_its_limits(
+    fn setpoint_any_stream_stays_within_limits(
         phases in prop::collection::vec(phase(), 1..12),
         jitter in jitters(),
     ) {
@@ -926,7 +926,7 @@ proptest! {
 
     /// Also when set-points stop coming in mid-motion, right before its end.
     #[test]
-    fn no_stream_drives_a_joint_out_of_its_range(
+    fn setpoint_any_stream_stays_in_range(
         phases in prop::collection::vec(phase(), 1..20),
         jitter in jitters(),
     ) {
@@ -936,7 +936,7 @@ proptest! {
     }
 
     #[test]
-    fn nothing_moves_in_refused_until_set_points_end(
+    fn setpoint_refused_joint_rests_until_stream_ends(
         phases in prop::collection::vec(phase(), 1..6),
         jitter in jitters(),
     ) {
@@ -957,7 +957,7 @@ proptest! {
     }
 
     #[test]
-    fn smooth_motion_within_limits_is_followed_from_the_first_cycle_on(
+    fn setpoint_smooth_motion_is_followed_from_first_cycle(
         speeds in prop::collection::vec((-1.89..1.89, 0.1..4.0, 1..500_u16), 1..10),
     ) {
         let moves = speeds

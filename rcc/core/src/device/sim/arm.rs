@@ -1,14 +1,14 @@
-//! Simulated arms: they are where their set-points say, within their limits, and give way at their
-//! joints under a load from outside when told to be compliant. There is no gravity, no mass and no
-//! friction; in Cartesian impedance they take the parameters, but hold their joints stiff.
+//! Simulated arms: they are at their set-points, within their limits, and their joints deflect under an external load
+//! in joint impedance. There is no gravity, no mass and no friction; in Cartesian impedance they accept the
+//! parameters, but hold their joints stiff.
 //!
 //! Parameters: `min_joint`, `max_joint` (rad), `max_vel` (rad/s), `max_acc` (rad/s²), and if wanted
 //! `home_joint` (rad), lists with a number for each joint. The load from outside: `external_torque`
 //! (Nm), a list by joint, and `external_wrench`, [Fx, Fy, Fz, Tx, Ty, Tz] (N, Nm) at the flange
 //! along the axes of the arm's base.
 //!
-//! An LWR has 8 digital inputs, 8 digital and 8 analogue outputs beside; each input has the value of the
-//! output of its number.
+//! An LWR also has 8 digital inputs, 8 digital and 8 analogue outputs; each input has the value of the output with
+//! its number.
 
 use std::sync::Arc;
 
@@ -28,26 +28,26 @@ use crate::device::{
 };
 use crate::error::Error;
 
-/// Farther from where it is commanded, a joint is not taken over by the position control, rad.
+/// Position control takes over only within this position error, rad.
 const SWITCH_DISTANCE: f64 = 0.01;
-/// Faster than this a joint does not rest, rad/s.
+/// A joint faster than this is not at rest, rad/s.
 const RESTING: f64 = 1e-3;
-/// By how much joints are moved to see what a wrench does to them, rad.
+/// Joint step for numerical differentiation, rad.
 const PROBE: f64 = 1e-6;
-/// Flags of a drive: the motor rests, its position is controlled, it is initialized.
+/// Drive flags: motor at rest, position control, initialized.
 const DRIVE_FLAGS: [i32; 3] = [1 << 4, 1 << 10, 1 << 15];
 
-/// Values of the answers' error.
+/// Error values of answers.
 mod error {
-    /// There is no such strategy, or no such tool.
+    /// Unknown strategy or tool.
     pub(super) const RANGE: i32 = 1;
-    /// A joint moves, or is not where it is commanded.
+    /// A joint moves, or is not at its commanded position.
     pub(super) const MOVES: i32 = 3;
-    /// Its net ended before it was begun.
+    /// Its net ended before the order was started.
     pub(super) const WITHDRAWN: i32 = 7;
 }
 
-/// What is special about a type of arm.
+/// Properties of an arm type.
 struct Model {
     joints: usize,
     kinematics: &'static str,
@@ -71,7 +71,7 @@ const LIGHTWEIGHT: [Part; 6] = [
     Part::Torques,
     Part::Wrench,
 ];
-/// Those of the controller of an LWR.
+/// Those of an LWR controller.
 const LWR_IO: Part = Part::Io {
     bool_in: 8,
     bool_out: 8,
@@ -174,7 +174,7 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Resul
         state,
         on_end,
     };
-    arm.tell([0.0; ARM_JOINTS_MAX]);
+    arm.publish([0.0; ARM_JOINTS_MAX]);
     Ok((description, Box::new(arm)))
 }
 
@@ -202,7 +202,7 @@ fn limits(parameters: &Parameters<'_>, joints: usize) -> Result<Vec<JointLimits>
     Ok(limits)
 }
 
-/// Where a joint is and how it moves: rad, rad/s, rad/s².
+/// Position and motion of a joint: rad, rad/s, rad/s².
 #[derive(Clone, Copy, Debug)]
 struct Motion {
     position: f64,
@@ -226,7 +226,7 @@ impl Motion {
     }
 }
 
-/// What acts on the arm from outside.
+/// External load.
 #[derive(Debug)]
 struct Load {
     /// By joint, Nm.
@@ -235,7 +235,7 @@ struct Load {
     wrench: Option<Wrench>,
 }
 
-/// What became of the last orders.
+/// Answers to the last orders.
 #[derive(Debug, Default)]
 struct Answers {
     tool: Option<Answer>,
@@ -250,7 +250,7 @@ struct SimulatedArm {
     measured: Vec<Motion>,
     compliance: Vec<Compliance>,
     strategies: Strategies,
-    /// The one in force.
+    /// The strategy in force.
     strategy: i32,
     answers: Answers,
     load: Load,
@@ -267,14 +267,14 @@ impl Simulated for SimulatedArm {
         if dt_s <= 0.0 {
             return;
         }
-        self.obey(command);
+        self.apply(command);
         self.retract(command);
         let torques = self.load_torques();
         let compliant = self.strategy == self.strategies.joint_impedance;
         for (i, joint) in self.joints.iter_mut().enumerate() {
             let set_points = &command.joints[i];
-            // Between two set-points of a slower net it is on the way between them, without a corner at either: that
-            // needs half a period more. This thread is never late for itself.
+            // Between two set-points of a slower net it interpolates without corners: that needs half a period more.
+            // This thread is never late for itself.
             let period = set_points.period;
             let more = if joint.is_sparse(period) {
                 period.0 / 2
@@ -295,7 +295,7 @@ impl Simulated for SimulatedArm {
             }
             self.measured[i].move_to(position + compliance.deflection(), dt_s);
         }
-        self.tell(torques);
+        self.publish(torques);
     }
 
     fn retract(&mut self, command: &DeviceCommand) {
@@ -310,8 +310,8 @@ impl Simulated for SimulatedArm {
 }
 
 impl SimulatedArm {
-    /// Takes what nets order.
-    fn obey(&mut self, command: &DeviceCommand) {
+    /// Applies orders of nets.
+    fn apply(&mut self, command: &DeviceCommand) {
         let words = &command.words;
         let rests = self.rests();
         let Answers {
@@ -340,18 +340,18 @@ impl SimulatedArm {
             answer(order, words, tool, |wanted| check_tool(&wanted));
         }
         if let Some(order) = &self.interfaces.cartesian_impedance {
-            // Its parameters are checked where they are given.
+            // Parameters are checked where they are ordered.
             answer(order, words, cartesian_impedance, |_| 0);
         }
         let signals = &mut self.state.signals;
         let orders = self.interfaces.joint_impedance.iter();
         let orders = orders.flat_map(|orders| orders.iter());
         for (order, compliance) in orders.zip(&mut self.compliance) {
-            compliance.obey(order, words, command.cycle, signals);
+            compliance.apply(order, words, command.cycle, signals);
         }
     }
 
-    /// Whether all joints rest where they are commanded.
+    /// Whether all joints rest at their commanded positions.
     fn rests(&self) -> bool {
         let joints = self.joints.iter().zip(&self.measured);
         joints.into_iter().all(|(joint, measured)| {
@@ -360,7 +360,7 @@ impl SimulatedArm {
         })
     }
 
-    /// What the load does to the joints, Nm.
+    /// Joint torques of the load, Nm.
     fn load_torques(&self) -> [f64; ARM_JOINTS_MAX] {
         let mut torques = [0.0; ARM_JOINTS_MAX];
         for (torque, load) in torques.iter_mut().zip(&self.load.torque) {
@@ -374,7 +374,7 @@ impl SimulatedArm {
             let count = self.joints.len();
             let flange = kinematics.forward(&angles[..count]);
             for i in 0..count {
-                // Virtual work: the torque is what the wrench does per angle of the joint.
+                // Virtual work: the torque is the work of the wrench per joint angle.
                 let angle = angles[i];
                 angles[i] = angle + PROBE;
                 let moved = kinematics.forward(&angles[..count]);
@@ -387,11 +387,11 @@ impl SimulatedArm {
         torques
     }
 
-    fn tell(&mut self, torques: [f64; ARM_JOINTS_MAX]) {
+    fn publish(&mut self, torques: [f64; ARM_JOINTS_MAX]) {
         let joints = self.joints.iter().zip(&self.measured);
-        for (told, (joint, measured)) in self.state.joints.iter_mut().zip(joints) {
+        for (reported, (joint, measured)) in self.state.joints.iter_mut().zip(joints) {
             let (position, velocity, acceleration) = joint.motion();
-            *told = JointState {
+            *reported = JointState {
                 commanded_position: Some(position),
                 commanded_velocity: Some(velocity),
                 commanded_acceleration: Some(acceleration),
@@ -417,7 +417,7 @@ impl SimulatedArm {
                 .answer
                 .report(signals, self.answers.cartesian_impedance);
         }
-        // Without mass a joint's sensor measures what acts from outside.
+        // Without mass a joint's sensor measures the external torque.
         for (place, torque) in has.torques.iter().flat_map(|t| t.iter()).zip(torques) {
             place.estimated.report(signals, Some(torque));
             place.measured.report(signals, Some(torque));
@@ -435,7 +435,7 @@ impl SimulatedArm {
     }
 }
 
-/// Answers an order once; `decide` carries it out and gives the error.
+/// Answers an order once; `decide` executes it and returns the error.
 fn answer<T: takt_net::device::Words>(
     order: &Order<T>,
     words: &[u64],
@@ -445,7 +445,7 @@ fn answer<T: takt_net::device::Words>(
     if let Some(given) = order.command.read(words)
         && last.is_none_or(|last| last.order != given.cycle)
     {
-        // What was not begun when its net ended is not begun any more.
+        // An order that was not started when its net ended is dropped.
         let error = if given.is_withdrawn() {
             error::WITHDRAWN
         } else {

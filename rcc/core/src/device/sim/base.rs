@@ -1,6 +1,6 @@
-//! A simulated base on four mecanum wheels. It follows velocities or poses within its speed and
-//! acceleration, and measures exactly what it does: wheels do not slip. When
-//! commands stop it brakes to rest at its acceleration.
+//! A simulated base on four mecanum wheels. It follows velocities or poses within its speed and acceleration limits
+//! and measures its motion exactly: wheels do not slip. When commands end it brakes to rest at its acceleration
+//! limit.
 //!
 //! Parameters: `max_vel` (m/s, 0.8), `max_rot_vel` (rad/s, 0.8), `max_acc` (m/s², 1.6) and
 //! `max_rot_acc` (rad/s², 1.6).
@@ -19,9 +19,9 @@ const WHEELS: usize = 4;
 const RADIUS: f64 = 0.0475;
 /// Half of length and width between wheels, m.
 const LEVER: f64 = (0.47 + 0.30) / 2.0;
-/// Farther from the base than this a first pose is refused, m and rad.
+/// A first pose farther from the base than this is refused, m and rad.
 const START_DISTANCE: f64 = 0.02;
-/// Farther behind its poses than this it gives up, m and rad.
+/// The base gives up on poses farther ahead than this, m and rad.
 const LOST_DISTANCE: f64 = 0.2;
 
 pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
@@ -61,30 +61,30 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
         wheels: [0.0; WHEELS],
         state,
     };
-    mecanum.tell();
+    mecanum.publish();
     Ok((description, Box::new(mecanum)))
 }
 
-/// What moves it.
+/// Source of its motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
-    /// Nothing: it rests or brakes.
+    /// None: it rests or brakes.
     Resting,
-    /// A net gives velocities.
+    /// Velocities of a net.
     Velocity,
-    /// A net gives poses.
+    /// Poses of a net.
     Pose,
-    /// Poses that it cannot follow, until they end.
+    /// Poses out of reach, refused until they end.
     Refused,
 }
 
-/// A pose that a net wants.
+/// A pose that a net commands.
 #[derive(Clone, Copy, Debug)]
 struct Goal {
     /// The cycle in which it was given.
     cycle: u64,
     pose: [f64; 3],
-    /// Of the poses, for each second.
+    /// Rate of the poses.
     speed: [f64; 3],
 }
 
@@ -95,7 +95,7 @@ struct Mecanum {
     mode: Mode,
     /// x and y, m, and heading, rad, in the frame in which it started.
     pose: [f64; 3],
-    /// Where a net wants it.
+    /// The commanded pose.
     goal: Option<Goal>,
     /// Angles of the motors' shafts behind the gear, rad.
     wheels: [f64; WHEELS],
@@ -138,7 +138,7 @@ impl Simulated for Mecanum {
             }
         }
         self.advance(dt_s);
-        self.tell();
+        self.publish();
     }
 
     fn state(&self) -> &DeviceState {
@@ -147,29 +147,29 @@ impl Simulated for Mecanum {
 }
 
 impl Mecanum {
-    /// Goes to a pose on the straight way on which it is there when the next one comes, in so many cycles; refuses one
-    /// that is too far away.
+    /// Moves straight to a pose, to arrive when the next one is due in `left` cycles; refuses one that is too far
+    /// away.
     #[expect(clippy::cast_precision_loss, reason = "a count of a few cycles")]
     fn follow(&mut self, cycle: u64, pose: [f64; 3], left: u64, dt_s: f64) {
         let goal = match self.goal {
             Some(last) if last.cycle == cycle => last,
             Some(last) => {
                 let span_s = cycle.saturating_sub(last.cycle).max(1) as f64 * dt_s;
-                let speed = way(last.pose, pose).map(|way| way / span_s);
+                let speed = offset(last.pose, pose).map(|offset| offset / span_s);
                 Goal { cycle, pose, speed }
             }
             None => Goal {
                 cycle,
                 pose,
-                // From where it is.
-                speed: way(self.pose, pose).map(|way| way / (left as f64 * dt_s)),
+                // From the current pose.
+                speed: offset(self.pose, pose).map(|offset| offset / (left as f64 * dt_s)),
             },
         };
         let first = self.goal.replace(goal).is_none();
         let ahead_s = (left - 1) as f64 * dt_s;
         let target: [f64; 3] = std::array::from_fn(|i| pose[i] - goal.speed[i] * ahead_s);
         let most = if first { START_DISTANCE } else { LOST_DISTANCE };
-        let [x, y, turn] = way(self.pose, if first { pose } else { target });
+        let [x, y, turn] = offset(self.pose, if first { pose } else { target });
         let near = x.hypot(y) <= most && turn.abs() <= most;
         if self.mode == Mode::Refused || !near {
             self.mode = Mode::Refused;
@@ -177,14 +177,14 @@ impl Mecanum {
             return;
         }
         self.mode = Mode::Pose;
-        let way = way(self.pose, target);
-        // In the frame that the base has half-way, as it is moved on.
-        let (sin, cos) = (self.pose[2] + way[2] / 2.0).sin_cos();
+        let offset = offset(self.pose, target);
+        // In the frame at half of the turn.
+        let (sin, cos) = (self.pose[2] + offset[2] / 2.0).sin_cos();
         let own = |[x, y, turn]: [f64; 3]| [cos * x + sin * y, cos * y - sin * x, turn];
-        self.stage.track(own(way), own(goal.speed), dt_s);
+        self.stage.track(own(offset), own(goal.speed), dt_s);
     }
 
-    /// Moves on at its velocity, the heading taken in the middle of the step.
+    /// Integrates its velocity, with the heading at half of the step.
     fn advance(&mut self, dt_s: f64) {
         let [x, y, turn] = self.stage.velocity();
         let (sin, cos) = (self.pose[2] + turn * dt_s / 2.0).sin_cos();
@@ -200,7 +200,7 @@ impl Mecanum {
         }
     }
 
-    fn tell(&mut self) {
+    fn publish(&mut self) {
         for (limited, held_back) in self.state.limited.iter_mut().zip(self.stage.limited()) {
             *limited = *held_back;
         }
@@ -222,7 +222,7 @@ impl Mecanum {
             Mode::Resting | Mode::Velocity | Mode::Pose => JointError::None as i32,
         };
         if let Some(base) = &self.interfaces.base {
-            tell_base(base, signals, pose, velocity);
+            report_base(base, signals, pose, velocity);
             for ((wheel, angle), rate) in base
                 .wheels
                 .iter()
@@ -239,8 +239,8 @@ impl Mecanum {
     }
 }
 
-fn tell_base(base: &Base, signals: &mut [u64], pose: Frame, velocity: Twist) {
-    // A pose that it refuses is no fault of velocities.
+fn report_base(base: &Base, signals: &mut [u64], pose: Frame, velocity: Twist) {
+    // A refused pose is no fault of velocities.
     base.error.report(signals, Some(0));
     base.commanded.report(signals, Some(velocity));
     base.velocity.report(signals, Some(velocity));
@@ -279,8 +279,8 @@ fn flat(pose: &Frame) -> [f64; 3] {
     [position.x, position.y, ahead.y.atan2(ahead.x)]
 }
 
-/// From one pose to another, the shorter turn.
-fn way(from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
+/// The offset from one pose to another, by the shorter turn.
+fn offset(from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
     [
         to[0] - from[0],
         to[1] - from[1],

@@ -1,23 +1,22 @@
-//! How a simulated joint gives way: a spring to its commanded position and a damper beside it,
-//! without mass. So it neither swings nor bounces, and stays stable whatever the stiffness and the
-//! period.
+//! Compliance of a simulated joint: a spring and a parallel damper to its commanded position, without mass. It
+//! neither oscillates nor bounces, and is stable for any stiffness and period.
 
 use takt_net::device::{Answer, JointImpedance, Order};
 
-/// Stiffness at first, Nm/rad.
+/// Default stiffness, Nm/rad.
 const STIFFNESS: f64 = 1000.0;
-/// Damping ratio at first.
+/// Default damping ratio.
 const DAMPING: f64 = 0.7;
 /// Largest stiffness, Nm/rad.
 const STIFFNESS_MAX: f64 = 5000.0;
-/// Least damper, Nms/rad: without any, a torque that no spring holds would move the joint at once.
+/// Smallest damper, Nms/rad: without one, a torque without a spring would move the joint at once.
 const DAMPER_MIN: f64 = 0.1;
 
-/// Values of the answer's error.
+/// Error values of answers.
 mod error {
-    /// Stiffness or damping is out of range or no number.
+    /// Stiffness or damping is out of range or not finite.
     pub(super) const RANGE: i32 = 1;
-    /// Its net ended before it was begun.
+    /// Its net ended before the order was started.
     pub(super) const WITHDRAWN: i32 = 7;
 }
 
@@ -27,11 +26,11 @@ pub(super) struct Compliance {
     stiffness: f64,
     damping: f64,
     torque_max: f64,
-    /// What nets add, Nm.
+    /// Torque that nets add, Nm.
     added: f64,
-    /// How far the joint has given way, rad.
+    /// Deflection of the joint, rad.
     deflection: f64,
-    /// The order that was looked at last.
+    /// The latest order.
     order: u64,
     answer: Option<Answer>,
 }
@@ -51,8 +50,8 @@ impl Default for Compliance {
 }
 
 impl Compliance {
-    /// Takes what nets order in this cycle, and answers.
-    pub(super) fn obey(
+    /// Applies the orders of this cycle and answers them.
+    pub(super) fn apply(
         &mut self,
         order: &Order<JointImpedance>,
         words: &[u64],
@@ -95,7 +94,7 @@ impl Compliance {
         possible
     }
 
-    /// One step under a torque from outside, Nm; returns the deflection, rad.
+    /// One step under an external torque, Nm; returns the deflection, rad.
     pub(super) fn yield_to(&mut self, external: f64, dt_s: f64) -> f64 {
         let torque = external + self.added;
         // As critically damped with 1 kg m² at a ratio of 1.
@@ -117,17 +116,17 @@ impl Compliance {
         self.deflection
     }
 
-    /// Keeps the deflection in a range, where the joint meets its stops.
+    /// Limits the deflection to a range, the stops of the joint.
     pub(super) const fn keep_within(&mut self, min: f64, max: f64) {
         self.deflection = self.deflection.max(min).min(max);
     }
 
-    /// The joint is held stiff where it is commanded.
+    /// Switches to stiff position control.
     pub(super) const fn hold(&mut self) {
         self.deflection = 0.0;
     }
 
-    /// How far it has given way, rad.
+    /// Deflection, rad.
     pub(super) const fn deflection(&self) -> f64 {
         self.deflection
     }
@@ -149,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn it_comes_to_rest_where_spring_and_load_are_even_whatever_the_period() {
+    fn sim_compliance_rests_at_equilibrium_for_any_period() {
         for stiffness in [1.0, 100.0, STIFFNESS_MAX] {
             for (damping, dt_s) in [(0.0, 0.000_1), (0.0, 10.0), (0.3, 0.1), (1.0, 0.001)] {
                 let (mut joint, mut last) = (compliance(stiffness, damping), 0.0);
@@ -165,14 +164,14 @@ mod tests {
     }
 
     #[test]
-    fn without_stiffness_a_load_moves_it_against_the_damper_alone() {
+    fn sim_compliance_without_stiffness_moves_against_damper() {
         let mut joint = compliance(0.0, 0.0);
         (0..1000).for_each(|_| _ = joint.yield_to(0.05, 0.001));
         assert!((joint.deflection() - 0.5).abs() < 1e-9);
     }
 
     #[test]
-    fn what_is_out_of_range_changes_nothing() {
+    fn sim_compliance_parameters_out_of_range_change_nothing() {
         let mut joint = compliance(100.0, 0.5);
         for (stiffness, damping) in [(-1.0, 0.5), (f64::NAN, 0.5), (10.0, 1.1), (1e6, 0.5)] {
             assert!(!joint.take(&JointImpedance {

@@ -1,5 +1,5 @@
-//! A simulated gripper: its fingers move to the ordered distance within their speed and acceleration. They grip
-//! nothing, so nothing stops them on the way but an order that is withdrawn.
+//! A simulated gripper: its fingers move to the ordered distance within their speed and acceleration. There is no
+//! object to grip, so only a withdrawn order stops them.
 //!
 //! Parameters: `max_distance` (m, 0.023), `max_vel` (m/s, 0.01) and `max_acc` (m/s², 1), all of the distance
 //! between the fingers.
@@ -16,16 +16,16 @@ use crate::error::Error;
 /// Two bars that move 11.5 mm each.
 const DISTANCE_MAX: f64 = 0.023;
 const VELOCITY_MAX: f64 = 0.01;
-/// Nobody states one for the real fingers.
+/// Not specified for the real fingers.
 const ACCELERATION_MAX: f64 = 1.0;
-/// Nearer than this they are where they were ordered, m.
+/// Distance at which an order is fulfilled, m.
 const ARRIVED: f64 = 1e-9;
 
-/// Values of the answer's error.
+/// Error values of answers.
 mod error {
-    /// The distance is out of range or no number.
+    /// The distance is out of range or not finite.
     pub(super) const RANGE: i32 = 1;
-    /// Its net ended before it was carried out.
+    /// Its net ended before the order was executed.
     pub(super) const WITHDRAWN: i32 = 3;
 }
 
@@ -63,7 +63,7 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
 struct Fingers {
     gripper: Gripper,
     stage: LastStage,
-    /// The order that is under way.
+    /// The order in progress.
     order: u64,
     state: DeviceState,
 }
@@ -78,11 +78,11 @@ impl Simulated for Fingers {
         let possible = (0.0..=self.gripper.distance_max).contains(&order.value);
         if self.order != order.cycle {
             self.order = order.cycle;
-            // Fingers take their time: an order is no set-point that they fall behind.
+            // An order is no set-point that the fingers could fall behind.
             self.stage.begin_quietly(self.gripper.distance_max);
         }
         let mut arrived = false;
-        // Without its net, the fingers brake.
+        // The fingers brake without their net.
         if possible && !order.is_withdrawn() {
             let distance = self.stage.track(order.value, 0.0, seconds(dt));
             arrived = (distance - order.value).abs() <= ARRIVED;
@@ -103,7 +103,7 @@ impl Simulated for Fingers {
         });
         let signals = &mut self.state.signals;
         self.gripper.distance.report(signals, Some(distance));
-        // An earlier answer is no answer to a new order; its number tells.
+        // Answers belong to an order by its number.
         if answer.is_some() {
             self.gripper.order.answer.report(signals, answer);
         }

@@ -1,8 +1,7 @@
-//! Simulated inputs and outputs: each input has the value that the output of its number had in the
-//! cycle before. Nothing else moves them.
+//! Simulated inputs and outputs: each input has the value that the output with its number had in the previous cycle.
 //!
-//! Parameters: `bools` and `reals`, how many of each (8 and 2); `on_end_bool` and `on_end_real`, what becomes of outputs
-//! when the net that wrote them ends.
+//! Parameters: `bools` and `reals`, number of each (8 and 2); `on_end_bool` and `on_end_real`, output policies at the
+//! end of a net.
 
 use takt_net::device::{Given, Interfaces, Io, Layout, Output, Signal, Words};
 use takt_rt::Nanos;
@@ -68,7 +67,7 @@ impl Simulated for Looped {
     }
 }
 
-/// Sets outputs as commanded and each input like the output of its number, if there is one.
+/// Sets outputs as commanded, and each input to the output with its number, if there is one.
 pub(super) fn loop_back(
     io: &Io,
     on_end: &OutputsOnEnd,

@@ -23,7 +23,7 @@ fn triangle(cycle: u64) -> f64 {
 }
 
 #[test]
-fn triangles_of_any_period_move_a_simulated_arm_within_limits() {
+fn sim_arm_follows_triangles_within_limits() {
     let texts = texts(&[
         ("min_joint", "[-2,-2,-2,-2,-2]"),
         ("max_joint", "[2,2,2,2,2]"),
@@ -61,7 +61,7 @@ fn triangles_of_any_period_move_a_simulated_arm_within_limits() {
 }
 
 #[test]
-fn poses_on_a_triangle_move_a_simulated_base_within_limits() {
+fn sim_base_follows_poses_within_limits() {
     let base = Part::Base {
         wheels: 4,
         velocity_max: 0.8,
@@ -79,9 +79,9 @@ fn poses_on_a_triangle_move_a_simulated_base_within_limits() {
         for cycle in 1..9000_u64 {
             command.cycle = cycle;
             if cycle % every == 1 % every {
-                let way = triangle(cycle);
-                let turn = Rotation::from_axis_angle(&Vector::z_axis(), 0.3 * way);
-                let pose = Frame::from_parts([0.3 * way, 0.1 * way, 0.0].into(), turn);
+                let path = triangle(cycle);
+                let turn = Rotation::from_axis_angle(&Vector::z_axis(), 0.3 * path);
+                let pose = Frame::from_parts([0.3 * path, 0.1 * path, 0.0].into(), turn);
                 let words = &mut command.words;
                 (words[at], words[at + 1], words[at + 2]) = (cycle, cycle, every);
                 pose.put_words(|i, word| words[at + 3 + i] = word);
@@ -89,14 +89,14 @@ fn poses_on_a_triangle_move_a_simulated_base_within_limits() {
             }
             device.step(&command, DT);
             let state = device.state();
-            let told = has
+            let velocity = has
                 .base
                 .as_ref()
                 .unwrap()
                 .velocity
                 .read(&state.signals)
                 .unwrap();
-            let now = [told.vel.x, told.vel.y, told.rot.z];
+            let now = [velocity.vel.x, velocity.vel.y, velocity.rot.z];
             let change: [f64; 3] = std::array::from_fn(|i| (now[i] - last[i]) / 1e-3);
             let floor = change[0].hypot(change[1]);
             assert!(floor <= 1.6 + 1e-9, "every {every}, {cycle}: {floor} m/s²");

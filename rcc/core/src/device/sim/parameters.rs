@@ -1,5 +1,4 @@
-//! Parameters of a device as programs give them: texts by name. What they mean is said where they
-//! are read.
+//! Parameters of a device as programs give them: texts by name. Each reader documents its own.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -24,7 +23,7 @@ impl Parameters<'_> {
         }
     }
 
-    /// A list of so many numbers up to [`MOST`] either way, if it is given.
+    /// A list of `len` numbers from -[`MOST`] to [`MOST`], if present.
     pub(super) fn list(&self, key: &str, len: usize) -> Result<Option<Vec<f64>>, Error> {
         let Some(text) = self.texts.get(key) else {
             return Ok(None);
@@ -38,7 +37,7 @@ impl Parameters<'_> {
         Ok(Some(values))
     }
 
-    /// What becomes of so many outputs when the net that wrote them ends: `hold`, or a value for each.
+    /// Output policies at the end of a net: `hold`, or a value for each.
     pub(super) fn on_end(&self, bools: usize, reals: usize) -> Result<OutputsOnEnd, Error> {
         let policies = OutputsOnEnd {
             bool: self.policies("on_end_bool", "true or false", |it| it.parse().ok())?,
@@ -72,13 +71,13 @@ impl Parameters<'_> {
         bare.split(',').enumerate().map(one).collect()
     }
 
-    /// A list that must be given.
+    /// A required list.
     pub(super) fn needed(&self, key: &str, len: usize) -> Result<Vec<f64>, Error> {
         self.list(key, len)?
             .ok_or_else(|| self.wrong(format!("{key} is missing")))
     }
 
-    /// A number above zero.
+    /// A positive number.
     pub(super) fn positive(&self, key: &str, default: f64) -> Result<f64, Error> {
         let Some(text) = self.texts.get(key) else {
             return Ok(default);
@@ -90,7 +89,7 @@ impl Parameters<'_> {
         })
     }
 
-    /// A whole number in a range.
+    /// An integer in a range.
     pub(super) fn count(
         &self,
         key: &str,

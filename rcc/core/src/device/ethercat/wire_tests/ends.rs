@@ -38,7 +38,7 @@ impl Plant for Moved {
 
     fn copy_state(&mut self, state: &mut DeviceState) {
         let device = &mut self.bench.devices[self.bench.device];
-        device.state.read_with(|told| state.copy_from(told));
+        device.state.read_with(|reported| state.copy_from(reported));
     }
 
     fn sent(&mut self) -> f64 {

@@ -1,5 +1,5 @@
-//! The arm of a youBot: five joints that are homed first, if that is allowed, and then go where nets say, by the
-//! drives' own position or velocity loop or as springs. All joints follow or none is commanded.
+//! The arm of a youBot: five joints that are homed first, if that is allowed, and then follow nets by the drives'
+//! position or velocity loop, or as springs. Nets command all joints or none.
 
 use std::time::Duration;
 
@@ -25,11 +25,11 @@ use crate::device::last_stage::LastStage;
 use crate::device::setpoint::Joint;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
 
-/// Correction of a joint by its velocity, 1/s.
+/// Proportional gain of the position correction in velocity mode, 1/s.
 const CORRECTION: f64 = 10.0;
-/// Farther from where it is commanded, an arm does not change its strategy, rad.
+/// The strategy changes only within this position error, rad.
 const SWITCH_DISTANCE: f64 = 0.1;
-/// Faster than this a joint does not rest, rad/s: some revolutions of its motor per minute.
+/// A joint above this speed is not at rest, rad/s: some motor revolutions per minute.
 const RESTING: f64 = 0.05;
 
 /// The arm.
@@ -38,9 +38,9 @@ pub(super) struct Arm {
     pub(super) drives: [Drive; 5],
     homing: [Homing; 5],
     joints: [Joint; 5],
-    /// What bounds the velocities that leave for drives that are moved by those.
+    /// Last stages of the velocities for drives in velocity mode.
     speeds: [LastStage; 5],
-    /// Smallest and largest position of each, rad.
+    /// Lower and upper end of each range, rad.
     ends: [(f64, f64); 5],
     control: YouBotControl,
     may_home: bool,
@@ -52,7 +52,7 @@ pub(super) struct Arm {
     last: Option<Nanos>,
     continuity: Continuity,
     interfaces: Interfaces,
-    told: DeviceState,
+    reported: DeviceState,
     taken: DeviceCommand,
     state: LatestWriter<DeviceState>,
     command: LatestReader<DeviceCommand>,
@@ -77,7 +77,7 @@ impl Arm {
         let drive = |n: usize| {
             let config = DriveConfig {
                 current_max_ma: milliamperes(arm.current_max[n]),
-                // Away from the stop of all but the third, as the vendor's driver does it.
+                // Homing moves all joints but the third off their stops, as the vendor's driver does.
                 direction: if n == 2 { 1 } else { -1 },
             };
             Drive::new(slaves[n], config)
@@ -106,7 +106,7 @@ impl Arm {
             last: None,
             continuity: Continuity::default(),
             interfaces,
-            told: DeviceState::new(layout.signals),
+            reported: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
             state: end.state,
             command: end.command,
@@ -117,9 +117,9 @@ impl Arm {
         self.drives.iter().all(Drive::follows)
     }
 
-    /// Whether a fault took all commands from it until its driver starts again.
+    /// Whether a fault disabled all commands until the driver restarts.
     fn is_held(&self) -> bool {
-        self.recovery == Recovery::OnRestart && self.told.faults > 0
+        self.recovery == Recovery::OnRestart && self.reported.faults > 0
     }
 
     /// Whether joints can be commanded.
@@ -136,7 +136,7 @@ impl Arm {
                 .all(|joint| joint.motion().1.abs() < 1e-9)
     }
 
-    /// The first joint whose stop is not known, or what the gripper waits for.
+    /// The first joint that is not homed, or the fault of the gripper.
     pub(super) fn waits_for(&self) -> Option<Waiting> {
         let joints = self.homing.iter().zip(&self.drives);
         let why = |homing: &Homing| match homing.state() {
@@ -164,18 +164,18 @@ impl Arm {
         })
     }
 
-    /// Position (rad) and speed (rad/s) of a joint, if it is known where it is.
+    /// Position (rad) and speed (rad/s) of a joint, if its position is known.
     fn measured(&self, n: usize) -> Option<[f64; 2]> {
-        let told = self.drives[n].feedback()?;
+        let feedback = self.drives[n].feedback()?;
         let geometry = ARM[n];
         let motion = [
-            geometry.angle(told.position),
-            geometry.speed(told.velocity_rpm),
+            geometry.angle(feedback.position),
+            geometry.speed(feedback.velocity_rpm),
         ];
         self.homing[n].is_done().then_some(motion)
     }
 
-    /// Whether joints rest about where they are commanded.
+    /// Whether all joints rest near their commanded positions.
     fn is_still(&self) -> bool {
         (0..ARM.len()).all(|n| {
             self.measured(n).is_some_and(|[position, velocity]| {
@@ -188,7 +188,7 @@ impl Arm {
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
-        // A drive takes a command for a cycle, however long the host was away before.
+        // A drive executes a command for one cycle, no matter how long the host stalled before.
         let is_later = |last| tick.scheduled > last;
         let passed = self.last.replace(tick.scheduled).is_some_and(is_later);
         let dt = if passed { seconds(self.cycle) } else { 0.0 };
@@ -199,7 +199,7 @@ impl Arm {
         let rests = ready.then(|| self.is_still());
         let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period);
         self.springs
-            .obey(&self.interfaces, &self.taken, fresh, rests);
+            .apply(&self.interfaces, &self.taken, fresh, rests);
         let follows = self.follows();
         let orders = ready.then(|| self.set_points(tick, dt, fresh && !stopping));
         for n in 0..ARM.len() {
@@ -207,7 +207,7 @@ impl Arm {
                 Some(orders[n])
             } else {
                 let order = self.home(n, follows, may_move, stopping, tick);
-                // Behind homing: a joint whose stop is known since just now rests where it is before it follows.
+                // After homing: a joint that was just homed rests at its position before it follows.
                 if let Some([position, _]) = self.measured(n) {
                     self.joints[n].rest_at(position, &self.taken.joints[n]);
                     self.speeds[n].rest_at(position);
@@ -219,10 +219,10 @@ impl Arm {
         if let (Some(gripper), [.., last]) = (&mut self.gripper, &mut self.drives) {
             gripper.cycle(last, self.may_home && !stopping, fresh && !stopping, tick);
         }
-        self.tell(tick);
+        self.publish(tick);
     }
 
-    /// Homing of a joint, as far as it goes in this cycle.
+    /// One cycle of homing of a joint.
     fn home(
         &mut self,
         n: usize,
@@ -232,9 +232,9 @@ impl Arm {
         tick: &Tick,
     ) -> Option<Command> {
         let (homing, drive) = (&mut self.homing[n], &mut self.drives[n]);
-        let told = drive.feedback().copied();
-        // What lost its power does not know where it is; what was only gone says so when it is asked.
-        let knows = told.is_some_and(|told| told.flags.any(Flags::INITIALIZED));
+        let feedback = drive.feedback().copied();
+        // A drive that lost power lost its position; one that was only offline still reports it.
+        let knows = feedback.is_some_and(|feedback| feedback.flags.any(Flags::INITIALIZED));
         if !knows || (homing.is_active() && !follows) {
             homing.forget();
         }
@@ -247,11 +247,11 @@ impl Arm {
         if homing.state() == HomingState::Idle {
             homing.start();
         }
-        homing.cycle(&told?, drive.mailbox(), may_move, now(tick))
+        homing.cycle(&feedback?, drive.mailbox(), may_move, now(tick))
     }
 
-    /// What joints that are ready are to do. Without fresh set-points they brake; soft ones stay soft, as one that was
-    /// pushed aside would jump to where it is commanded.
+    /// Commands of ready joints. Without fresh set-points they brake; compliant joints stay compliant, because one
+    /// that was pushed aside would jump to its commanded position.
     fn set_points(&mut self, tick: &Tick, dt: f64, fresh: bool) -> [Command; 5] {
         let mut commanded = [[0.0; 2]; 5];
         for (n, commanded) in commanded.iter_mut().enumerate() {
@@ -280,7 +280,7 @@ impl Arm {
         })
     }
 
-    fn tell(&mut self, tick: &Tick) {
+    fn publish(&mut self, tick: &Tick) {
         let absent = |drive: &Drive| drive.state() == DriveState::Absent;
         let status = if self.is_ready() {
             DeviceStatus::Operational
@@ -289,18 +289,18 @@ impl Arm {
         } else {
             DeviceStatus::SafeOperational
         };
-        self.told.enter(status, tick.scheduled);
+        self.reported.enter(status, tick.scheduled);
         for n in 0..ARM.len() {
             let measured = self.measured(n);
             let joint = &self.joints[n];
             let (position, velocity, acceleration) = joint.motion();
-            self.told.limited[n] = *joint.limited();
+            self.reported.limited[n] = *joint.limited();
             let error = match status {
                 DeviceStatus::Offline => JointError::Offline,
                 DeviceStatus::SafeOperational => JointError::NotEnabled,
                 DeviceStatus::Operational => joint.error(),
             };
-            self.told.joints[n] = JointState {
+            self.reported.joints[n] = JointState {
                 commanded_position: Some(position),
                 commanded_velocity: Some(velocity),
                 commanded_acceleration: Some(acceleration),
@@ -311,21 +311,23 @@ impl Arm {
             };
         }
         let joints = &self.joints;
-        self.continuity.check(&mut self.told, |number| {
+        self.continuity.check(&mut self.reported, |number| {
             Some(joints.get(number)?.limits().velocity_max)
         });
-        let signals = &mut self.told.signals;
-        self.springs.tell(&self.interfaces, signals);
+        let signals = &mut self.reported.signals;
+        self.springs.report(&self.interfaces, signals);
         let flags = self
             .interfaces
             .drives
             .iter()
             .flat_map(|drives| drives.iter());
         for (place, drive) in flags.zip(&self.drives) {
-            let flags = drive.feedback().map(|told| told.flags.0.cast_signed());
+            let flags = drive
+                .feedback()
+                .map(|feedback| feedback.flags.0.cast_signed());
             place.report(signals, flags);
         }
-        // By the motors' currents: what gears lose is in it, what acts from outside cannot be told apart.
+        // From motor currents: gear friction is included and cannot be distinguished from external torques.
         let torques = self
             .interfaces
             .torques
@@ -334,10 +336,10 @@ impl Arm {
         for ((place, drive), geometry) in torques.zip(&self.drives).zip(ARM) {
             let torque = drive
                 .feedback()
-                .map(|told| geometry.torque(told.current_ma));
+                .map(|feedback| geometry.torque(feedback.current_ma));
             place.measured.report(signals, torque);
         }
-        let told = &self.told;
-        self.state.write_with(|state| state.copy_from(told));
+        let reported = &self.reported;
+        self.state.write_with(|state| state.copy_from(reported));
     }
 }

@@ -1,5 +1,5 @@
-//! The base of a youBot: velocities that nets want, or those that lead to poses that they want, ramped and given to
-//! four wheels, and where the wheels say that it is. When commands stop it brakes to rest at its acceleration.
+//! The base of a youBot: velocities, or velocities towards poses, that nets command, ramped and distributed to four
+//! wheels, and its odometry. When commands end, it brakes to rest at its acceleration limit.
 
 use std::time::Duration;
 
@@ -32,7 +32,7 @@ pub(super) struct Base {
     speed_max: (f64, f64),
     may_commutate: bool,
     recovery: Recovery,
-    /// What came while it did not follow is refused until it ends.
+    /// Commands that began while it did not follow are refused until they end.
     refused: bool,
     cycle: Nanos,
     net_period: Nanos,
@@ -40,7 +40,7 @@ pub(super) struct Base {
     /// Age of the oldest inputs, cycles.
     age: u32,
     interfaces: Interfaces,
-    told: DeviceState,
+    reported: DeviceState,
     taken: DeviceCommand,
     state: LatestWriter<DeviceState>,
     command: LatestReader<DeviceCommand>,
@@ -82,7 +82,7 @@ impl Base {
             last: None,
             age: 0,
             interfaces,
-            told: DeviceState::new(layout.signals),
+            reported: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
             state: end.state,
             command: end.command,
@@ -93,9 +93,9 @@ impl Base {
         self.stage.rests()
     }
 
-    /// Whether a fault took all commands from it until its driver starts again.
+    /// Whether a fault disabled all commands until the driver restarts.
     fn is_held(&self) -> bool {
-        self.recovery == Recovery::OnRestart && self.told.faults > 0
+        self.recovery == Recovery::OnRestart && self.reported.faults > 0
     }
 
     fn follows(&self) -> bool {
@@ -105,7 +105,7 @@ impl Base {
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
-        // Drives take a command for a cycle, however long the host was away before.
+        // Drives execute a command for one cycle, no matter how long the host stalled before.
         let elapsed = self
             .last
             .replace(tick.scheduled)
@@ -134,33 +134,33 @@ impl Base {
         let rpm = self.mecanum.rpm(self.stage.velocity());
         let may_move = self.may_commutate && !commanded && !stopping;
         for (drive, rpm) in self.drives.iter_mut().zip(rpm) {
-            // All turn or none: a base with three wheels goes where nobody wants it.
+            // All wheels turn or none: a base on three wheels leaves its path.
             let order = follows.then_some(Command::velocity(rpm));
             lead(drive, master, order, may_move, tick);
         }
         let elapsed = elapsed.map_or(f64::INFINITY, |elapsed| self.since_inputs(master, elapsed));
         self.measure(elapsed);
-        self.tell(tick, wanted);
+        self.publish(tick, wanted);
     }
 
-    /// The pose that a net wants.
+    /// The pose that a net commands.
     fn pose(&self, fresh: bool) -> Option<Given<Frame>> {
         let cartesian = self.interfaces.cartesian.as_ref()?;
         let given = cartesian.command.read(&self.taken.words)?;
         (fresh && given.is_in_force(self.taken.cycle)).then_some(given)
     }
 
-    /// The velocity that a net wants.
+    /// The velocity that a net commands.
     fn velocity(&self, fresh: bool) -> Option<Planar> {
         let base = self.interfaces.base.as_ref()?;
         let given = base.command.read(&self.taken.words)?;
         let Twist { vel, rot } = given.value;
-        let stands = fresh && given.is_in_force(self.taken.cycle);
+        let in_force = fresh && given.is_in_force(self.taken.cycle);
         let finite = [vel.x, vel.y, rot.z].iter().all(|v| v.is_finite());
-        (stands && finite).then_some([vel.x, vel.y, rot.z])
+        (in_force && finite).then_some([vel.x, vel.y, rot.z])
     }
 
-    /// How old the inputs of the last cycle were when those of this one came, s.
+    /// Age of the previous cycle's inputs when this cycle's arrived, s.
     fn since_inputs(&mut self, master: &Master, elapsed: Nanos) -> f64 {
         let ages = self
             .drives
@@ -172,25 +172,25 @@ impl Base {
     }
 
     fn measure(&mut self, elapsed_s: f64) {
-        let told = self.drives.each_ref().map(Drive::feedback);
-        if let [Some(a), Some(b), Some(c), Some(d)] = told {
-            let ticks = [a, b, c, d].map(|told| told.position);
+        let feedback = self.drives.each_ref().map(Drive::feedback);
+        if let [Some(a), Some(b), Some(c), Some(d)] = feedback {
+            let ticks = [a, b, c, d].map(|feedback| feedback.position);
             let jumps = self.odometry.jumps();
             self.odometry
                 .advance_within(&self.mecanum, ticks, elapsed_s);
-            let follows = self.follows() && self.told.status == DeviceStatus::Operational;
+            let follows = self.follows() && self.reported.status == DeviceStatus::Operational;
             if follows
                 && self.odometry.jumps() > jumps
                 && let Some([by, most]) = self.odometry.jump(&self.mecanum)
             {
-                self.told.jumped.add(JumpPart::Floor, by, most);
+                self.reported.jumped.add(JumpPart::Floor, by, most);
             }
         } else {
             self.odometry.forget();
         }
     }
 
-    fn tell(&mut self, tick: &Tick, wanted: Option<Planar>) {
+    fn publish(&mut self, tick: &Tick, wanted: Option<Planar>) {
         let absent = |drive: &Drive| drive.state() == DriveState::Absent;
         let status = if self.follows() {
             DeviceStatus::Operational
@@ -199,26 +199,28 @@ impl Base {
         } else {
             DeviceStatus::SafeOperational
         };
-        self.told.enter(status, tick.scheduled);
-        for (limited, held_back) in self.told.limited.iter_mut().zip(self.stage.limited()) {
+        self.reported.enter(status, tick.scheduled);
+        for (limited, held_back) in self.reported.limited.iter_mut().zip(self.stage.limited()) {
             *limited = *held_back;
         }
-        self.tell_base(status, wanted);
-        let signals = &mut self.told.signals;
+        self.report_base(status, wanted);
+        let signals = &mut self.reported.signals;
         let flags = self
             .interfaces
             .drives
             .iter()
             .flat_map(|drives| drives.iter());
         for (place, drive) in flags.zip(&self.drives) {
-            let flags = drive.feedback().map(|told| told.flags.0.cast_signed());
+            let flags = drive
+                .feedback()
+                .map(|feedback| feedback.flags.0.cast_signed());
             place.report(signals, flags);
         }
-        let told = &self.told;
-        self.state.write_with(|state| state.copy_from(told));
+        let reported = &self.reported;
+        self.state.write_with(|state| state.copy_from(reported));
     }
 
-    fn tell_base(&mut self, status: DeviceStatus, wanted: Option<Planar>) {
+    fn report_base(&mut self, status: DeviceStatus, wanted: Option<Planar>) {
         let Some(base) = &self.interfaces.base else {
             return;
         };
@@ -231,7 +233,7 @@ impl Base {
         let rates = self.drives.each_ref().map(|drive| {
             drive
                 .feedback()
-                .map(|told| self.mecanum.rate(told.velocity_rpm))
+                .map(|feedback| self.mecanum.rate(feedback.velocity_rpm))
         });
         let velocity = if let [Some(a), Some(b), Some(c), Some(d)] = rates {
             Some(self.mecanum.velocity([a, b, c, d]))
@@ -239,7 +241,7 @@ impl Base {
             None
         };
         let pose = frame(self.odometry.pose());
-        let signals = &mut self.told.signals;
+        let signals = &mut self.reported.signals;
         base.error.report(signals, Some(error as i32));
         base.commanded
             .report(signals, wanted.map(|_| twist(self.stage.velocity())));
@@ -270,7 +272,7 @@ impl Base {
     }
 }
 
-/// A velocity of the base's own frame in that in which it started.
+/// Rotates a velocity from the base's frame to the frame of its start.
 fn in_place([x, y, turn]: Planar, heading: f64) -> Planar {
     let (sin, cos) = heading.sin_cos();
     [cos * x - sin * y, sin * x + cos * y, turn]

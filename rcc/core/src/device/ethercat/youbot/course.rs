@@ -1,5 +1,5 @@
-//! A base that is told where to be: the velocity that leads it there and that of the poses themselves. Where it is, its
-//! wheels say; it knows none of them, and keeps no acceleration.
+//! Pose control of a base: computes the velocity towards commanded poses, plus the velocity of the poses themselves.
+//! The position comes from odometry; acceleration limits are applied elsewhere.
 
 use std::f64::consts::TAU;
 
@@ -7,26 +7,26 @@ use takt_net::Frame;
 use takt_net::device::Given;
 use takt_net::value::Vector;
 
-/// Speed for each metre that it is away, 1/s: that of the vendor's users.
+/// Proportional gain of the position error, 1/s: that of the vendor's users.
 const GAIN: f64 = 3.0;
-/// Farther from the base than this a first pose is refused, m and rad.
+/// A first pose farther from the base than this is refused, m and rad.
 const START_DISTANCE: f64 = 0.02;
-/// Farther behind its poses than this it gives up, m and rad.
+/// The base gives up on poses farther ahead than this, m and rad.
 const LOST_DISTANCE: f64 = 0.2;
-/// How far a pose may be off the floor, m, and its z axis off the vertical, sine.
+/// Largest deviation of a pose from the floor, m, and of its z axis from the vertical, sine.
 const OFF_PLANE: f64 = 1e-3;
 
-/// x and y (m) and heading (rad), or the same for each second.
+/// x and y (m) and heading (rad), or their rates.
 pub(super) type Planar = [f64; 3];
 
-/// Where it is led.
+/// The course of the base.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Course {
     goal: Option<Goal>,
     refused: bool,
 }
 
-/// A pose, since the cycle in which it was given, and the velocity of the poses.
+/// A pose since the cycle in which it was given, and the velocity of the poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Goal {
     cycle: u64,
@@ -34,7 +34,7 @@ struct Goal {
     velocity: Planar,
 }
 
-/// The pose in the plane; `None` for one that is not in it, or no number.
+/// The pose in the plane; `None` for one outside of it, or if it is not finite.
 fn flat(pose: &Frame) -> Option<Planar> {
     let at = pose.translation.vector;
     let (ahead, up) = (pose.rotation * Vector::x(), pose.rotation * Vector::z());
@@ -43,8 +43,8 @@ fn flat(pose: &Frame) -> Option<Planar> {
     (level && flat.iter().all(|v| v.is_finite())).then_some(flat)
 }
 
-/// The way from one pose to another, the shorter turn.
-fn way(from: Planar, to: Planar) -> Planar {
+/// The offset from one pose to another, by the shorter turn.
+fn offset(from: Planar, to: Planar) -> Planar {
     let turn = to[2] - from[2];
     [
         to[0] - from[0],
@@ -54,18 +54,18 @@ fn way(from: Planar, to: Planar) -> Planar {
 }
 
 impl Course {
-    /// Whether the poses that come are out of reach; so until they end.
+    /// Whether the current poses are out of reach; cleared when they end.
     pub(super) const fn is_refused(&self) -> bool {
         self.refused
     }
 
-    /// Where it is to be at the moment.
+    /// The current target.
     pub(super) fn goal(&self) -> Option<Planar> {
         self.goal.filter(|_| !self.refused).map(|goal| goal.pose)
     }
 
-    /// The velocity in its own frame for the pose that stands; `None` without one, or if that is refused. `cycle_s` is
-    /// how long a cycle of the nets is.
+    /// The velocity in the base's frame towards the pose in force; `None` without one, or if it is refused. `cycle_s`
+    /// is the cycle time of the nets.
     #[expect(clippy::cast_precision_loss, reason = "a count of a few cycles")]
     pub(super) fn follow(
         &mut self,
@@ -81,7 +81,7 @@ impl Course {
         let velocity = |pose: Planar| match last {
             Some(last) if given.cycle > last.cycle => {
                 let span_s = (given.cycle - last.cycle) as f64 * cycle_s;
-                way(last.pose, pose).map(|way| way / span_s)
+                offset(last.pose, pose).map(|offset| offset / span_s)
             }
             Some(last) => last.velocity,
             None => [0.0; 3],
@@ -96,7 +96,7 @@ impl Course {
         } else {
             START_DISTANCE
         };
-        let away = goal.map(|goal| way(at, goal.pose));
+        let away = goal.map(|goal| offset(at, goal.pose));
         let near = away.is_some_and(|[x, y, turn]| x.hypot(y) <= most && turn.abs() <= most);
         self.refused |= !near;
         self.goal = goal;
@@ -107,7 +107,7 @@ impl Course {
     }
 }
 
-/// The velocity, slower on the same way if it is faster than the base may be (m/s, rad/s).
+/// The velocity, scaled down in its direction to the limits of the base (m/s, rad/s).
 pub(super) fn within(velocity: Planar, speed_max: f64, rotation_max: f64) -> Planar {
     let [x, y, turn] = velocity;
     let over = (x.hypot(y) / speed_max).max(turn.abs() / rotation_max);
@@ -131,12 +131,12 @@ mod tests {
         }
     }
 
-    /// Lets a base that does what it is told follow poses; gives how far it was behind at most, m or rad.
+    /// Lets an ideal base follow poses; returns its largest lag, m or rad.
     fn behind(poses: impl Fn(f64) -> Planar, start: Planar) -> f64 {
         let (mut course, mut at, mut most) = (Course::default(), start, 0.0_f64);
         for cycle in 0..2000_u32 {
             let pose = poses(f64::from(cycle) * CYCLE);
-            let [x, y, turn] = way(at, pose);
+            let [x, y, turn] = offset(at, pose);
             most = most.max(x.hypot(y)).max(turn.abs());
             let given = given(u64::from(cycle) + 1, pose);
             let velocity = course.follow(Some(&given), at, CYCLE).unwrap();
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_that_move_on_are_followed_through_all_headings() {
+    fn youbot_base_follows_poses_through_all_headings() {
         let circle = |t: f64| [0.3 * t.cos(), 0.3 * t.sin(), t + 3.0];
         let most = behind(circle, circle(0.0));
         assert!(most < 0.003, "{most}");
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_out_of_reach_are_refused_until_they_end() {
+    fn youbot_base_poses_out_of_reach_are_refused() {
         let at = [0.0; 3];
         let tilted = Given {
             value: Frame::from_parts(
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn too_fast_is_slower_on_the_same_way() {
+    fn youbot_base_overspeed_keeps_direction() {
         let [x, y, turn] = within([3.0, 4.0, 1.0], 1.0, 0.8);
         assert!((x - 0.6).abs() < 1e-9 && (y - 0.8).abs() < 1e-9 && (turn - 0.2).abs() < 1e-9);
         assert!((within([0.1, 0.0, 1.6], 1.0, 0.8)[2] - 0.8).abs() < 1e-9);

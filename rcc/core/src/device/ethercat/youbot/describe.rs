@@ -1,4 +1,4 @@
-//! From the cell's words on youBots to the slaves that are expected and to devices. It opens nothing.
+//! Converts the cell's configuration of youBots to expected slaves and device descriptions. It opens nothing.
 
 use takt_ethercat::config::{Location, SlaveSpec};
 use takt_ethercat::youbot::{BarConfig, Gripper, TRINAMIC};
@@ -7,14 +7,14 @@ use takt_net::JointLimits;
 use crate::device::config::{EthercatConfig, YouBotArm, YouBotBase};
 use crate::device::{ArmDescription, DeviceDescription, Part};
 
-/// Most current that a drive may be given, A.
+/// Largest configurable motor current, A.
 const CURRENT_MOST: f64 = 20.0;
 
-/// What each is made of, behind its power board.
+/// Boards behind a power board.
 const WHEELS: u16 = 4;
 const JOINTS: u16 = 5;
 
-/// The numbers of the drives with the master.
+/// Indices of the drives in the master.
 #[derive(Debug, Default)]
 pub(super) struct Places {
     pub(super) bases: Vec<[usize; 4]>,
@@ -22,7 +22,7 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// They follow the slaves that are told one by one.
+    /// They follow the individually configured slaves.
     pub(super) fn new(config: &EthercatConfig) -> Self {
         let first = config.slaves.len();
         let base = |n: usize| first + n * usize::from(WHEELS + 1) + 1;
@@ -139,7 +139,7 @@ fn of_gripper(name: &str) -> DeviceDescription {
     }
 }
 
-/// What is wrong with the youBots of a segment; that their places overlap, its master tells.
+/// Checks the youBots of a segment; the master reports overlapping positions.
 pub(in crate::device::ethercat) fn check(config: &EthercatConfig) -> Result<(), String> {
     let current = |amperes: f64| amperes > 0.0 && amperes <= CURRENT_MOST;
     for base in &config.youbot_bases {

@@ -1,5 +1,5 @@
-//! The gripper of a youBot as a device: orders of nets, and the distance between its fingers. It speaks through the
-//! mailbox of the last joint's drive, between that drive's own requests.
+//! The gripper of a youBot as a device: orders of nets, and the distance between its fingers. It uses the mailbox of
+//! the last joint's drive, between that drive's own requests.
 
 use takt_ethercat::youbot::{BarConfig, Drive, DriveState, Gripper as Fingers, GripperState};
 use takt_net::device::{Answer, Gripper as Interface, Layout};
@@ -10,13 +10,13 @@ use super::{Wait, now};
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus};
 
-/// Values of the answer's error.
+/// Error values of answers.
 mod error {
-    /// The distance is out of range or no number.
+    /// The distance is out of range or not finite.
     pub(super) const RANGE: i32 = 1;
-    /// The gripper is not there, or something is in the way of its fingers.
+    /// The gripper is offline, or its fingers are blocked.
     pub(super) const FAILED: i32 = 2;
-    /// Its net ended before it was carried out.
+    /// Its net ended before the order was executed.
     pub(super) const WITHDRAWN: i32 = 3;
 }
 
@@ -25,11 +25,11 @@ mod error {
 pub(super) struct Gripper {
     fingers: Fingers,
     gripper: Interface,
-    /// The order that was looked at last, and whether it is under way.
+    /// The latest order, and whether it is being executed.
     order: u64,
     under_way: bool,
     answer: Option<Answer>,
-    told: DeviceState,
+    reported: DeviceState,
     taken: DeviceCommand,
     state: LatestWriter<DeviceState>,
     command: LatestReader<DeviceCommand>,
@@ -39,7 +39,7 @@ impl Gripper {
     pub(super) fn new(end: DeviceEnd) -> Self {
         let mut layout = Layout::default();
         let fingers = Fingers::new(BarConfig::default());
-        // As `parts::lay` does it for the part of a gripper.
+        // As `parts::lay` does it for a gripper.
         let gripper = Interface::new(&mut layout, fingers.distance_max());
         Self {
             fingers,
@@ -47,15 +47,15 @@ impl Gripper {
             order: 0,
             under_way: false,
             answer: None,
-            told: DeviceState::new(layout.signals),
+            reported: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
             state: end.state,
             command: end.command,
         }
     }
 
-    /// One cycle behind this drive. The fingers look for their stops only if they `may_move`. `fresh` is whether the net
-    /// thread is alive: orders end with it.
+    /// One cycle behind this drive. The fingers are homed only if they `may_move`. `fresh` is whether the net thread
+    /// is alive: orders end with it.
     pub(super) fn cycle(&mut self, drive: &mut Drive, may_move: bool, fresh: bool, tick: &Tick) {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
@@ -76,11 +76,11 @@ impl Gripper {
         } else {
             self.fingers.forget();
         }
-        self.obey(fresh, tick);
-        self.tell(is_there, tick);
+        self.apply(fresh, tick);
+        self.publish(is_there, tick);
     }
 
-    /// Why it takes no orders, where that does not pass by itself.
+    /// Why it accepts no orders, if the cause is persistent.
     pub(super) const fn waits_for(&self, may_move: bool) -> Option<Wait> {
         match self.fingers.state() {
             GripperState::Failed(error, _) => Some(Wait::Gripper(error)),
@@ -100,13 +100,13 @@ impl Gripper {
         }
     }
 
-    fn obey(&mut self, fresh: bool, tick: &Tick) {
+    fn apply(&mut self, fresh: bool, tick: &Tick) {
         let given = self.gripper.order.command.read(&self.taken.words);
-        let stands = fresh && given.is_some_and(|given| !given.is_withdrawn());
+        let in_force = fresh && given.is_some_and(|given| !given.is_withdrawn());
         if let Some(given) = given.filter(|given| given.cycle != self.order) {
             self.order = given.cycle;
-            self.under_way = stands && self.fingers.order(given.value, now(tick));
-            if !self.under_way && stands {
+            self.under_way = in_force && self.fingers.order(given.value, now(tick));
+            if !self.under_way && in_force {
                 let error = if self.fingers.is_ready() {
                     error::RANGE
                 } else {
@@ -115,7 +115,7 @@ impl Gripper {
                 self.end(error);
             }
         }
-        if !stands {
+        if !in_force {
             self.fingers.stop();
             if self.under_way {
                 self.end(error::WITHDRAWN);
@@ -147,20 +147,23 @@ impl Gripper {
         self.answer = Some(Answer { order, error });
     }
 
-    fn tell(&mut self, is_there: bool, tick: &Tick) {
+    fn publish(&mut self, is_there: bool, tick: &Tick) {
         let status = match (is_there, self.fingers.is_ready()) {
             (false, _) => DeviceStatus::Offline,
             (true, false) => DeviceStatus::SafeOperational,
             (true, true) => DeviceStatus::Operational,
         };
-        let told = &mut self.told;
-        told.enter(status, tick.scheduled);
+        let reported = &mut self.reported;
+        reported.enter(status, tick.scheduled);
         let gripper = &self.gripper;
         gripper
             .distance
-            .report(&mut told.signals, self.fingers.distance());
-        gripper.order.answer.report(&mut told.signals, self.answer);
-        let told = &self.told;
-        self.state.write_with(|state| state.copy_from(told));
+            .report(&mut reported.signals, self.fingers.distance());
+        gripper
+            .order
+            .answer
+            .report(&mut reported.signals, self.answer);
+        let reported = &self.reported;
+        self.state.write_with(|state| state.copy_from(reported));
     }
 }

@@ -1,5 +1,5 @@
-//! What nets order of the compliance of a youBot arm: its control strategy, how each joint gives way, and how the tool
-//! does. The law of a joint's spring is `takt_ethercat::youbot::Impedance`, that of the tool's [`Tool`].
+//! Compliance of a youBot arm as nets order it: control strategy, joint impedance, and tool impedance. The control
+//! law of a joint is `takt_ethercat::youbot::Impedance`, that of the tool [`Tool`].
 
 use takt_ethercat::youbot::{ARM, Impedance, holding};
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, JointImpedance};
@@ -13,18 +13,18 @@ const STIFFNESS_MAX: f64 = 1000.0;
 
 /// Largest stiffness of the tool, N/m and Nm/rad.
 const TOOL_STIFFNESS_MAX: f64 = 10_000.0;
-/// Nearer to the end of its range than this, no joint is pushed on towards it, rad: 5 degrees.
+/// A joint nearer to the end of its range than this is not pushed towards it, rad: 5 degrees.
 const END: f64 = 0.0873;
 
-/// How the arm is controlled, by the number that nets order.
+/// Control strategy, by the number that nets order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Strategy {
-    /// Each joint by its drive's own loop.
+    /// Joint position control by the drives.
     #[default]
     Position = 0,
-    /// Each joint as a spring.
+    /// Joint impedance.
     Joints = 1,
-    /// The tool as a spring.
+    /// Tool impedance.
     Tool = 2,
 }
 
@@ -39,17 +39,17 @@ impl Strategy {
     }
 }
 
-/// Values of the answers' error.
+/// Error values of answers.
 mod error {
-    /// There is no such strategy, or a parameter is out of range or no number.
+    /// Unknown strategy, or a parameter is out of range or not finite.
     pub(super) const RANGE: i32 = 1;
     /// The arm is not operational.
     pub(super) const NOT_ENABLED: i32 = 2;
-    /// A joint moves, or is not where it is commanded.
+    /// A joint moves, or is not at its commanded position.
     pub(super) const MOVES: i32 = 3;
 }
 
-/// What is in force.
+/// The parameters in force.
 #[derive(Debug, Default)]
 pub(super) struct Springs {
     pub(super) strategy: Strategy,
@@ -61,9 +61,9 @@ pub(super) struct Springs {
 }
 
 impl Springs {
-    /// Takes orders. `fresh` is whether the net thread that gave them is alive: what it adds ends with it. `rests` is
-    /// whether the arm is at rest where it is commanded, `None` if it does not follow.
-    pub(super) fn obey(
+    /// Applies orders. `fresh` is whether the net thread that gave them is alive: added torques end with it. `rests`
+    /// is whether the arm rests at its commanded position, `None` if it does not follow.
+    pub(super) fn apply(
         &mut self,
         has: &Interfaces,
         given: &DeviceCommand,
@@ -72,7 +72,7 @@ impl Springs {
     ) {
         let DeviceCommand { words, cycle, .. } = given;
         if rests.is_none() {
-            // What comes back holds its position.
+            // An arm that recovers holds its position.
             self.strategy = Strategy::Position;
         }
         self.obey_strategy(has, words, rests);
@@ -131,8 +131,8 @@ impl Springs {
         }
     }
 
-    /// Torques of all joints, N m, from where they are commanded and where they are; `ends` are the smallest and
-    /// largest position of each, rad. `None` while the drives' own loops lead them.
+    /// Joint torques, Nm, from commanded and measured positions; `ends` are the smallest and largest position of each
+    /// joint, rad. `None` in position control.
     pub(super) fn torques(
         &self,
         commanded: &Motions,
@@ -149,13 +149,13 @@ impl Springs {
         };
         let joints = measured.map(|[at, _]| at);
         for (n, weight) in holding(&joints).into_iter().enumerate() {
-            // What is kept from the end is the push of a spring. The weight is only balanced, there too.
+            // Only the push of a spring is limited near the end of the range. Gravity compensation stays on.
             torques[n] = before_end(torques[n], joints[n], ends[n]) + weight;
         }
         Some(torques)
     }
 
-    pub(super) fn tell(&self, has: &Interfaces, signals: &mut [u64]) {
+    pub(super) fn report(&self, has: &Interfaces, signals: &mut [u64]) {
         if let Some(order) = &has.strategy {
             order.answer.report(signals, self.switched);
         }
@@ -169,7 +169,7 @@ impl Springs {
     }
 }
 
-/// Takes an order that was not answered yet.
+/// Handles an order that was not answered yet.
 fn answer(last: &mut Option<Answer>, order: u64, take: impl FnOnce() -> bool) {
     if last.is_none_or(|last| last.order != order) {
         let error = if take() { 0 } else { error::RANGE };
@@ -177,7 +177,7 @@ fn answer(last: &mut Option<Answer>, order: u64, take: impl FnOnce() -> bool) {
     }
 }
 
-/// A torque without what would push a joint into the end of its range.
+/// A torque without the part that would push a joint into the end of its range.
 fn before_end(torque: f64, at: f64, (low, high): (f64, f64)) -> f64 {
     if (at < low + END && torque < 0.0) || (at > high - END && torque > 0.0) {
         0.0
@@ -186,13 +186,13 @@ fn before_end(torque: f64, at: f64, (low, high): (f64, f64)) -> f64 {
     }
 }
 
-/// What is to be added, if it is a number.
+/// The value to add, if finite.
 fn addition(wanted: &JointImpedance) -> f64 {
     let torque = wanted.torque.filter(|torque| torque.is_finite());
     torque.unwrap_or(0.0)
 }
 
-/// The same for the tool; all of it or nothing.
+/// The same for the tool: all components or none.
 fn force(wanted: &CartesianImpedance) -> [f64; 6] {
     let wrench = wanted.wrench.as_ref().map(axes);
     let wrench = wrench.filter(|wrench| wrench.iter().all(|value| value.is_finite()));
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_net_adds_ends_with_the_net_and_with_its_thread() {
+    fn youbot_added_torque_ends_with_net_and_thread() {
         let mut layout = Layout::default();
         let has = parts::lay(&[Part::JointImpedance], 5, &mut layout);
         let torque = |torque| JointImpedance {
@@ -257,23 +257,20 @@ mod tests {
         };
         let mut springs = Springs::default();
         let mut added = |given: &DeviceCommand, fresh| {
-            springs.obey(&has, given, fresh, Some(true));
+            springs.apply(&has, given, fresh, Some(true));
             springs.laws[0].added
         };
-        let mut standing = given(layout, 5, torque(2.0));
-        assert!((added(&standing, true) - 2.0).abs() < 1e-9);
-        assert!(
-            added(&standing, false).abs() < 1e-9,
-            "its thread stands still"
-        );
-        standing.cycle = 6;
-        assert!(added(&standing, true).abs() < 1e-9, "it ended");
+        let mut held = given(layout, 5, torque(2.0));
+        assert!((added(&held, true) - 2.0).abs() < 1e-9);
+        assert!(added(&held, false).abs() < 1e-9, "its thread is stalled");
+        held.cycle = 6;
+        assert!(added(&held, true).abs() < 1e-9, "it ended");
         let no_number = given(layout, 7, torque(f64::NAN));
         assert!(added(&no_number, true).abs() < 1e-9);
     }
 
     #[test]
-    fn the_strategy_changes_only_at_rest() {
+    fn youbot_strategy_changes_only_at_rest() {
         use Strategy::{Joints, Position, Tool};
         for (before, wanted, rests, error, after) in [
             (Position, 1, Some(true), 0, Joints),
@@ -298,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_of_the_tool_out_of_range_leave_what_is_in_force() {
+    fn youbot_tool_parameters_out_of_range_are_ignored() {
         let wrench = |force: f64, torque: f64| Wrench {
             force: [force; 3].into(),
             torque: [torque; 3].into(),
@@ -332,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn soft_joints_carry_the_arm_and_are_not_pushed_into_their_ends() {
+    fn youbot_soft_joints_carry_arm_avoid_range_ends() {
         let springs = Springs {
             strategy: Strategy::Joints,
             ..Springs::default()
@@ -365,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_out_of_range_leave_what_is_in_force() {
+    fn youbot_joint_parameters_out_of_range_are_ignored() {
         let mut law = Impedance::default();
         let before = law;
         for (stiffness, damping) in [(-1.0, 0.5), (1001.0, 0.5), (f64::NAN, 0.5), (1.0, 1.1)] {
@@ -386,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_that_does_not_follow_becomes_stiff() {
+    fn youbot_arm_not_following_becomes_stiff() {
         let mut layout = Layout::default();
         let has = parts::lay(&ARM_PARTS, 5, &mut layout);
         let mut springs = Springs {
@@ -394,9 +391,9 @@ mod tests {
             ..Springs::default()
         };
         let given = DeviceCommand::new(layout.commands);
-        springs.obey(&has, &given, true, Some(true));
+        springs.apply(&has, &given, true, Some(true));
         assert_eq!(springs.strategy, Strategy::Tool);
-        springs.obey(&has, &given, true, None);
+        springs.apply(&has, &given, true, None);
         assert_eq!(springs.strategy, Strategy::Position);
     }
 }

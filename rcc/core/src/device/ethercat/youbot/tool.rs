@@ -1,5 +1,5 @@
-//! The law of an arm whose tool gives way: a spring and a damper between where the flange is commanded and where it
-//! is, along the flange's own axes, as torques of the joints. What holds the arm's weight is not in it.
+//! Control law of an arm with tool impedance: a spring and a damper between commanded and measured flange pose, along
+//! the flange's axes, as joint torques. Gravity compensation is not included.
 
 use takt_ethercat::youbot::ARM;
 use takt_motion::kinematics::YouBot;
@@ -7,7 +7,7 @@ use takt_net::Frame;
 use takt_net::device::Kinematics;
 use takt_net::value::{Rotation, Wrench};
 
-/// Half of how far a joint is moved to see where the flange goes, rad: enough for six digits.
+/// Half of the joint step for numerical differentiation, rad: sufficient for six digits.
 const STEP: f64 = 1e-5;
 
 /// Position (rad) and speed (rad/s) of each joint.
@@ -15,7 +15,7 @@ pub(super) type Motions = [[f64; 2]; 5];
 /// Along and about x, y and z of the flange.
 type Axes = [f64; 6];
 
-/// How the tool gives way.
+/// Tool impedance parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tool {
     arm: YouBot,
@@ -23,12 +23,12 @@ pub(super) struct Tool {
     pub(super) stiffness: Axes,
     /// Damping ratio, 0 to 1.
     pub(super) damping: Axes,
-    /// Force and torque on top of them, N and N m.
+    /// Additional force and torque, N and Nm.
     pub(super) added: Axes,
 }
 
 impl Default for Tool {
-    /// As stiff as the vendor's users know it; that one does not damp.
+    /// Default stiffness as the vendor's users know it; theirs is undamped.
     fn default() -> Self {
         Self {
             arm: YouBot::default(),
@@ -45,19 +45,19 @@ pub(super) fn axes(wrench: &Wrench) -> Axes {
     [force.x, force.y, force.z, torque.x, torque.y, torque.z]
 }
 
-/// The way from one frame to another, m and rad, seen along these axes.
-fn way(seen: &Rotation, from: &Frame, to: &Frame) -> Axes {
-    let way = to.translation.vector - from.translation.vector;
+/// The offset from one frame to another, m and rad, along the axes of `seen`.
+fn offset(seen: &Rotation, from: &Frame, to: &Frame) -> Axes {
+    let offset = to.translation.vector - from.translation.vector;
     let turn = (to.rotation * from.rotation.inverse()).scaled_axis();
-    let (way, turn) = (
-        seen.inverse_transform_vector(&way),
+    let (offset, turn) = (
+        seen.inverse_transform_vector(&offset),
         seen.inverse_transform_vector(&turn),
     );
-    [way.x, way.y, way.z, turn.x, turn.y, turn.z]
+    [offset.x, offset.y, offset.z, turn.x, turn.y, turn.z]
 }
 
 impl Tool {
-    /// How fast the flange moves with each joint (m/s and rad/s for 1 rad/s).
+    /// Flange velocity per joint velocity (m/s and rad/s for 1 rad/s).
     fn jacobian(&self, joints: &[f64; 5], here: &Frame) -> [Axes; 5] {
         std::array::from_fn(|n| {
             let at = |by: f64| {
@@ -65,17 +65,17 @@ impl Tool {
                 joints[n] += by;
                 self.arm.forward(&joints)
             };
-            way(&here.rotation, &at(-STEP), &at(STEP)).map(|way| way / (2.0 * STEP))
+            offset(&here.rotation, &at(-STEP), &at(STEP)).map(|offset| offset / (2.0 * STEP))
         })
     }
 
-    /// Torques at the joints, N m. Each direction is damped for the inertia of the motors that move it: that of links
-    /// is small behind such gears.
+    /// Joint torques, Nm. Each direction is damped for the inertia of the motors that move it; that of the links is
+    /// small behind such gears.
     pub(super) fn torques(&self, commanded: &Motions, measured: &Motions) -> [f64; 5] {
         let (wanted, joints) = (commanded.map(|[at, _]| at), measured.map(|[at, _]| at));
         let here = self.arm.forward(&joints);
         let jacobian = self.jacobian(&joints, &here);
-        let deviation = way(&here.rotation, &here, &self.arm.forward(&wanted));
+        let deviation = offset(&here.rotation, &here, &self.arm.forward(&wanted));
         let wrench: Axes = std::array::from_fn(|i| {
             let (mut speed, mut mobility) = (0.0, 0.0);
             for (n, geometry) in ARM.iter().enumerate() {
@@ -91,7 +91,7 @@ impl Tool {
             column
                 .iter()
                 .zip(wrench)
-                .map(|(way, force)| way * force)
+                .map(|(offset, force)| offset * force)
                 .sum()
         })
     }
@@ -107,9 +107,9 @@ mod tests {
         joints.map(|joint| [joint, 0.0])
     }
 
-    /// Work of the torques over small ways of the joints is that of the wrench over the way of the flange.
+    /// The work of the torques over small joint motions equals that of the wrench over the motion of the flange.
     #[test]
-    fn what_is_added_does_the_same_work_at_the_joints_as_at_the_flange() {
+    fn youbot_tool_joint_work_equals_flange_work() {
         let tool = Tool {
             stiffness: [0.0; 6],
             added: [3.0, -2.0, 5.0, 0.4, 0.7, -0.3],
@@ -117,11 +117,20 @@ mod tests {
         };
         let torques = tool.torques(&at(POSE), &at(POSE));
         let here = tool.arm.forward(&POSE);
-        let ways = [2e-6, -1e-6, 3e-6, 1e-6, -2e-6];
-        let moved: [f64; 5] = std::array::from_fn(|n| POSE[n] + ways[n]);
-        let flange = way(&here.rotation, &here, &tool.arm.forward(&moved));
-        let of_joints: f64 = torques.iter().zip(ways).map(|(t, way)| t * way).sum();
-        let of_flange: f64 = tool.added.iter().zip(flange).map(|(f, way)| f * way).sum();
+        let offsets = [2e-6, -1e-6, 3e-6, 1e-6, -2e-6];
+        let moved: [f64; 5] = std::array::from_fn(|n| POSE[n] + offsets[n]);
+        let flange = offset(&here.rotation, &here, &tool.arm.forward(&moved));
+        let of_joints: f64 = torques
+            .iter()
+            .zip(offsets)
+            .map(|(t, offset)| t * offset)
+            .sum();
+        let of_flange: f64 = tool
+            .added
+            .iter()
+            .zip(flange)
+            .map(|(f, offset)| f * offset)
+            .sum();
         assert!(
             (of_joints - of_flange).abs() < 1e-9,
             "{of_joints} {of_flange}"
@@ -130,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_is_pulled_to_where_it_is_commanded_and_nowhere_once_there() {
+    fn youbot_tool_is_pulled_to_commanded_pose() {
         let tool = Tool::default();
         assert!(
             tool.torques(&at(POSE), &at(POSE))
@@ -150,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_have_springs_of_their_own() {
+    fn youbot_tool_directions_have_separate_springs() {
         let tool = Tool {
             stiffness: [0.0, 0.0, 400.0, 0.0, 0.0, 0.0],
             ..Tool::default()

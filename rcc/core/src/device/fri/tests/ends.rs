@@ -26,7 +26,7 @@ impl<C: Controller, P: Protocol> Plant for Rig<C, P> {
     }
 
     fn copy_state(&mut self, state: &mut DeviceState) {
-        self.state.read_with(|told| state.copy_from(told));
+        self.state.read_with(|reported| state.copy_from(reported));
     }
 
     fn sent(&mut self) -> f64 {

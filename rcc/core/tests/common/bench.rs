@@ -1,5 +1,5 @@
-//! A hall: an emulated EtherCAT segment at the end of a cable inside of this process, in a thread of its own, and a
-//! controller that leads it. What is on the segment its user says. Also what such tests log.
+//! A test bench: an emulated EtherCAT segment at the end of a cable inside of this process, in a thread of its own, and a
+//! controller that drives it. Each test defines its segment. Also the log of such tests.
 
 #![allow(
     dead_code,
@@ -94,14 +94,14 @@ impl Drop for Served {
 }
 
 /// A segment, and a controller that leads it; fields are dropped in this order.
-pub struct Hall {
+pub struct TestBench {
     cell: Option<Cell>,
     served: Option<Served>,
     segment: SharedSegment,
     latency: Duration,
 }
 
-impl Hall {
+impl TestBench {
     /// By one cable, or by two if the cell names a second interface. Devices are not waited for.
     pub fn start(config: &EthercatConfig, segment: Segment) -> Self {
         Self::start_late(config, segment, Duration::ZERO)
@@ -109,14 +109,14 @@ impl Hall {
 
     /// The same with a cable by which every answer comes back so much later.
     pub fn start_late(config: &EthercatConfig, segment: Segment, latency: Duration) -> Self {
-        let mut hall = Self {
+        let mut bench = Self {
             cell: None,
             served: None,
             segment: SharedSegment::new(segment),
             latency,
         };
-        hall.lead(config);
-        hall
+        bench.lead(config);
+        bench
     }
 
     /// Begins to serve the segment, and a controller that leads it.

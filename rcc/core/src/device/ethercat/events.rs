@@ -1,35 +1,34 @@
-//! What the driver of a segment reports: values out of the real-time thread, of which texts are made by who takes them. It
-//! does not decide when.
+//! Events of the driver of a segment: values from the real-time thread, formatted by their reader.
 
 use std::fmt;
 
 use takt_ethercat::config::IMAGE_MAX;
 use takt_ethercat::master::{Difference, EmergencyReport, Event};
 
-use super::arm::AxisNews;
+use super::arm::AxisEvent;
 use super::io::Lack;
 use crate::device::driver::{Notice, Severity};
-use crate::device::drives::{self, JointNews};
+use crate::device::drives::{self, JointEvent};
 
-/// What is told of a segment.
+/// An event of the segment.
 #[derive(Debug)]
-pub(super) enum News {
+pub(super) enum SegmentEvent {
     Event(Event),
     Emergency(EmergencyReport),
     Difference(Difference),
-    /// It is as expected again, or for the first time after it was not.
+    /// The segment is as expected again.
     AsExpected,
-    /// Bytes of a process image that fits no frame.
+    /// Size of a process image that does not fit one frame.
     TooLarge(usize),
     Lack(Lack),
     /// Of an axis of a slave.
-    Axis(usize, u8, AxisNews),
-    /// Of a joint of an arm, in their order.
-    Joint(usize, usize, JointNews),
+    Axis(usize, u8, AxisEvent),
+    /// Of a joint of an arm: arm, joint, event.
+    Joint(usize, usize, JointEvent),
 }
 
-impl News {
-    /// In words, and how much it matters.
+impl SegmentEvent {
+    /// Severity and text.
     pub(super) fn notice(&self) -> Notice {
         Notice {
             severity: self.severity(),
@@ -53,57 +52,57 @@ impl News {
                 | Event::CableCut { .. }
                 | Event::StartSplit { .. }
                 | Event::Unplaced { .. } => Severity::Error,
-                // Those that are not known here.
+                // Events unknown to this version.
                 _ => Severity::Warning,
             },
-            // Error code 0000h takes an emergency back.
+            // Error code 0000h clears an emergency.
             Self::Emergency(report) if report.emergency.code == 0 => Severity::Info,
-            Self::AsExpected | Self::Axis(_, _, AxisNews::Proven(..)) => Severity::Info,
-            Self::Joint(_, _, JointNews::OutOfRange { .. }) => Severity::Warning,
+            Self::AsExpected | Self::Axis(_, _, AxisEvent::Proven(..)) => Severity::Info,
+            Self::Joint(_, _, JointEvent::OutOfRange { .. }) => Severity::Warning,
             Self::Emergency(_)
             | Self::Difference(_)
             | Self::TooLarge(_)
             | Self::Lack(_)
-            | Self::Axis(_, _, AxisNews::Lack(_) | AxisNews::DriveFault(_))
-            | Self::Joint(_, _, JointNews::Runaway(_)) => Severity::Error,
+            | Self::Axis(_, _, AxisEvent::Lack(_) | AxisEvent::DriveFault(_))
+            | Self::Joint(_, _, JointEvent::Runaway(_)) => Severity::Error,
         }
     }
 }
 
-impl fmt::Display for News {
+impl fmt::Display for SegmentEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Event(event) => event.fmt(f),
             Self::Emergency(report) => {
-                let (slave, said) = (report.slave, &report.emergency);
-                let [code, register] = [said.code, u16::from(said.register)];
+                let (slave, emergency) = (report.slave, &report.emergency);
+                let [code, register] = [emergency.code, u16::from(emergency.register)];
                 write!(
                     f,
                     "slave {slave}: emergency, error code {code:04X}h, register {register:02X}h"
                 )
             }
             Self::Difference(difference) => difference.fmt(f),
-            Self::AsExpected => f.write_str("all slaves are there as the cell expects them"),
+            Self::AsExpected => f.write_str("all slaves are as the cell expects them"),
             Self::TooLarge(bytes) => write!(
                 f,
-                "the process image has {bytes} bytes, {IMAGE_MAX} fit one frame; map fewer or smaller PDOs, or make \
-                 two segments of it"
+                "the process image has {bytes} bytes, but one frame holds {IMAGE_MAX}\nhint: map fewer or smaller PDOs, or \
+                 split the segment"
             ),
             Self::Lack(lack) => lack.fmt(f),
-            Self::Axis(slave, axis, AxisNews::Lack(lack)) => {
-                write!(f, "slave {slave}: axis {axis} cannot be led: {lack}")
+            Self::Axis(slave, axis, AxisEvent::Lack(lack)) => {
+                write!(f, "slave {slave}: axis {axis} cannot be controlled: {lack}")
             }
-            Self::Axis(slave, axis, AxisNews::DriveFault(drive_fault)) => {
+            Self::Axis(slave, axis, AxisEvent::DriveFault(drive_fault)) => {
                 write!(f, "slave {slave}, axis {axis}: {drive_fault}")
             }
-            Self::Axis(slave, axis, AxisNews::Proven(took, trusted)) => {
+            Self::Axis(slave, axis, AxisEvent::Proven(took, trusted)) => {
                 write!(
                     f,
                     "slave {slave}, axis {axis}: {}",
                     drives::proven(*took, *trusted)
                 )
             }
-            Self::Joint(arm, joint, news) => write!(f, "arm {arm}, joint {joint}: {news}"),
+            Self::Joint(arm, joint, event) => write!(f, "arm {arm}, joint {joint}: {event}"),
         }
     }
 }
