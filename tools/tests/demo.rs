@@ -128,7 +128,7 @@ fn factory_after(upset: impl Fn(&mut Process)) -> (Value, String) {
         let [faults, recovered, without] = keys.map(|key| device[key].as_u64().unwrap());
         assert_eq!((faults, 0), (recovered, without), "{name}\n{all}");
         // A line for each when it came, with its cause.
-        let of_device = |line: &&String| line.contains(&format!("{name} ceased to follow"));
+        let of_device = |line: &&String| line.contains(&format!("{name} stopped following"));
         let told: Vec<_> = lines.iter().filter(of_device).collect();
         assert!(told.len() as u64 <= faults, "{all}");
         assert_eq!(told.is_empty(), faults == 0, "{all}");

@@ -115,7 +115,7 @@ fn lwr_power_loss_ends_net_recovers_at_rest() {
             cell.wait_for_end(net)
                 .end
                 .unwrap()
-                .contains("ceased to follow")
+                .contains("stopped following")
         );
         cell.robots[0].status.set_power(true);
         cell.wait("the arm operational again", |c| {

@@ -216,7 +216,7 @@ fn iiwa_power_loss_ends_net_recovers_at_rest() {
         cell.controller.start_net(net).unwrap();
         cabinet.status.set_power(false);
         let ended = cell.wait_for_end(net).end.unwrap();
-        assert!(ended.contains("ceased to follow"), "{ended}");
+        assert!(ended.contains("stopped following"), "{ended}");
         cabinet.status.set_power(true);
         wait_for(&cell, DeviceStatus::Operational);
         let (rested, sent) = (cabinet.status.commanded(), cabinet.status.sent());

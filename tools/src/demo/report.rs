@@ -229,7 +229,7 @@ impl Baseline {
 #[derive(Debug, Serialize)]
 struct DeviceReport {
     name: String,
-    /// How often it ceased to follow commands.
+    /// How often it stopped following commands.
     faults: u64,
     /// After how many of these it followed again.
     recovered: u64,

@@ -49,7 +49,7 @@ pub(super) enum Stage {
     Arrived,
     /// At rest elsewhere, as it was told to.
     Stopped,
-    /// The robot ceased to follow.
+    /// The robot stopped following.
     Left,
     /// The goal is out of range.
     Beyond,

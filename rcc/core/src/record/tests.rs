@@ -85,7 +85,7 @@ fn full_disk_leaves_each_whole_cycle_readable() {
         for part in [
             PATH,
             "the recording ended at cycle ",
-            "\nhint: make room on that disk",
+            "\nhint: free space on that disk",
         ] {
             assert!(error.contains(part), "{room}: {error}");
         }
