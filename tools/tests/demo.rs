@@ -192,7 +192,7 @@ fn stalled_bus_thread_is_named_and_youbot_recovers() {
         for device in ["arm", "base"] {
             assert!(faults(&report, device) >= 2, "{device}\n{all}");
         }
-        let named = |line: &str| line.contains("base ceased") && line.contains("thread youbot");
+        let named = |line: &str| line.contains("base stopped") && line.contains("thread youbot");
         assert!(all.lines().any(named), "{all}");
     });
 }

@@ -228,7 +228,7 @@ fn port_stops_only_with_the_token() {
     let refused = run(&["stop", "--connect", address, "--token-file", &wrong]);
     expect_status(&refused, 1);
     assert!(complaint(&refused).contains("the token is wrong"));
-    controller.wait_for("refused requests");
+    controller.wait_for("the stop channel rejected requests");
     let stopped = run(&["stop", "--connect", address, "--token-file", &token]);
     assert!(expect_status(&stopped, 0).contains("stopped, 0 nets ended"));
 }
