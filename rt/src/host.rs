@@ -70,8 +70,11 @@ pub fn prepare(config: &HostConfig) -> Host {
 /// Returns to the kernel what the allocator holds and nobody uses, as after large nets were unloaded. It takes up to some
 /// 0.1 ms per MiB, during which other threads wait to allocate: call it where no cycle is computed. Locked memory stays
 /// locked but for the pages returned, which are populated when they are used again.
-pub fn return_memory() {
-    crate::linux::memory::return_free();
+///
+/// # Errors
+/// If the heap cannot be locked again; the process runs on, and its heap can fault.
+pub fn return_memory() -> io::Result<()> {
+    crate::linux::memory::return_free()
 }
 
 impl Host {

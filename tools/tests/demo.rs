@@ -129,11 +129,11 @@ fn factory_after(upset: impl Fn(&mut Process)) -> (Value, String) {
         assert_eq!((faults, 0), (recovered, without), "{name}\n{all}");
         // A line for each when it came, with its cause.
         let of_device = |line: &&String| line.contains(&format!("{name} stopped following"));
-        let told: Vec<_> = lines.iter().filter(of_device).collect();
-        assert!(told.len() as u64 <= faults, "{all}");
-        assert_eq!(told.is_empty(), faults == 0, "{all}");
+        let reported: Vec<_> = lines.iter().filter(of_device).collect();
+        assert!(reported.len() as u64 <= faults, "{all}");
+        assert_eq!(reported.is_empty(), faults == 0, "{all}");
         let caused = |line: &&String| line.contains("this host stalled for");
-        assert!(told.iter().all(caused), "{all}");
+        assert!(reported.iter().all(caused), "{all}");
     }
     assert_eq!(report["interrupted"], report["requested_again"], "{all}");
     (report, all)

@@ -569,8 +569,10 @@ fn supervise(inner: &Inner) {
         let news = registry.take_notices(now);
         let returns = memory_return.is_due(now) && memory_return.check(registry.memory_taken());
         drop(registry);
-        if returns {
-            takt_rt::host::return_memory();
+        if returns && let Err(error) = takt_rt::host::return_memory() {
+            tracing::warn!(
+                "cannot lock the heap again, cycles may fault: {error}\nhint: LimitMEMLOCK=infinity"
+            );
         }
         match recording {
             Some(RecordingEvent::Failed(what)) => {

@@ -565,7 +565,7 @@ fn outputs_follow_their_policy_after_their_net() {
 /// What is stated for outputs and makes no sense is refused with its port.
 #[test]
 fn output_policies_of_wrong_type_are_rejected() {
-    for (key, value, told) in [
+    for (key, value, expected) in [
         (
             "on_end_bool",
             "[hold,1]",
@@ -584,7 +584,7 @@ fn output_policies_of_wrong_type_are_rejected() {
     ] {
         let given = parameters(&[(key, value)]);
         let error = takt_core::device::sim::make("x", "io_sim", &given).unwrap_err();
-        assert!(error.to_string().contains(told), "{error}");
+        assert!(error.to_string().contains(expected), "{error}");
     }
 }
 

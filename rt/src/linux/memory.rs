@@ -5,6 +5,7 @@
 
 use std::{
     hint::black_box,
+    io,
     num::NonZeroUsize,
     ptr,
     sync::atomic::{AtomicBool, Ordering},
@@ -119,8 +120,11 @@ fn keep_freed_memory(touched: usize) -> bool {
 ///
 /// The kernel discards no locked page, so the heap is unlocked meanwhile, its pages staying where they are; then it is
 /// locked again as far as it is present. Threads that do not allocate see none of this.
+///
+/// # Errors
+/// If the heap cannot be locked again; it works on unlocked.
 #[cfg(target_env = "gnu")]
-pub(crate) fn return_free() {
+pub(crate) fn return_free() -> io::Result<()> {
     let locked = IS_LOCKED.load(Ordering::Relaxed);
     if let Some((start, length)) = heap().filter(|_| locked) {
         // SAFETY: a range of this process; unlocking changes no content.
@@ -129,15 +133,23 @@ pub(crate) fn return_free() {
     // SAFETY: no pointer is involved; the allocator takes its lock itself.
     unsafe { libc::malloc_trim(KEPT_BYTES_MAX) };
     // It may be shorter now.
-    if let Some((start, length)) = heap().filter(|_| locked) {
-        // SAFETY: as above; locking changes no content either.
-        let _ =
-            unsafe { libc::mlock2(ptr::without_provenance(start), length, libc::MLOCK_ONFAULT) };
+    let Some((start, length)) = heap().filter(|_| locked) else {
+        return Ok(());
+    };
+    // SAFETY: as above; locking changes no content either.
+    let status =
+        unsafe { libc::mlock2(ptr::without_provenance(start), length, libc::MLOCK_ONFAULT) };
+    if status == 0 {
+        Ok(())
+    } else {
+        Err(io::Error::last_os_error())
     }
 }
 
 #[cfg(not(target_env = "gnu"))]
-pub(crate) fn return_free() {}
+pub(crate) fn return_free() -> io::Result<()> {
+    Ok(())
+}
 
 /// Start and length of the main heap in bytes.
 #[cfg(target_env = "gnu")]

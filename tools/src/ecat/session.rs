@@ -189,15 +189,15 @@ impl<W: Wire> Session<W> {
     /// Listens whether there is a master already. Two on one segment answer each other's frames; outputs of the
     /// other one would be overwritten.
     pub(super) fn listen(&mut self) -> anyhow::Result<()> {
-        let mut heard = false;
+        let mut another = false;
         for port in std::iter::once(&mut self.port).chain(&mut self.second) {
             let received = port.receive(LISTEN);
-            heard |= received
+            another |= received
                 .map_err(|error| failed(&self.interface, Medium::Ethernet, error))?
                 .is_some();
         }
         ensure!(
-            !heard,
+            !another,
             "{}: frames of another master are heard; stop it first (`systemctl stop takt`, or what sends there), \
              nothing was sent",
             self.interface

@@ -406,13 +406,13 @@ mod tests {
     #[test]
     fn shift_of_a_joint_at_rest_fails() {
         for (by, moved) in [(0.1, 0.0), (0.1, 0.04), (-0.1, 0.1), (-0.1, -0.001)] {
-            let told = arrived("A4", by, moved).unwrap_err();
-            assert!(told.starts_with("A4 did not move as commanded: "), "{told}");
-            assert!(told.contains("\nhint: "), "{told}");
+            let text = arrived("A4", by, moved).unwrap_err();
+            assert!(text.starts_with("A4 did not move as commanded: "), "{text}");
+            assert!(text.contains("\nhint: "), "{text}");
         }
-        let told = arrived("A4", -0.1, -0.099).unwrap();
+        let text = arrived("A4", -0.1, -0.099).unwrap();
         assert_eq!(
-            told,
+            text,
             "A4 is there: -5.73 deg were asked for, -5.67 deg are measured"
         );
     }

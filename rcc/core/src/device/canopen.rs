@@ -2,17 +2,18 @@
 //! until three quarters of it are over, and then steps the arms. Start-up, supervision and SDO transfers, which never
 //! delay a cycle, are in `takt_can::canopen::network`.
 
-use std::fmt;
+mod events;
+
 use std::mem::{Discriminant, discriminant};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use takt_can::canopen::NodeId;
 use takt_can::canopen::network::{
-    AxisCommand, AxisFault, AxisPlan, Event, Network, NetworkConfig, NodeFault, NodePlan, Phase,
+    AxisCommand, AxisFault, AxisPlan, Event, Network, NetworkConfig, NodePlan, Phase,
 };
-use takt_can::canopen::{Emergency, NodeId};
 use takt_can::cia402::DriveFault;
 use takt_can::cia402::proof::Objects;
 use takt_can::linux::{Options, SocketCan};
@@ -25,13 +26,12 @@ use takt_rt::{Nanos, monotonic};
 
 use crate::device::DeviceDescription;
 use crate::device::config::{CanopenConfig, DriveJoint, LinkLoss, Recovery};
-use crate::device::driver::{
-    DeviceDriver, DriverEnds, DriverThread, Notice, SHUTDOWN_MAX, Severity,
-};
-use crate::device::drives::{self, Arm, Feedback, JointEvent};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, Notice, SHUTDOWN_MAX};
+use crate::device::drives::{self, Arm, Feedback};
 use crate::device::link_watch::{LinkErrors, LinkWatch};
 use crate::device::rmp::CanLink;
 use crate::error::Error;
+use events::NetworkEvent;
 
 /// Cyclic synchronous position (6060h).
 const CSP: i8 = 8;
@@ -165,60 +165,6 @@ pub fn open(config: &CanopenConfig) -> Result<Box<dyn CanLink>, Error> {
         source,
     })?;
     Ok(Box::new(socket))
-}
-
-/// An event of the network.
-#[derive(Debug)]
-enum NetworkEvent {
-    Runs(NodeId),
-    Fault(NodeId, NodeFault),
-    Emergency(NodeId, Emergency, u32),
-    /// Of the axis with that number in its drive.
-    Axis(NodeId, u8, AxisFault),
-    /// The process data of an axis are proven, except these objects.
-    Proven(NodeId, u8, Duration, Objects),
-    /// Of a joint of an arm: arm, joint, event.
-    Joint(usize, usize, JointEvent),
-}
-
-impl NetworkEvent {
-    /// Severity.
-    const fn severity(&self) -> Severity {
-        match self {
-            Self::Runs(_) | Self::Proven(..) => Severity::Info,
-            // Error code 0000h clears an emergency.
-            Self::Emergency(_, emergency, _) if emergency.code == 0 => Severity::Info,
-            Self::Fault(_, NodeFault::Garbled { .. } | NodeFault::PdoShort { .. })
-            | Self::Joint(_, _, JointEvent::OutOfRange { .. }) => Severity::Warning,
-            Self::Fault(..)
-            | Self::Emergency(..)
-            | Self::Axis(..)
-            | Self::Joint(_, _, JointEvent::Runaway(_)) => Severity::Error,
-        }
-    }
-}
-
-impl fmt::Display for NetworkEvent {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Runs(node) => write!(f, "node {node}: running"),
-            Self::Fault(node, fault) => write!(f, "node {node}: {fault}"),
-            Self::Emergency(node, emergency, 1) => {
-                write!(f, "node {node}: {}", NodeFault::Emergency(*emergency))
-            }
-            Self::Emergency(node, emergency, count) => write!(
-                f,
-                "node {node}: {count} emergencies, last: {}",
-                NodeFault::Emergency(*emergency)
-            ),
-            Self::Axis(node, axis, fault) => write!(f, "node {node}, axis {axis}: {fault}"),
-            Self::Proven(node, axis, took, trusted) => {
-                let proven = drives::proven(*took, *trusted);
-                write!(f, "node {node}, axis {axis}: {proven}")
-            }
-            Self::Joint(arm, joint, event) => write!(f, "arm {arm}, joint {joint}: {event}"),
-        }
-    }
 }
 
 /// Counters of a running network that other threads read.

@@ -205,7 +205,7 @@ impl<'s, W: Wire> Session<'s, W> {
     pub(super) fn run(mut self) -> anyhow::Result<Report> {
         let done = self.look().and_then(|()| self.lead());
         if matches!(done, Err(End::Because(Cause::Runaway(_)))) {
-            // It does not do what it is told, so nothing is left but to take its power.
+            // It does not follow its commands: only removing its power is left.
             self.moving = false;
             self.enabled = false;
             let _ = self.order(ControlWord::DISABLE_VOLTAGE);

@@ -481,10 +481,10 @@ mod tests {
         let plan: Plan = toml::from_str(text).unwrap();
         assert_eq!(plan.build(true, 1).unwrap().loops.len(), 1);
         let unknown = toml::from_str::<Plan>("[[slave]]\nkind = 'el9999'\n");
-        let told = unknown.unwrap_err().to_string();
+        let text = unknown.unwrap_err().to_string();
         assert!(
-            told.contains("unknown device `el9999`; known are ek1100"),
-            "{told}"
+            text.contains("unknown device `el9999`; known are ek1100"),
+            "{text}"
         );
     }
 
