@@ -68,10 +68,12 @@ impl DerefMut for TestBench {
 
 impl TestBench {
     fn new(firmware: Firmware, config: &EthercatConfig) -> Self {
-        let bench = Self::start(firmware, config);
-        bench.cell().wait_for("arm", DeviceStatus::Operational);
-        bench.cell().wait_for("base", DeviceStatus::Operational);
-        bench
+        steady(|| {
+            let bench = Self::start(firmware, config);
+            bench.cell().wait_for("arm", DeviceStatus::Operational);
+            bench.cell().wait_for("base", DeviceStatus::Operational);
+            bench
+        })
     }
 
     /// Whose devices are not waited for.
@@ -216,16 +218,18 @@ fn moves(firmware: Firmware, control: YouBotControl) {
     });
     let moved = bench.angle(3) - before;
     assert!((moved - 0.5).abs() < 0.02, "moved {moved} rad");
-    let before = bench.runs("base", &drive("{vel:{x:0.2}}", 1.0), TestBench::wheels);
-    let after = bench.wheels();
-    for (n, sign) in [-1.0, 1.0, -1.0, 1.0].into_iter().enumerate() {
-        // 0.2 m/s for a second on wheels of 0.0475 m; the ramp's lag at the start is made up at the end.
-        let turned = sign * (after[n] - before[n]);
-        assert!(
-            (turned - 0.2 / 0.0475).abs() < 0.3,
-            "wheel {n}: {turned} rad"
-        );
-    }
+    steady(|| {
+        let before = bench.runs("base", &drive("{vel:{x:0.2}}", 1.0), TestBench::wheels);
+        let after = bench.wheels();
+        for (n, sign) in [-1.0, 1.0, -1.0, 1.0].into_iter().enumerate() {
+            // 0.2 m/s for a second on wheels of 0.0475 m; the ramp's lag at the start is made up at the end.
+            let turned = sign * (after[n] - before[n]);
+            assert!(
+                (turned - 0.2 / 0.0475).abs() < 0.3,
+                "wheel {n}: {turned} rad"
+            );
+        }
+    });
     bench.wait_for_hand();
     bench.runs("hand", &grip(0.018), |_| ());
     assert!(

@@ -1,4 +1,4 @@
-//! Runs tests that the host cannot run: those skipped for a missing bus run again where the bus exists, and real-time
+//! Runs tests outside of cargo: those that failed are repeated alone, and those that the host cannot run go elsewhere: those skipped for a missing bus run again where the bus exists, and real-time
 //! tests run on a real-time kernel. A network namespace is preferred to a virtual machine, as it costs nothing. Tests
 //! with other missing requirements stay skipped.
 
@@ -14,7 +14,8 @@ use crate::binaries::{self, Binary, Built, TestRun};
 use crate::cargo::{self, Cargo, note};
 use crate::metadata::Workspace;
 use crate::parts::Part;
-use crate::shell::quoted;
+use crate::shell::{Line, quoted};
+use crate::test::repeat;
 use crate::test::tally::{Reader, Tally, test_name};
 use crate::vm::{self, Guest, Unavailable};
 
@@ -52,9 +53,10 @@ impl Bus {
     }
 }
 
-/// Where tests run that the host cannot run.
+/// Where tests run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Environment {
+    Host,
     Namespace,
     Machine,
 }
@@ -149,9 +151,31 @@ fn of_kernel(root: &Path, mut binaries: Vec<Binary>) -> anyhow::Result<Vec<TestR
     Ok(binaries.into_iter().map(all).collect())
 }
 
+/// Repeats the failed tests of these binaries on this host.
+pub(crate) fn repeat(root: &Path, tally: &mut Tally, binaries: &[Binary]) -> anyhow::Result<()> {
+    repeat::failed(tally, binaries, |tests| {
+        once(root, Environment::Host, tests, None)
+    })
+}
+
+/// Runs the tests in an environment, repeats those that failed, and counts them.
+fn run(
+    root: &Path,
+    environment: Environment,
+    test_runs: &[TestRun],
+    python: Option<&Path>,
+) -> anyhow::Result<Tally> {
+    let mut tally = once(root, environment, test_runs, python)?;
+    let binaries: Vec<Binary> = test_runs.iter().map(|run| run.binary.clone()).collect();
+    repeat::failed(&mut tally, &binaries, |tests| {
+        once(root, environment, tests, python)
+    })?;
+    Ok(tally)
+}
+
 /// Runs the tests in an environment and counts them. A test that skips itself there too has not passed. Tests with a
 /// Python peer get its path, unless the user has set it.
-fn run(
+fn once(
     root: &Path,
     environment: Environment,
     test_runs: &[TestRun],
@@ -177,6 +201,7 @@ fn run(
         }
     };
     let status = match environment {
+        Environment::Host => Line::new("sh").args(["-c", &script]).lines(show)?,
         Environment::Namespace => {
             note(&format!("{count} test binaries run in a network namespace"));
             namespace::run(root, &script, show)?

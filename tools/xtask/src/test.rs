@@ -2,6 +2,7 @@
 //! toolchain is needed; a test that cannot run here writes a line to the file named by `TAKT_SKIPS`. Goldens are
 //! compared by the tests themselves.
 
+pub(crate) mod repeat;
 pub(crate) mod tally;
 
 use std::fs;
@@ -9,6 +10,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
+use crate::binaries::Built;
 use crate::cargo::{self, Cargo, note, say};
 use crate::environments;
 use crate::parts::{self, Part};
@@ -60,6 +62,10 @@ pub(crate) fn count(root: &Path, parts: &[String], golden: Golden) -> anyhow::Re
             }
         })?;
         tally.add(reader.finish(good));
+    }
+    if golden == Golden::Compare && repeat::is_wanted(&tally) {
+        let built = Built::by(root, &lines)?;
+        environments::repeat(root, &mut tally, &built.tests)?;
     }
     let skipped = fs::read_to_string(&skips).unwrap_or_default();
     tally.skip_passed(&skipped);

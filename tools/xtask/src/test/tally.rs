@@ -10,6 +10,10 @@ pub(crate) struct Tally {
     pub(crate) skips: Vec<String>,
     /// Names of the tests that ran, without their modules.
     pub(crate) names: Vec<String>,
+    /// Full names of the tests that failed.
+    pub(crate) failures: Vec<String>,
+    /// Tests that failed beside others and passed when repeated alone.
+    pub(crate) unsteady: Vec<String>,
 }
 
 impl Tally {
@@ -18,6 +22,18 @@ impl Tally {
         self.failed += other.failed;
         self.skips.extend(other.skips);
         self.names.extend(other.names);
+        self.failures.extend(other.failures);
+        self.unsteady.extend(other.unsteady);
+    }
+
+    /// Counts a failed test that passed when repeated.
+    pub(crate) fn pass_repeated(&mut self, name: &str, times: usize) {
+        self.failed = self.failed.saturating_sub(1);
+        self.passed += 1;
+        self.failures.retain(|failed| failed != name);
+        self.unsteady.push(format!(
+            "{name}: failed beside others, passed {times} times alone"
+        ));
     }
 
     /// Result of an environment that is not available, with the reason.
@@ -51,13 +67,11 @@ impl Tally {
         self.add(other);
     }
 
-    /// One line per skip with its reason, then the count.
+    /// One line per skip with its reason and per unsteady test, then the count.
     pub(crate) fn summary(&self) -> Vec<String> {
-        let mut lines: Vec<String> = self
-            .skips
-            .iter()
-            .map(|skip| format!("skipped: {skip}"))
-            .collect();
+        let skips = self.skips.iter().map(|skip| format!("skipped: {skip}"));
+        let unsteady = self.unsteady.iter().map(|test| format!("unsteady: {test}"));
+        let mut lines: Vec<String> = skips.chain(unsteady).collect();
         let (passed, failed, skipped) = (self.passed, self.failed, self.skips.len());
         lines.push(format!(
             "{passed} passed, {failed} failed, {skipped} skipped"
@@ -132,6 +146,9 @@ impl Reader {
         }
         if matches!(verdict, "ok" | "FAILED") {
             self.tally.names.push(test_name(name).to_owned());
+        }
+        if verdict == "FAILED" {
+            self.tally.failures.push(name.to_owned());
         }
         verdict != "ok" && !verdict.starts_with("ignored")
     }
