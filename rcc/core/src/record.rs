@@ -30,6 +30,8 @@ pub use replay::{Replay, replay};
 
 /// Buffers between the net thread and the file; each holds one cycle.
 const BUFFERS: usize = 512;
+/// Time between two flushes: a crash loses at most this much.
+const FLUSH_PERIOD: Duration = Duration::from_secs(1);
 /// Maximum number of words of one cycle.
 const WORDS_A_CYCLE: usize = 16_384;
 
@@ -355,7 +357,7 @@ struct Desk<W: Write + Seek> {
 impl<W: Write + Seek> Desk<W> {
     fn run(&mut self) -> Result<u64, Error> {
         let mut cycles = 0;
-        let mut is_dirty = true;
+        let mut flushed = Instant::now();
         loop {
             // Read first, so that records from before the stop are still written.
             let stop = self.stop.load(Ordering::Relaxed);
@@ -378,11 +380,10 @@ impl<W: Write + Seek> Desk<W> {
                 self.writer.finish()?;
                 return Ok(cycles);
             }
-            if idle && is_dirty {
-                // A later crash does not lose earlier data.
+            if flushed.elapsed() >= FLUSH_PERIOD {
                 self.writer.flush()?;
+                flushed = Instant::now();
             }
-            is_dirty = !idle;
             if idle {
                 std::thread::sleep(Duration::from_millis(5));
             }

@@ -5,18 +5,20 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use takt_net::JointLimits;
+use takt_rt::monotonic;
 
 use crate::device::{DeviceDescription, Part, Place};
 use crate::error::Error;
 use crate::files;
 use crate::record::Note;
+use crate::record::words::start;
 
 pub(super) const CYCLES: &str = "/takt/cycles";
 pub(super) const DEVICES: &str = "/takt/devices";
@@ -114,8 +116,10 @@ impl NetNote {
 /// Last bytes of a complete file; a file without them is truncated.
 const END: [u8; 8] = *b"\x89MCAP0\r\n";
 
-/// Writes the file record by record, without chunks: after a full disk or a crash it is readable up to the last
-/// complete record. Without an index, viewers need one pass over it.
+/// Maximum bytes of a chunk before compression that is read; the writer's are below 1 MiB.
+const CHUNK_BYTES_MAX: usize = 64 << 20;
+
+/// Writes the file in compressed chunks: after a full disk or a crash it is readable up to the last complete chunk.
 pub(super) struct Writer<W: Write + Seek = File> {
     /// `None` after an error: nothing follows half a record.
     mcap: Option<mcap::Writer<BufWriter<W>>>,
@@ -125,6 +129,19 @@ pub(super) struct Writer<W: Write + Seek = File> {
     sequence: u32,
     /// Cycles written to the file.
     written: u64,
+    /// Unix time at the zero of the host's monotonic clock, ns.
+    epoch: u64,
+}
+
+/// Unix time at the zero of the host's monotonic clock, ns.
+fn epoch() -> u64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH);
+    let now = now.map_or(0, |now| u64::try_from(now.as_nanos()).unwrap_or(u64::MAX));
+    now.saturating_sub(since_boot(monotonic()))
+}
+
+fn since_boot(time: takt_rt::Nanos) -> u64 {
+    u64::try_from(time.0).unwrap_or(0)
 }
 
 impl Writer {
@@ -142,8 +159,9 @@ impl<W: Write + Seek> Writer<W> {
     pub(super) fn on(to: W, path: &Path) -> Result<Self, Error> {
         let failed = |e: mcap::McapError| broken(path, 0, &e);
         let mut mcap = mcap::WriteOptions::new()
-            .compression(None)
-            .use_chunks(false)
+            .compression(Some(mcap::Compression::Zstd))
+            // A chunk is written as a whole, so that one that a crash cuts off is recognised.
+            .disable_seeking(true)
             .profile("takt")
             .library("takt")
             .create(BufWriter::new(to))
@@ -170,6 +188,7 @@ impl<W: Write + Seek> Writer<W> {
             bytes: Vec::new(),
             sequence: 0,
             written: 0,
+            epoch: epoch(),
         })
     }
 
@@ -189,8 +208,10 @@ impl<W: Write + Seek> Writer<W> {
         })
     }
 
-    fn message(&mut self, channel_id: u16, data: &[u8], time: u64) -> Result<(), Error> {
+    /// `time` is on the host's monotonic clock.
+    fn message(&mut self, channel_id: u16, data: &[u8], time: takt_rt::Nanos) -> Result<(), Error> {
         self.sequence = self.sequence.wrapping_add(1);
+        let time = self.epoch.saturating_add(since_boot(time));
         let header = MessageHeader {
             channel_id,
             sequence: self.sequence,
@@ -200,7 +221,7 @@ impl<W: Write + Seek> Writer<W> {
         self.try_with(|mcap| mcap.write_to_known_channel(&header, data))
     }
 
-    /// Flushes the buffer to the file.
+    /// Ends the chunk and flushes the buffer to the file.
     pub(super) fn flush(&mut self) -> Result<(), Error> {
         self.try_with(mcap::Writer::flush)
     }
@@ -241,7 +262,7 @@ impl<W: Write + Seek> Writer<W> {
             path: self.path.clone(),
             what: format!("cannot write a note: {e}"),
         })?;
-        self.message(channel, text.as_bytes(), 0)
+        self.message(channel, text.as_bytes(), monotonic())
     }
 
     pub(super) fn cycle(&mut self, words: &[u64]) -> Result<(), Error> {
@@ -250,7 +271,8 @@ impl<W: Write + Seek> Writer<W> {
         bytes.extend(words.iter().flat_map(|w| w.to_le_bytes()));
         let [cycles, ..] = self.channels;
         self.written += 1;
-        let result = self.message(cycles, &bytes, 0);
+        let time = start(words).map_or_else(monotonic, |time| takt_rt::Nanos(time.0));
+        let result = self.message(cycles, &bytes, time);
         self.bytes = bytes;
         result
     }
@@ -276,6 +298,10 @@ fn wrong(path: &Path, what: String) -> Error {
         path: path.to_owned(),
         what,
     }
+}
+
+fn too_long(most: u64) -> String {
+    format!("more than {most} bytes when unpacked\nhint: record shorter runs")
 }
 
 /// The error of a failed write, with the cycle and a hint.
@@ -333,6 +359,11 @@ impl Recording {
 
     /// Parses the bytes of that file.
     pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Self, Error> {
+        Self::parse_limited(bytes, path, files::RECORDING_BYTES_MAX)
+    }
+
+    /// As [`Self::parse`], of at most so many bytes when unpacked.
+    pub(super) fn parse_limited(bytes: &[u8], path: &Path, most: u64) -> Result<Self, Error> {
         let cut = |e: &mcap::McapError| wrong(path, format!("not a complete MCAP file: {e}"));
         let mut recording = Self::default();
         let mut topics = HashMap::new();
@@ -341,10 +372,11 @@ impl Recording {
         let options = LinearReaderOptions::default()
             .with_prevalidate_chunk_crcs(true)
             .with_validate_data_section_crc(true)
-            .with_record_length_limit(bytes.len());
+            .with_record_length_limit(CHUNK_BYTES_MAX);
         let mut reader = LinearReader::new_with_options(options);
         let is_ended = bytes.ends_with(&END);
         let mut rest = bytes;
+        let mut unpacked = 0;
         while let Some(event) = reader.next_event() {
             // In a complete file, a record beyond the end is damage.
             if matches!(event, Err(mcap::McapError::UnexpectedEof)) && !is_ended {
@@ -367,6 +399,10 @@ impl Recording {
                         topics.insert(channel.id, channel.topic);
                     } else if let Record::Message { header, data } = record {
                         let topic = topics.get(&header.channel_id).map_or("", String::as_str);
+                        unpacked += data.len() as u64;
+                        if unpacked > most {
+                            return Err(wrong(path, too_long(most)));
+                        }
                         recording
                             .message(topic, &data)
                             .map_err(|what| wrong(path, what))?;

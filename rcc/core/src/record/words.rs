@@ -362,3 +362,14 @@ fn joint_state(words: &[u64]) -> Option<JointState> {
         measured_acceleration: value(5)?,
     })
 }
+
+/// When a recorded cycle started, on the host's monotonic clock; `None` without inputs.
+pub(super) fn start(words: &[u64]) -> Option<Nanos> {
+    let mut reader = Reader(words);
+    while let Ok(Some(entry)) = reader.next() {
+        if let Entry::Inputs(inputs) = entry {
+            return Some(inputs.moment.wall);
+        }
+    }
+    None
+}

@@ -100,7 +100,8 @@ mod tests {
         })
         .unwrap();
         assert_eq!(runs, TIMES);
-        let unsteady = format!("unsteady: {NAME}: failed beside others, passed {TIMES} times alone");
+        let unsteady =
+            format!("unsteady: {NAME}: failed beside others, passed {TIMES} times alone");
         assert_eq!(
             tally.summary(),
             [unsteady, "1 passed, 0 failed, 0 skipped".to_owned()]
