@@ -53,6 +53,7 @@ pub use crate::device::config::{
 };
 use crate::device::{canopen, ethercat, iiwa, lwr, rmp};
 use crate::error::Error;
+use crate::ids::check_device_name;
 use crate::{files, span};
 pub use access::{Loopback, OnLoss};
 pub use device::DeviceConfig;
@@ -395,6 +396,7 @@ impl CellConfig {
             .chain(of_networks)
             .collect();
         names.sort_unstable();
+        names.iter().try_for_each(|name| check_device_name(name))?;
         match names.windows(2).find(|w| w[0] == w[1]) {
             Some(twice) => Err(format!("device name `{}` is given twice", twice[0])),
             None => Ok(()),

@@ -17,6 +17,28 @@ impl SessionId {
     pub const NONE: Self = Self(0);
 }
 
+/// Maximum length of a device name, in characters.
+const DEVICE_NAME_MAX: usize = 64;
+
+/// Checks a device name: any text of 1 to 64 characters without control characters. `rcc` is the controller itself.
+///
+/// # Errors
+/// With the reason and the name.
+pub fn check_device_name(name: &str) -> Result<(), String> {
+    let reason = if name.is_empty() {
+        "is empty"
+    } else if name.chars().count() > DEVICE_NAME_MAX {
+        "is longer than 64 characters"
+    } else if name.contains(char::is_control) {
+        "contains a control character"
+    } else if name == "rcc" {
+        "is that of the controller itself"
+    } else {
+        return Ok(());
+    };
+    Err(format!("device name {name:?} {reason}"))
+}
+
 /// The text is not an identifier of this kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no such identifier")]

@@ -13,6 +13,7 @@ use crate::{
 
 /// Small enough that one text costs a fraction of a second at most.
 const LIMITS: Limits = Limits {
+    terminate: true,
     text_bytes: 1 << 16,
     primitives: 1000,
     depth: 32,

@@ -21,6 +21,8 @@ pub struct Limits {
     pub history: usize,
     /// Bytes of all arrays and histories together.
     pub memory_bytes: usize,
+    /// Whether the root needs the out port `outTerminate`: a net that is evaluated once does not.
+    pub terminate: bool,
 }
 
 impl Default for Limits {
@@ -34,6 +36,7 @@ impl Default for Limits {
             cost: None,
             history: 60_000,
             memory_bytes: 256 << 20,
+            terminate: true,
         }
     }
 }

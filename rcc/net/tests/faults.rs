@@ -17,6 +17,7 @@ use takt_net::{
 
 /// Bounds low enough to be exceeded in a few lines.
 const LIMITS: Limits = Limits {
+    terminate: true,
     text_bytes: 2000,
     primitives: 12,
     depth: 6,

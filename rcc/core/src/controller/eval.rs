@@ -63,6 +63,7 @@ fn eval_limits() -> Limits {
         primitives: EVAL_PRIMITIVES_MAX,
         cost: Some(EVAL_COST_MAX),
         memory_bytes: 32 << 20,
+        terminate: false,
         ..Limits::default()
     }
 }

@@ -18,7 +18,7 @@ use crate::netcomm::{Directory, Inter, Mailbox};
 use crate::plan::{Guard, Op, Plan, RootPort};
 use crate::slots::{In, SlotRef, SlotsBuilder};
 use crate::taps::Taps;
-use crate::value::{Type, Value};
+use crate::value::{Element, Type, Value};
 
 /// Marks a part that cannot be built because an earlier one could not; never shown.
 pub(super) const fn inherited() -> FaultKind {
@@ -218,8 +218,10 @@ impl Parts {
         let guards = self.guards(resolved)?;
         let root_ports = self.root_ports(resolved)?;
         let taps = taps(&mut self, resolved)?;
-        let terminate = root_ports.iter().find(|p| p.name == "outTerminate")?;
-        let terminate = boolean(terminate.slot)?;
+        let terminate = root_ports.iter().find(|p| p.name == "outTerminate");
+        let terminate = boolean(
+            terminate.map_or(SlotRef::null(Type::scalar(Element::Bool)), |port| port.slot),
+        )?;
         let out_words = vec![0; self.outbox.words()];
         self.resources.sort();
         self.resources.dedup();

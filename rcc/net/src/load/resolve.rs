@@ -569,7 +569,8 @@ impl<'t> Resolver<'t, '_> {
             };
             root.push((out.name.text, origin));
         }
-        if !root.iter().any(|(name, _)| *name == "outTerminate") {
+        let has_terminate = root.iter().any(|(name, _)| *name == "outTerminate");
+        if self.context.limits.terminate && !has_terminate {
             let end = tree.at.end;
             self.fault(FaultKind::NoTerminate, end.saturating_sub(1)..end);
         }

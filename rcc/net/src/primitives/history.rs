@@ -159,7 +159,7 @@ fn time_history() -> Definition {
     Definition::new("Core::TimeHistory", doc, build)
         .stateful()
         .input::<Nanos>(port("inValue", "time stamp of this cycle, ns").required())
-        .input::<Nanos>(port("inTime", "time to search for, ns").required())
+        .input::<Nanos>(port("inTime", "time to search for, ns"))
         .parameter::<f64>("MaxAge", "1", "how long stamps are stored, s")
         .output::<f64>("outAge", "how long ago, s")
         .null(NullRule::Own(

@@ -129,10 +129,16 @@ pub(super) fn table() -> Vec<Definition> {
             build,
         )
         .stateful()
-        .input::<Nanos>(port("inFirstStart", "start of the first source's range, ns").required())
-        .input::<Nanos>(port("inFirstEnd", "end of the first source's range, ns").required())
-        .input::<Nanos>(port("inSecondStart", "start of the second source's range, ns").required())
-        .input::<Nanos>(port("inSecondEnd", "end of the second source's range, ns").required())
+        .input::<Nanos>(port(
+            "inFirstStart",
+            "start of the first source's range, ns",
+        ))
+        .input::<Nanos>(port("inFirstEnd", "end of the first source's range, ns"))
+        .input::<Nanos>(port(
+            "inSecondStart",
+            "start of the second source's range, ns",
+        ))
+        .input::<Nanos>(port("inSecondEnd", "end of the second source's range, ns"))
         .parameter::<f64>("MaxSize", "1", "longest that the pair may be together, s")
         .parameter::<f64>("MaxAge", "1", "how long ranges are stored, s")
         .output::<Nanos>("outStart", "earlier start of the pair, ns")

@@ -82,20 +82,14 @@ fn arithmetic() -> [Definition; 2] {
         function(
             "Core::TimeDiff",
             "First minus second.",
-            &[
-                port("inFirst", "time, ns").required(),
-                port("inSecond", "time, ns").required(),
-            ],
+            &[port("inFirst", "time, ns"), port("inSecond", "time, ns")],
             &[("outValue", "span between them, s")],
             |(first, second): (Nanos, Nanos)| Some((difference(first, second),)),
         ),
         function(
             "Core::TimeAdd",
             "A time plus a span; null if beyond 64 bits.",
-            &[
-                port("inTime", "time, ns").required(),
-                port("inDelta", "span, s").required(),
-            ],
+            &[port("inTime", "time, ns"), port("inDelta", "span, s")],
             &[("outValue", "time, ns")],
             |(time, delta_s): (Nanos, f64)| Some((sum(time, delta_s)?,)),
         ),

@@ -25,14 +25,32 @@ fn is_encoded(body: &[u8]) -> bool {
         .all(|b| b.is_ascii_graphic() && !br#"{}[]<>""#.contains(b))
 }
 
-/// The fields of a plain form, without any escapes. A part without a key belongs to the value before it, such as
+/// The name of a device in a plain form. The known client leaves lists and maps of the same form as they are.
+fn name(value: &str) -> String {
+    let mut decoded = form_urlencoded::parse(value.as_bytes());
+    decoded.next().map_or_else(String::new, |(key, rest)| {
+        // An `=` in the name ends the key.
+        if rest.is_empty() {
+            key.into_owned()
+        } else {
+            format!("{key}={rest}")
+        }
+    })
+}
+
+/// The fields of a plain form, without any escapes besides those of a device name. A part without a key belongs to the value before it, such as
 /// the `&lt;` of XML.
 fn plain(body: &str) -> Form {
     let mut fields: Form = Vec::new();
     for part in body.split('&') {
         let field = part.split_once('=').filter(|(key, _)| is_key(key));
         if let Some((key, value)) = field.filter(|_| fields.len() < FIELDS_MAX) {
-            fields.push((key.to_owned(), value.to_owned()));
+            let value = if key == "name" {
+                name(value)
+            } else {
+                value.to_owned()
+            };
+            fields.push((key.to_owned(), value));
         } else if let Some((_, value)) = fields.last_mut() {
             value.push('&');
             value.push_str(part);
@@ -81,6 +99,20 @@ mod tests {
             pair("min_joint", "[-2.9,1.0E-4]"),
         ];
         assert_eq!(fields(body), expected);
+    }
+
+    #[test]
+    fn device_name_of_plain_form_is_decoded() {
+        for (sent, name) in [
+            ("Test+device%27s", "Test device's"),
+            ("a b", "a b"),
+            ("a=b", "a=b"),
+            ("", ""),
+        ] {
+            let body = format!("name={sent}&min_joint=[-2.9]");
+            let expected = [pair("name", name), pair("min_joint", "[-2.9]")];
+            assert_eq!(fields(&body), expected);
+        }
     }
 
     #[test]

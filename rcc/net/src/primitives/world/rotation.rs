@@ -17,7 +17,11 @@ const ABC_OUT: &[(&str, &str)] = &[
     ("outC", ABC_DOCS[2]),
 ];
 
+/// No turn needs no axis: known clients send the zero axis with it.
 fn about(axis: Vector, angle: f64) -> Option<Rotation> {
+    if angle == 0.0 {
+        return Some(Rotation::identity());
+    }
     Unit::try_new(axis, SHORTEST).map(|axis| Rotation::from_axis_angle(&axis, angle))
 }
 
@@ -67,7 +71,7 @@ fn from_axis_angle() -> Definition {
     };
     let definition = pair(
         "World::RotationFromAxisAngle",
-        "The rotation about an axis; null for an axis of length zero.",
+        "The rotation about an axis. The angle 0 gives the identity whatever the axis; another angle about an axis of length zero gives null.",
         build,
     )
     .input::<Vector>(port(

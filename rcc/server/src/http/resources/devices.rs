@@ -3,8 +3,10 @@
 
 use std::collections::BTreeMap;
 
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use takt_core::Error;
 use takt_core::controller::DeviceInfo;
+use takt_core::ids::check_device_name;
 
 use super::super::Response;
 use super::super::element::Element;
@@ -63,10 +65,7 @@ impl Handler<'_> {
             }
             Some(_) => return Err(Response::bad_request("action: remove is expected, or none")),
         }
-        if !is_name(name) || name == "rcc" {
-            let text = "name: at most 64 letters, digits and `_` are expected, and not rcc";
-            return Err(Response::bad_request(text));
-        }
+        check_device_name(name).map_err(Response::bad_request)?;
         let kind = self.field("type");
         let kind = kind.ok_or_else(|| Response::bad_request("type is missing"))?;
         let own = |key: &str| matches!(key, "name" | "type" | "action");
@@ -87,9 +86,17 @@ impl Handler<'_> {
     }
 }
 
-/// Names are unquoted in messages and in net text.
-fn is_name(name: &str) -> bool {
-    name.len() <= 64 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_')
+/// All but the unreserved characters (RFC 3986, section 2.3).
+const RESERVED: &AsciiSet = &NON_ALPHANUMERIC
+    .remove(b'_')
+    .remove(b'-')
+    .remove(b'.')
+    .remove(b'~');
+
+/// The path of a device below the root.
+pub(super) fn uri(name: &str) -> String {
+    let name = utf8_percent_encode(name, RESERVED);
+    format!("/devices/{name}/")
 }
 
 pub(super) fn error_response(error: Error) -> Response {
@@ -112,7 +119,7 @@ fn describe(device: &DeviceInfo) -> Element {
             .containing(parameters)
     });
     Element::new("device")
-        .with("uri", format!("/devices/{}/", device.name))
+        .with("uri", uri(&device.name))
         .with("name", &device.name)
         .with("type", &device.kind)
         .with("state", device.status.word())

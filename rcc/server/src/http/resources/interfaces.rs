@@ -10,6 +10,7 @@ use takt_core::{NetId, SessionId};
 
 use super::super::Response;
 use super::super::element::Element;
+use super::devices::uri;
 use super::{Handler, Outcome};
 
 /// Most ports shown per kind.
@@ -28,6 +29,12 @@ const PORTS: [(&str, &str, &str); 4] = [
     ("anin", "anin", "IO::InReal"),
     ("anout", "anout", "IO::OutRealSensor"),
 ];
+
+/// A device name as the value of a parameter in net text, in quotes.
+fn in_net(name: &str) -> String {
+    let name = name.replace('\\', r"\\").replace('\'', r"\'");
+    format!("'{name}'")
+}
 
 impl Handler<'_> {
     pub(super) fn interface(&self, name: &str, interface: &str, post: bool) -> Outcome {
@@ -77,6 +84,7 @@ impl Handler<'_> {
     /// the frame `x`, `y`, `z`, `a`, `b`, `c`, near `j1`….
     fn arm_kinematics(&self, device: &DeviceInfo) -> Outcome {
         let name = &device.name;
+        let robot = in_net(name);
         let joints = self.joints(device)?;
         let list: Vec<_> = joints.iter().map(ToString::to_string).collect();
         let list = list.join(",");
@@ -90,12 +98,12 @@ impl Handler<'_> {
             let [x, y, z, a, b, c] = frame;
             format!(
                 "{hint},f=World::FrameNetcommIn(Key='f',Value='{{pos:{{x:{x},y:{y},z:{z}}},\
-                 rot:{{a:{a},b:{b},c:{c}}}}}'),k=ArmKinematics::InvKin(Robot='{name}',\
+                 rot:{{a:{a},b:{b},c:{c}}}}}'),k=ArmKinematics::InvKin(Robot={robot},\
                  inFrame=f.outValue,inHintJoints=j.outValue),outJoints=k.outJoints"
             )
         } else {
             format!(
-                "{hint},k=ArmKinematics::Kin(Robot='{name}',inJoints=j.outValue),outFrame=k.outFrame"
+                "{hint},k=ArmKinematics::Kin(Robot={robot},inJoints=j.outValue),outFrame=k.outFrame"
             )
         };
         let values = self.evaluated(&net)?;
@@ -135,6 +143,7 @@ impl Handler<'_> {
     /// All ports with their values.
     fn io(&self, device: &DeviceInfo) -> Outcome {
         let name = &device.name;
+        let device_id = in_net(name);
         let mut io = Element::new("io").with("name", name);
         for (parameter, kind, primitive) in PORTS {
             let count = device.interfaces.get("io").and_then(|io| io.get(parameter));
@@ -145,7 +154,7 @@ impl Handler<'_> {
                 // Writing to a String cannot fail.
                 let _ = write!(
                     net,
-                    "{separator}p{port}={primitive}(DeviceID='{name}',Port='{port}'),out{port}=p{port}.outIO"
+                    "{separator}p{port}={primitive}(DeviceID={device_id},Port='{port}'),out{port}=p{port}.outIO"
                 );
             }
             let values = if count == 0 {
@@ -183,8 +192,9 @@ impl Handler<'_> {
             }
             _ => return Err(Response::bad_request("type: digout or anout is expected")),
         };
+        let device = in_net(name);
         let text = format!(
-            "{{o=IO::{output},DeviceID='{name}',Port='{id}'),e=Core::BooleanValue(Value='true'),\
+            "{{o=IO::{output},DeviceID={device},Port='{id}'),e=Core::BooleanValue(Value='true'),\
              outTerminate=e.outValue}}"
         );
         let request = LoadRequest {
@@ -206,7 +216,7 @@ impl Handler<'_> {
         outcome?;
         Ok(Response::redirect(
             "303 See Other",
-            &format!("/devices/{name}/io"),
+            &format!("{}io", uri(name)),
         ))
     }
 
@@ -236,7 +246,8 @@ impl Handler<'_> {
         let outputs = definition.map_or(&[][..], |definition| &definition.outputs);
         let ports = outputs.iter().map(|port| format!(",{0}=m.{0}", port.name));
         let ports: String = ports.collect();
-        let values = self.evaluated(&format!("m={primitive}(Robot='{name}'){ports}"))?;
+        let robot = in_net(name);
+        let values = self.evaluated(&format!("m={primitive}(Robot={robot}){ports}"))?;
         let element = match interface {
             "robotbase" => "robotbase",
             _ => "cartesianposition",

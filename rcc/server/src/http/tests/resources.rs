@@ -308,14 +308,53 @@ fn device_is_created_read_and_removed() {
 }
 
 #[test]
+fn device_name_of_any_text_works_everywhere() {
+    let controller = controller();
+    for (form, uri, in_net) in [
+        (
+            "Test+device+Lwr4",
+            "Test%20device%20Lwr4",
+            "Test device Lwr4",
+        ),
+        ("a.b-c", "a.b-c", "a.b-c"),
+        ("it%27s+%5C", "it%27s%20%5C", r"it\'s \\"),
+        ("left%2Fright", "left%2Fright", "left/right"),
+        ("%C3%A4rm", "%C3%A4rm", "ärm"),
+    ] {
+        let add = ARM.replace("=lwr1", &format!("={form}"));
+        holds(&post(&controller, "/devices/", &add), &["201 Created"]);
+        let uri = format!("/devices/{uri}/");
+        holds(&get(&controller, "/devices/"), &[&format!("uri=\"{uri}\"")]);
+        holds(&get(&controller, &uri), &[r#"type="kuka_lwr_sim""#]);
+        holds(
+            &get(&controller, &format!("{uri}robotarm")),
+            &[r#"axis="3""#],
+        );
+        holds(
+            &get(&controller, &format!("{uri}armkinematics")),
+            &[r#"key="outFrame""#],
+        );
+        holds(&get(&controller, &format!("{uri}io")), &["<port "]);
+        let read = format!(
+            "dionet={{m=RobotArm::JointMonitor(Robot='{in_net}',Axis='3'),outP=m.outMeasuredPosition}}"
+        );
+        holds(
+            &post(&controller, "/eval/", &read),
+            &[r#"<data key="outP">"#],
+        );
+        let remove = format!("name={form}&action=remove");
+        holds(&post(&controller, "/devices/", &remove), &["303 See Other"]);
+    }
+}
+
+#[test]
 fn invalid_devices_are_rejected() {
     let controller = controller();
     let with = |from: &str, to: &str| ARM.replace(from, to);
     for form in [
         with("name=lwr1&", ""),
         with("=lwr1", "="),
-        with("=lwr1", "=a b"),
-        with("=lwr1", "=a'"),
+        with("=lwr1", "=a%07"),
         with("=lwr1", "=rcc"),
         with("=lwr1", &format!("={}", "a".repeat(65))),
         with("&type=kuka_lwr_sim", ""),
@@ -606,6 +645,12 @@ fn evaluation_size_and_time_are_bounded() {
         format!("dionet={{{adds}e=Core::BooleanValue(),outTerminate=e.outValue}}")
     };
     holds(&post(&controller, "/eval/", &net(100)), &["outTerminate"]);
+    let one_shot = post(
+        &controller,
+        "/eval/",
+        "dionet={a=Core::DoubleAdd(First='2',Second='3'),outSum=a.outValue}",
+    );
+    holds(&one_shot, &[r#"<data key="outSum">5</data>"#]);
     let refused = post(&controller, "/eval/", &net(EVAL_PRIMITIVES_MAX));
     holds(&refused, &[r#"<data key="error">"#, "20000"]);
 }
