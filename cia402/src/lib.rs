@@ -21,7 +21,7 @@ pub use codes::error_text;
 pub use error::DecodeError;
 pub use goal::{Goal, next_control_word};
 pub use homing::{HOMING_MODE, HOMING_START, Homing, HomingError, HomingStatus};
-pub use master::{DriveCommand, DriveFault, Feedback, Master, Patience};
+pub use master::{DriveCommand, DriveFault, Feedback, Master, MasterOptions};
 pub use quirk::{Quirk, UnknownQuirk};
 pub use runaway::{Monitor, Runaway, RunawayLimits};
 pub use set_point::{Change, HandShake, Offer, SetPoint, SetPointError};

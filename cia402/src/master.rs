@@ -45,7 +45,7 @@ pub struct DriveCommand {
 
 /// Tolerated deviations of a drive from the profile, and timeouts of the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Patience {
+pub struct MasterOptions {
     /// 0020h in the statusword is Switch on disabled (slaves on an old sample stack).
     pub sod_as_0020: bool,
     /// The mode changes only in Operation enabled.
@@ -68,7 +68,7 @@ pub struct Patience {
 /// Time after which an enabling counts as successful: a later fault has another cause.
 const ENABLED_WELL: Duration = Duration::from_millis(500);
 
-impl Default for Patience {
+impl Default for MasterOptions {
     fn default() -> Self {
         Self {
             sod_as_0020: false,
@@ -187,7 +187,7 @@ enum Reset {
 /// The master of one axis.
 #[derive(Clone, Debug)]
 pub struct Master {
-    patience: Patience,
+    options: MasterOptions,
     goal: Goal,
     /// Highest state allowed on the path to the goal.
     ceiling: Goal,
@@ -208,9 +208,9 @@ pub struct Master {
 impl Master {
     /// A master of an axis whose goal is to be without power.
     #[must_use]
-    pub const fn new(patience: Patience) -> Self {
+    pub const fn new(options: MasterOptions) -> Self {
         Self {
-            patience,
+            options,
             goal: Goal::SwitchOnDisabled,
             ceiling: Goal::OperationEnabled,
             mode: 0,
@@ -322,7 +322,7 @@ impl Master {
     /// # Errors
     /// If it shows no state.
     pub fn state(&self, status: StatusWord) -> Result<State, DecodeError> {
-        if self.patience.sod_as_0020 && status.raw() & 0x6F == 0x20 {
+        if self.options.sod_as_0020 && status.raw() & 0x6F == 0x20 {
             return Ok(State::SwitchOnDisabled);
         }
         status.state()
@@ -331,7 +331,7 @@ impl Master {
     /// Cyclic modes show by bit 12 whether the target is used.
     fn is_followed(&self, status: StatusWord) -> bool {
         let cyclic = (8..=11).contains(&self.mode);
-        !cyclic || self.patience.no_follow_bit || status.raw() & 0x1000 != 0
+        !cyclic || self.options.no_follow_bit || status.raw() & 0x1000 != 0
     }
 
     fn note(&mut self, state: State, now: Duration) {
@@ -364,7 +364,7 @@ impl Master {
 
     /// Whether a fault may be reset again.
     const fn may_reset(&self) -> bool {
-        self.failures < self.patience.enablings
+        self.failures < self.options.enablings
     }
 
     fn control(&mut self, state: State, feedback: &Feedback, now: Duration) -> ControlWord {
@@ -373,13 +373,13 @@ impl Master {
         }
         self.reset = Reset::Idle;
         let allowed = self.allowed();
-        let mode_first = !self.patience.mode_after_enable && allowed == Goal::OperationEnabled;
+        let mode_first = !self.options.mode_after_enable && allowed == Goal::OperationEnabled;
         let shown = feedback.mode.unwrap_or(self.mode);
         if allowed != Goal::OperationEnabled {
             self.mode_since = None;
         }
         let since = *self.mode_since.get_or_insert(now);
-        let late = now.saturating_sub(since) > self.patience.mode;
+        let late = now.saturating_sub(since) > self.options.mode;
         let wrong = shown != self.mode && allowed == Goal::OperationEnabled;
         let mode = (wrong && late).then_some(DriveFault::Mode {
             wanted: self.mode,
@@ -403,12 +403,12 @@ impl Master {
         let since = self.seen.map_or(now, |(_, since)| since);
         let waited = now.saturating_sub(since);
         let slow = matches!(state, State::ReadyToSwitchOn | State::SwitchedOn);
-        let patience = if slow {
-            self.patience.enable
+        let timeout = if slow {
+            self.options.enable
         } else {
-            self.patience.state
+            self.options.state
         };
-        let late = waited > patience;
+        let late = waited > timeout;
         if self.allowed().is_reached(state) {
             let ignored = self.goal == Goal::OperationEnabled && !self.is_followed(status);
             return (ignored && late).then_some(DriveFault::NotFollowing);
@@ -443,7 +443,7 @@ impl Master {
             self.drive_fault = Some(DriveFault::EnablingFails(self.failures));
             return ControlWord::DISABLE_VOLTAGE;
         }
-        self.drive_fault = Some(if self.tries >= self.patience.resets {
+        self.drive_fault = Some(if self.tries >= self.options.resets {
             DriveFault::ResetRefused(self.tries)
         } else {
             DriveFault::Fault
@@ -452,7 +452,7 @@ impl Master {
             // The edge would not reach the drive now.
             _ if self.ceiling == Goal::SwitchOnDisabled => ControlWord::DISABLE_VOLTAGE,
             Reset::Idle => ControlWord::DISABLE_VOLTAGE,
-            Reset::Low(0) if self.tries >= self.patience.resets => {
+            Reset::Low(0) if self.tries >= self.options.resets => {
                 self.reset = Reset::Idle;
                 ControlWord::DISABLE_VOLTAGE
             }

@@ -3,7 +3,7 @@
 
 use std::str::FromStr;
 
-use crate::Patience;
+use crate::MasterOptions;
 
 /// A deviation of a drive from CiA 402.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,7 +48,7 @@ impl FromStr for Quirk {
     }
 }
 
-impl Patience {
+impl MasterOptions {
     /// These settings plus those for the given quirks.
     #[must_use]
     pub fn with_quirks(mut self, quirks: &[Quirk]) -> Self {
@@ -71,8 +71,8 @@ mod tests {
     fn quirk_names_are_read_back() {
         for quirk in Quirk::ALL {
             assert_eq!(quirk.name().parse(), Ok(quirk));
-            let patience = Patience::default().with_quirks(&[quirk]);
-            assert_ne!(patience, Patience::default());
+            let options = MasterOptions::default().with_quirks(&[quirk]);
+            assert_ne!(options, MasterOptions::default());
         }
         let error = "bit12".parse::<Quirk>().unwrap_err().to_string();
         assert!(error.starts_with("there is no quirk `bit12`; quirks are"));

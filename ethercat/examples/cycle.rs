@@ -35,7 +35,7 @@ use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::time::{ClockId, ClockNanosleepFlags, clock_nanosleep};
 use nix::unistd::Pid;
 use takt_cia402::emulator::DriveConfig;
-use takt_cia402::{Goal, Patience};
+use takt_cia402::{Goal, MasterOptions};
 use takt_ethercat::axis::{self, Axis, AxisState, Target};
 use takt_ethercat::config::{Location, MasterConfig, SlaveSpec};
 use takt_ethercat::emulator::{Coupler, Segment, Server, ServoConfig, ServoDrive, SharedSegment};
@@ -211,7 +211,7 @@ fn followers(master: &Master, axes: u8) -> Result<Vec<Follower>, Box<dyn Error>>
     for number in 0..axes {
         let slave = usize::from(number / 8) + 1;
         let process = master.slave(slave).ok_or("a drive is gone")?.process();
-        let mut axis = Axis::new(slave, process, number % 8, Patience::default())?;
+        let mut axis = Axis::new(slave, process, number % 8, MasterOptions::default())?;
         axis.set_goal(Goal::OperationEnabled);
         all.push((axis, None));
     }

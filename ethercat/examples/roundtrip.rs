@@ -46,7 +46,7 @@ use takt_ethercat::link::Port;
 use takt_ethercat::linux::{PacketLink, monotonic};
 use takt_ethercat::master::Master;
 
-const PATIENCE: Duration = Duration::from_millis(20);
+const TIMEOUT: Duration = Duration::from_millis(20);
 /// Cycles of a slice: all four slices end before a watchdog of 100 ms expires.
 const SLICE: usize = 50;
 const SLAVES: usize = 8;
@@ -103,8 +103,7 @@ impl Served {
         let mut server = Server::new(SharedSegment::new(segment()?), PacketLink::open(&far)?);
         let thread = thread::spawn(move || {
             stay_on(&[0]);
-            while !stopped.load(Ordering::Relaxed) && server.turn(PATIENCE, &mut monotonic).is_ok()
-            {
+            while !stopped.load(Ordering::Relaxed) && server.turn(TIMEOUT, &mut monotonic).is_ok() {
             }
         });
         Ok(Self { near, stop, thread })
@@ -150,7 +149,7 @@ impl Ours {
         };
         self.len = len;
         self.port.send(self.frame.get(..len).unwrap_or_default())?;
-        while let Some((bytes, at)) = self.port.receive(PATIENCE)? {
+        while let Some((bytes, at)) = self.port.receive(TIMEOUT)? {
             if self.master.handle_frame(0, bytes, at) {
                 return Ok(Some(monotonic()?.saturating_sub(begin)));
             }
@@ -163,7 +162,7 @@ impl Ours {
         let begin = monotonic()?;
         self.port
             .send(self.frame.get(..self.len).unwrap_or_default())?;
-        let back = self.port.receive(PATIENCE)?.is_some();
+        let back = self.port.receive(TIMEOUT)?.is_some();
         let took = monotonic()?.saturating_sub(begin);
         Ok(back.then_some(took))
     }

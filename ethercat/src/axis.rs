@@ -8,7 +8,7 @@ use std::time::Duration;
 use takt_cia402::dictionary::{Address, Mapped};
 use takt_cia402::proof::{Objects, Proof, Values};
 use takt_cia402::{
-    ControlWord, DriveCommand, DriveFault, Feedback, Goal, Master as Profile, Patience, State,
+    ControlWord, DriveCommand, DriveFault, Feedback, Goal, Master as Profile, MasterOptions, State,
     StatusWord,
 };
 
@@ -160,13 +160,13 @@ impl Axis {
         slave: usize,
         process: &ProcessData,
         axis: u8,
-        patience: Patience,
+        options: MasterOptions,
     ) -> Result<Self, NotMapped> {
         let layout = Layout::find(process, axis)?;
         Ok(Self {
             slave,
             layout,
-            profile: Profile::new(patience),
+            profile: Profile::new(options),
             prover: Prover::new(slave, axis, layout.carried(), Objects::default()),
             target: Target::Hold,
             held: None,

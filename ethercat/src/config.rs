@@ -31,8 +31,8 @@ pub struct MasterConfig {
     pub acyclic: u8,
     /// Distributed clocks.
     pub clocks: ClockConfig,
-    /// Longest wait for a state, beyond the individual timeouts of [`Patience`].
-    pub patience: Patience,
+    /// Timeouts of every slave without its own.
+    pub timeouts: Timeouts,
 }
 
 impl Default for MasterConfig {
@@ -46,14 +46,14 @@ impl Default for MasterConfig {
             redundant: false,
             acyclic: 1,
             clocks: ClockConfig::default(),
-            patience: Patience::default(),
+            timeouts: Timeouts::default(),
         }
     }
 }
 
 /// Timeouts of slaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Patience {
+pub struct Timeouts {
     /// From AL control to PRE-OP.
     pub pre_op: Duration,
     /// From AL control to SAFE-OP or OP.
@@ -68,7 +68,7 @@ pub struct Patience {
     pub again: Duration,
 }
 
-impl Default for Patience {
+impl Default for Timeouts {
     fn default() -> Self {
         Self {
             pre_op: Duration::from_secs(3),
@@ -170,7 +170,7 @@ pub struct SlaveSpec {
     /// Allows complete access where the SII announces it.
     pub complete_access: bool,
     /// Timeouts of this slave; `None` for the defaults.
-    pub patience: Option<Patience>,
+    pub timeouts: Option<Timeouts>,
 }
 
 impl SlaveSpec {
@@ -192,7 +192,7 @@ impl SlaveSpec {
             sync: None,
             watchdog: None,
             complete_access: true,
-            patience: None,
+            timeouts: None,
         }
     }
 }

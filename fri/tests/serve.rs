@@ -20,7 +20,7 @@ use takt_fri::sunrise::wire::{Dialect, MESSAGE_MAX, SessionState};
 use takt_fri::{lwr, sunrise};
 
 const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// A client that holds, and tolerates long stalls of a busy test machine.
 struct TestClient {
@@ -50,7 +50,7 @@ impl TestClient {
 
     /// Answers until `done`, or panics on timeout.
     fn until(&mut self, mut done: impl FnMut(&Client) -> bool) {
-        let end = monotonic().unwrap() + PATIENCE;
+        let end = monotonic().unwrap() + TIMEOUT;
         let mut buf = [0; MESSAGE_MAX + 1];
         while !done(&self.client) {
             assert!(monotonic().unwrap() < end, "{:?}", self.client);

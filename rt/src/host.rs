@@ -67,7 +67,7 @@ pub fn prepare(config: &HostConfig) -> Host {
     }
 }
 
-/// Returns to the kernel what the allocator holds and nobody uses, as after large nets were unloaded. It takes up to some
+/// Returns to the kernel unused memory of the allocator, as after large nets were unloaded. It takes up to some
 /// 0.1 ms per MiB, during which other threads wait to allocate: call it where no cycle is computed. Locked memory stays
 /// locked but for the pages returned, which are populated when they are used again.
 ///

@@ -69,7 +69,7 @@ pub struct StatsWriter {
     previous: Option<Tick>,
 }
 
-/// A thread that missed so many slots in a row stood still: robots and drives live through fewer.
+/// Missed slots in a row that count as a stall: robots and drives tolerate fewer.
 const STALL_SLOTS: u32 = 4;
 
 impl StatsWriter {
@@ -86,8 +86,8 @@ impl StatsWriter {
         add(&self.totals.cycles, 1);
     }
 
-    /// Notes that the thread stood still, if so many slots were missed before this one. Comes before the cycle's work, so
-    /// that a fault which that work finds has its cause on record.
+    /// Records a stall if `STALL_SLOTS` slots were missed before this one. Call it before the work of the cycle, so that
+    /// the cause of a fault detected there is already recorded.
     pub fn note_stall(&mut self, tick: &Tick) {
         if tick.missed >= STALL_SLOTS && self.previous.is_some() {
             self.stalls.note(tick.woken, self.lateness(tick));

@@ -62,7 +62,7 @@ fn a_controller_refuses_the_table_of_another_processor() {
     expect_status(&output, 78);
     let told = complaint(&output);
     assert!(
-        told.contains("Z80") && told.contains("measure anew"),
+        told.contains("Z80") && told.contains("measure again"),
         "{told}"
     );
 }

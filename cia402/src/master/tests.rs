@@ -18,7 +18,7 @@ struct Pair {
 }
 
 impl Pair {
-    fn new(quirks: Quirks, patience: Patience) -> Self {
+    fn new(quirks: Quirks, options: MasterOptions) -> Self {
         let config = DriveConfig {
             quirks,
             position: 20.0,
@@ -26,7 +26,7 @@ impl Pair {
         };
         let d = Dictionary::new(config.objects(0)).unwrap();
         let drive = Drive::new(config, 0, &d).unwrap();
-        let mut master = Master::new(patience);
+        let mut master = Master::new(options);
         master.set_mode(8);
         let drive_command = DriveCommand {
             control: ControlWord::DISABLE_VOLTAGE,
@@ -113,11 +113,11 @@ impl Pair {
 #[test]
 fn quirky_drives_enable_without_motion_and_disable() {
     for name in Quirks::NAMES {
-        let patience = Patience {
+        let options = MasterOptions {
             sod_as_0020: name == "ssc-5.11",
-            ..Patience::default()
+            ..MasterOptions::default()
         };
-        let mut pair = Pair::new(Quirks::named(name).unwrap(), patience);
+        let mut pair = Pair::new(Quirks::named(name).unwrap(), options);
         pair.run(5);
         let here = pair.drive.motor().position;
         pair.enable();
@@ -138,7 +138,7 @@ fn quick_stop_ends_as_its_option_code_says() {
         (2_i16, State::SwitchOnDisabled),
         (6, State::QuickStopActive),
     ] {
-        let mut pair = Pair::new(Quirks::default(), Patience::default());
+        let mut pair = Pair::new(Quirks::default(), MasterOptions::default());
         pair.d
             .set(pair.d.key(Address::new(0x605A, 0)).unwrap(), option);
         pair.enable();
@@ -166,7 +166,7 @@ fn quick_stop_ends_as_its_option_code_says() {
 
 #[test]
 fn fault_reset_is_an_edge_with_bounded_tries() {
-    let mut pair = Pair::new(Quirks::default(), Patience::default());
+    let mut pair = Pair::new(Quirks::default(), MasterOptions::default());
     pair.enable();
     pair.drive.fault(FaultCode::ENCODER);
     pair.run(50);
@@ -192,12 +192,12 @@ fn fault_reset_is_an_edge_with_bounded_tries() {
 
 #[test]
 fn drive_fault_text_names_its_bit_or_object() {
-    let mut pair = Pair::new(Quirks::default(), Patience::default());
+    let mut pair = Pair::new(Quirks::default(), MasterOptions::default());
     pair.drive.dc_link = 0.0;
     pair.master.set_goal(Goal::OperationEnabled);
     pair.run(3500);
     assert_eq!(pair.master.drive_fault(), Some(DriveFault::NoVoltage));
-    let mut pair = Pair::new(Quirks::default(), Patience::default());
+    let mut pair = Pair::new(Quirks::default(), MasterOptions::default());
     pair.drive.local = true;
     pair.master.set_goal(Goal::OperationEnabled);
     pair.run(1500);
@@ -212,7 +212,7 @@ fn drive_fault_text_names_its_bit_or_object() {
     );
     let inputs = pair.d.get(pair.key::<u32>(0x60FD));
     assert_eq!(inputs & 8, 8);
-    let mut pair = Pair::new(Quirks::default(), Patience::default());
+    let mut pair = Pair::new(Quirks::default(), MasterOptions::default());
     pair.master.set_mode(5);
     pair.master.set_goal(Goal::OperationEnabled);
     pair.run(1500);
@@ -227,7 +227,7 @@ fn drive_fault_text_names_its_bit_or_object() {
 
 /// Shows the same statusword for a time; returns the fault.
 fn shown(raw: u16, goal: Goal, seconds: u64) -> Option<DriveFault> {
-    let mut master = Master::new(Patience::default());
+    let mut master = Master::new(MasterOptions::default());
     master.set_goal(goal);
     master.set_mode(8);
     for ms in 0..seconds * 1000 {
@@ -268,7 +268,7 @@ fn master_handles_every_statusword() {
         Goal::QuickStop,
         Goal::SwitchOnDisabled,
     ] {
-        let mut master = Master::new(Patience::default());
+        let mut master = Master::new(MasterOptions::default());
         master.set_goal(goal);
         for raw in 0..=u16::MAX {
             let feedback = Feedback {

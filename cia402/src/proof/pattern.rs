@@ -5,7 +5,7 @@
 //!
 //! 1. Every byte has bits 1 and 7 low (but for 6060h where the mode itself has them). Whichever byte a drive takes for the
 //!    low one of 6040h, it reads *disable voltage* (bit 1 low), and no fault is reset (bit 7 low).
-//! 2. The pattern stands still, and a word that stands still makes one transition at most that leads towards power. From
+//! 2. The pattern is constant, and a constant word causes at most one transition towards power. From
 //!    Switch on disabled, where zeros have brought the drive before, that is *shutdown*, to Ready to switch on, which has no
 //!    power: power takes another word after it, and its motor a third. This holds for bits shifted by less than a byte, too.
 //!

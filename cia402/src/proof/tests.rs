@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::emulator::Distortion;
-use crate::{ControlWord, Feedback, Goal, Master, Patience, Trigger, transition};
+use crate::{ControlWord, Feedback, Goal, Master, MasterOptions, Trigger, transition};
 
 const CYCLE: Duration = Duration::from_millis(1);
 const SENT: [u16; 5] = [0x6040, 0x6060, 0x607A, 0x60FF, 0x6071];
@@ -145,9 +145,9 @@ impl Bench {
     fn new(model: Model) -> Self {
         let carried: Vec<u16> = SENT.into_iter().chain(RECEIVED).collect();
         let carried = Objects::of(&carried).unwrap();
-        let mut master = Master::new(Patience {
+        let mut master = Master::new(MasterOptions {
             no_follow_bit: true,
-            ..Patience::default()
+            ..MasterOptions::default()
         });
         master.set_mode(8);
         master.set_goal(Goal::OperationEnabled);

@@ -5,7 +5,7 @@
 use super::*;
 use crate::dictionary::{Address, Dictionary, Key, Number};
 use crate::emulator::{Drive, DriveConfig, Step};
-use crate::{Feedback, Goal, Master, Patience, State};
+use crate::{Feedback, Goal, Master, MasterOptions, State};
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -26,7 +26,7 @@ impl Pair {
         let config = DriveConfig::default();
         let d = Dictionary::new(config.objects(0)).unwrap();
         let drive = Drive::new(config, 0, &d).unwrap();
-        let mut master = Master::new(Patience::default());
+        let mut master = Master::new(MasterOptions::default());
         master.set_mode(1);
         master.set_goal(Goal::OperationEnabled);
         let mut pair = Self {

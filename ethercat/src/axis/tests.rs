@@ -42,7 +42,7 @@ impl Fixture {
         rig.until(20_000, Master::is_operational);
         rig.cycles(10);
         let process = rig.master.slave(0).unwrap().process().clone();
-        let axis = |number| Axis::new(0, &process, number, Patience::default()).unwrap();
+        let axis = |number| Axis::new(0, &process, number, MasterOptions::default()).unwrap();
         let axes: Vec<_> = (0..count).map(axis).collect();
         Self {
             rig,
@@ -235,7 +235,7 @@ fn six_axes_in_one_slave_move_in_step_with_sync0() {
 #[test]
 fn missing_mapping_is_named() {
     let process = ProcessData::default();
-    let error = Axis::new(0, &process, 2, Patience::default()).unwrap_err();
+    let error = Axis::new(0, &process, 2, MasterOptions::default()).unwrap_err();
     assert_eq!(
         error.to_string(),
         "7040h:00 is not in the PDOs; map it, or give the slave the PDOs of `axis::pdos`"

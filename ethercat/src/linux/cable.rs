@@ -92,10 +92,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_waiting_end_gets_what_the_other_sends() {
+    fn cable_waiting_endpoint_receives_sent_frame() {
         let (mut near, mut far) = cable();
         std::thread::scope(|scope| {
-            let heard = scope.spawn(move || {
+            let received = scope.spawn(move || {
                 let mut frame = [0; FRAME_MAX];
                 let (len, _) = far
                     .receive(&mut frame, Duration::from_secs(10))
@@ -104,7 +104,7 @@ mod tests {
                 frame[..len].to_vec()
             });
             near.send(&[7; 60]).unwrap();
-            assert_eq!(heard.join().unwrap(), [7; 60]);
+            assert_eq!(received.join().unwrap(), [7; 60]);
         });
         assert_eq!(near.receive(&mut [0; 60], Duration::ZERO).unwrap(), None);
     }

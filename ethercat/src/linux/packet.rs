@@ -74,7 +74,7 @@ impl PacketLink {
     /// Opens an interface, promiscuous, for EtherCAT frames. Needs CAP_NET_RAW.
     pub fn open(interface: &str) -> io::Result<Self> {
         let index = nix::net::if_::if_nametoindex(interface).map_err(|error| {
-            told(
+            with_context(
                 interface,
                 "there is no such interface (`ip link` lists them)",
                 error.into(),
@@ -88,12 +88,12 @@ impl PacketLink {
         if raw < 0 {
             let error = io::Error::last_os_error();
             let text = "no raw socket: run as root, or `setcap cap_net_raw+ep` the program";
-            return Err(told(interface, text, error));
+            return Err(with_context(interface, text, error));
         }
         // SAFETY: `raw` was just opened, is valid, and has no other owner.
         let socket = unsafe { OwnedFd::from_raw_fd(raw) };
         bind(&socket, index)
-            .map_err(|error| told(interface, "the socket cannot be bound", error))?;
+            .map_err(|error| with_context(interface, "the socket cannot be bound", error))?;
         set(&socket, libc::PACKET_IGNORE_OUTGOING, &1_i32)?;
         let member = libc::packet_mreq {
             mr_ifindex: index,
@@ -120,7 +120,7 @@ impl PacketLink {
     }
 }
 
-fn told(interface: &str, text: &str, error: io::Error) -> io::Error {
+fn with_context(interface: &str, text: &str, error: io::Error) -> io::Error {
     io::Error::new(error.kind(), format!("{interface}: {text}: {error}"))
 }
 
@@ -238,7 +238,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_interface_that_is_not_there_is_told() {
+    fn packet_missing_interface_is_reported() {
         let error = PacketLink::open("no-such-if").unwrap_err().to_string();
         assert!(
             error.starts_with("no-such-if: there is no such interface"),

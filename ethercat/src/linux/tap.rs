@@ -1,6 +1,6 @@
 //! A TAP: a network interface whose other end is this process. Any master on this host reaches an emulated segment
 //! behind it without a second interface. It does not bring the interface up: use `ip link set NAME up`.
-#![expect(unsafe_code, reason = "nobody wraps TUNSETIFF without a dependency")]
+#![expect(unsafe_code, reason = "no crate of the workspace wraps TUNSETIFF")]
 
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -25,7 +25,7 @@ impl TapLink {
     /// before (`ip tuntap add NAME mode tap user USER`).
     pub fn open(name: &str) -> io::Result<Self> {
         let mut request = request(name)?;
-        let told = |text: &str, error: io::Error| {
+        let with_context = |text: &str, error: io::Error| {
             io::Error::new(error.kind(), format!("{name}: {text}: {error}"))
         };
         let mut options = OpenOptions::new();
@@ -33,13 +33,16 @@ impl TapLink {
         let file = options
             .custom_flags(libc::O_NONBLOCK)
             .open("/dev/net/tun")
-            .map_err(|error| told("no /dev/net/tun (`modprobe tun`)", error))?;
+            .map_err(|error| with_context("no /dev/net/tun (`modprobe tun`)", error))?;
         // SAFETY: the descriptor is that of /dev/net/tun, and the pointer is to a whole ifreq that lives over the call,
         // which is what TUNSETIFF reads and writes.
         let done = unsafe { libc::ioctl(file.as_raw_fd(), libc::TUNSETIFF, &raw mut request) };
         if done < 0 {
             let error = io::Error::last_os_error();
-            return Err(told("no TAP: run as root, or make it for this user", error));
+            return Err(with_context(
+                "no TAP: run as root, or make it for this user",
+                error,
+            ));
         }
         Ok(Self { file })
     }
@@ -105,10 +108,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_that_no_interface_can_have_is_refused() {
+    fn tap_invalid_interface_name_is_rejected() {
         for name in ["", "an-interface-too-long", "a\0b"] {
-            let told = TapLink::open(name).unwrap_err().to_string();
-            assert!(told.contains("is no name of an interface"), "{told}");
+            let error = TapLink::open(name).unwrap_err().to_string();
+            assert!(error.contains("is no name of an interface"), "{error}");
         }
     }
 }

@@ -21,7 +21,7 @@ use super::event::{Event, Fault, JobError, Outbox};
 use super::image::Image;
 use super::job::{Job, JobKind};
 use super::process::{Assignment, ProcessData};
-use crate::config::{MasterConfig, Patience, SlaveSpec};
+use crate::config::{MasterConfig, SlaveSpec, Timeouts};
 use crate::{AlState, AlStatus, AlStatusCode};
 
 pub use info::{Port as PortState, SlaveInfo};
@@ -231,7 +231,7 @@ impl Unit {
             refused: None,
             learn: learn::Learn::default(),
             scratch: Vec::with_capacity(longest.max(16)),
-            mailbox: Mailbox::new(spec.patience.unwrap_or(config.patience)),
+            mailbox: Mailbox::new(spec.timeouts.unwrap_or(config.timeouts)),
             jobs: VecDeque::with_capacity(JOBS_MAX),
             job: None,
             al: AlStatus::default(),
@@ -253,8 +253,8 @@ impl Unit {
     }
 
     /// Its timeouts.
-    fn patience(&self, config: &MasterConfig) -> Patience {
-        self.spec.patience.unwrap_or(config.patience)
+    fn timeouts(&self, config: &MasterConfig) -> Timeouts {
+        self.spec.timeouts.unwrap_or(config.timeouts)
     }
 
     /// Assigns a detected slave to its entry in the configuration.
@@ -266,8 +266,8 @@ impl Unit {
             .max()
             .unwrap_or(0);
         self.scratch = Vec::with_capacity(longest.max(16));
-        if let Some(patience) = spec.patience {
-            self.mailbox.set_patience(patience);
+        if let Some(timeouts) = spec.timeouts {
+            self.mailbox.set_timeouts(timeouts);
         }
         (self.number, self.spec) = (number, spec);
     }
@@ -374,7 +374,7 @@ impl Unit {
         {
             self.failures = 0;
         }
-        let wait = self.patience(cx.config).again * (1 << self.failures.min(5));
+        let wait = self.timeouts(cx.config).again * (1 << self.failures.min(5));
         self.failures = self.failures.saturating_add(1);
         self.again = cx.now + wait;
         // A repeated fault is reported once.

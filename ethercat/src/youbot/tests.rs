@@ -280,7 +280,7 @@ fn drive_timeout_is_cleared_up_to_the_limit() {
         );
     }
     assert!(!lead.drives[0].follows(), "seven are too many");
-    assert_eq!(lead.drives[0].counters().commutations, 1, "not found anew");
+    assert_eq!(lead.drives[0].counters().commutations, 1, "found once");
 }
 
 #[test]

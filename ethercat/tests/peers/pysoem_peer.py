@@ -115,8 +115,8 @@ def main(interface):
     expect("analogue", master.slaves[2].input, struct.pack("<H", 1250))
     for drive in drives:
         # Register 092Ch: bit 31 is the sign.
-        told = struct.unpack("<I", drive._fprd(0x092C, 4))[0] & 0x7FFFFFFF
-        expect("clock within 2 us", told < 2000, True)
+        difference = struct.unpack("<I", drive._fprd(0x092C, 4))[0] & 0x7FFFFFFF
+        expect("clock within 2 us", difference < 2000, True)
     master.state = pysoem.INIT_STATE
     master.write_state()
     master.close()

@@ -1,4 +1,4 @@
-//! What the last stage of a driver costs per joint and cycle, against the least that any driver does: a clamp to range
+//! Cost of the last stage of a driver per joint and cycle, compared with the minimum of any driver: a clamp to range
 //! and velocity. Once with targets that it passes on, once with targets that it limits in every cycle. Judges no figure.
 //! `cargo bench -p takt-core --bench last_stage [-- [--json]]`.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its result")]

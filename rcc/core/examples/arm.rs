@@ -28,10 +28,10 @@ const NET: &str = "{
     joint=RobotArm::JointPosition(inPosition=target.outValue, Robot='left', Axis='2'),
     done=Core::DoubleGreater(inFirst=clock.outValue, Second='2'), outTerminate=done.outValue}";
 
-/// The other end of the wire, until `stop`.
+/// The emulated KRC, until `stop`.
 fn emulate(controller: SocketAddr, stop: &AtomicBool) -> std::io::Result<()> {
     let mut link = UdpLink::connect(SocketAddr::from(([127, 0, 0, 1], 0)), controller)?;
-    // Patient, for hosts that stall now and then.
+    // Tolerates stalls of the host.
     let timing = Timing {
         misses_max: 100,
         ..Timing::default()
@@ -86,7 +86,9 @@ fn run(controller: &Controller) -> Result<(), Box<dyn Error>> {
     let net = controller.load(request)?;
     controller.start_net(net)?;
     loop {
-        let info = controller.net(net).ok_or("somebody unloaded the net")?;
+        let info = controller
+            .net(net)
+            .ok_or("the net was unloaded by another client")?;
         if let Some(arm) = controller.arm_state("left") {
             let degrees = arm
                 .joints

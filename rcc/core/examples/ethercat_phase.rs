@@ -1,5 +1,5 @@
-//! Draws how the driver's cycle comes to its phase to SYNC0 of an emulated segment and keeps it, in virtual time: the
-//! reference clock drifts by 50 ppm, each way of a frame takes up to some ten microseconds more.
+//! Draws how the driver's cycle reaches and keeps its phase to SYNC0 of an emulated segment, in virtual time: the
+//! reference clock drifts by 50 ppm, each direction of a frame is delayed by up to some ten microseconds.
 //!
 //! ```console
 //! $ cargo run -p takt-core --example ethercat_phase > docs/ethercat-phase.svg
@@ -10,7 +10,7 @@
     reason = "an example: it prints, and ends where something is wrong"
 )]
 
-#[path = "../tests/stand/phase.rs"]
+#[path = "../tests/fixtures/phase.rs"]
 mod phase;
 
 use std::fmt::Write as _;
@@ -24,7 +24,7 @@ const WIDTH: f64 = 864.0;
 /// Middle of the plot, pixels, and pixels for a microsecond.
 const ZERO: f64 = 250.0;
 const SCALE: f64 = 3.2;
-/// What is drawn, us.
+/// The drawn range, us.
 const RANGE: f64 = 50.0;
 
 fn x(at: Duration) -> f64 {

@@ -99,7 +99,7 @@ impl CostTable {
         let Versioned { version } = toml::from_str(text).map_err(|e| e.to_string())?;
         if version != VERSION {
             return Err(format!(
-                "the cost table has version {version}, this is for version {VERSION}; measure anew \
+                "the cost table has version {version}, this is for version {VERSION}; measure again \
                  with `takt net calibrate`"
             ));
         }
@@ -175,7 +175,7 @@ impl CostTable {
             return Ok(());
         }
         Err(format!(
-            "the cost table was measured on `{}` (host {}), this host has `{here}`; measure anew with \
+            "the cost table was measured on `{}` (host {}), this host has `{here}`; measure again with \
              `takt net calibrate`",
             self.cpu, self.host
         ))

@@ -222,7 +222,7 @@ impl Recorder {
         let (notes, notes_out) = mpsc::channel();
         let stop = Arc::new(AtomicBool::new(false));
         let lost = Arc::new(AtomicU64::new(0));
-        let mut desk = Desk {
+        let mut file_thread = FileThread {
             writer,
             free: free_in,
             full: full_out,
@@ -231,12 +231,12 @@ impl Recorder {
         };
         for _ in 0..BUFFERS {
             // The ring has capacity for all of them.
-            let _ = desk.free.push(Vec::with_capacity(WORDS_A_CYCLE));
+            let _ = file_thread.free.push(Vec::with_capacity(WORDS_A_CYCLE));
         }
         let thread = std::thread::Builder::new()
             .name("takt-record".to_owned())
             .spawn(move || {
-                let result = desk.run();
+                let result = file_thread.run();
                 if let Err(error) = &result {
                     let _ = failed.send(error.to_string());
                 }
@@ -346,7 +346,7 @@ impl Drop for Recorder {
 }
 
 /// Between the net thread and the file.
-struct Desk<W: Write + Seek> {
+struct FileThread<W: Write + Seek> {
     writer: Writer<W>,
     free: Producer<Vec<u64>>,
     full: Consumer<Vec<u64>>,
@@ -354,7 +354,7 @@ struct Desk<W: Write + Seek> {
     stop: Arc<AtomicBool>,
 }
 
-impl<W: Write + Seek> Desk<W> {
+impl<W: Write + Seek> FileThread<W> {
     fn run(&mut self) -> Result<u64, Error> {
         let mut cycles = 0;
         let mut flushed = Instant::now();

@@ -1,5 +1,5 @@
 //! Proof that neither the net thread nor drivers allocate: whole runs under a counting allocator,
-//! and that it would have seen an allocation.
+//! and that the counter detects an allocation.
 
 #![expect(
     clippy::unwrap_used,
@@ -23,7 +23,7 @@ use takt_tests::steady;
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// The counter is the process's: one test at a time.
+/// The counter covers the whole process: one test at a time.
 static COUNTER: Mutex<()> = Mutex::new(());
 
 /// How many allocations real-time threads make while `run` runs.
@@ -34,7 +34,7 @@ fn allocations(run: impl FnOnce()) -> u64 {
     real_time_allocations() - before
 }
 
-/// Cycles of a whole run that are looked at.
+/// Checked cycles of a whole run.
 const CYCLES: u64 = 2000;
 
 fn move_an_arm(cell: &Cell) {
@@ -43,7 +43,7 @@ fn move_an_arm(cell: &Cell) {
     cell.controller.start_net(cancelled).unwrap();
     cell.controller.cancel(cancelled).unwrap();
     cell.wait_for_end(cancelled);
-    // Each moves the joint on by half a radian: few enough to stay in its range.
+    // Each moves the joint by half a radian, within its range.
     while cell.controller.stats().cycles < first + CYCLES {
         let net = cell.load(&swing("left", 0.9));
         cell.controller.start_net(net).unwrap();
@@ -66,7 +66,7 @@ fn recorded_cell_does_not_allocate() {
             let cell = Cell::recorded(&["left"], Some(Recorder::start(&path).unwrap()));
             move_an_arm(&cell);
             cell.controller.finish_recording().unwrap();
-            // And goes on when nobody takes the cycles any more.
+            // The controller goes on after the recording ends.
             let cycles = cell.controller.stats().cycles;
             cell.wait("cycles without a recording", |c| {
                 c.stats().cycles > cycles + 600
@@ -105,7 +105,7 @@ fn shared_rules_do_not_allocate() {
                 let [left, right] = ["left", "right"].map(|arm| cell.load(&swing(arm, 0.9)));
                 let periods = [Duration::from_millis(1), slow];
                 let [fast, late] = periods.map(|period| cell.load_every(&lasting(0.1), period));
-                // Started by what happens in the other thread.
+                // Started by an event in the other thread.
                 let request = |condition: String, start| RuleRequest {
                     condition,
                     start: vec![start],
@@ -145,8 +145,8 @@ const ENDLESS: &str = "{kept=Core::IntPre(inValue=cycles.outValue),
     count=Core::IntNetcommOut(inValue=cycles.outValue,Key='count'),
     never=Core::BooleanValue(),outTerminate=never.outValue}";
 
-/// By how much a net's cycles are ahead of its thread's: always the same between two cycles, if
-/// none is missing or doubled, and one more during a cycle.
+/// Difference between the cycle counts of a net and of its thread: constant between two cycles if none
+/// is missing or repeated, and one more during a cycle.
 fn ahead(controller: &Controller, net: NetId, thread: usize) -> i64 {
     let cycles = || controller.threads()[thread].stats.cycles;
     let sample = || loop {
@@ -201,7 +201,7 @@ fn loading_large_nets_causes_no_missed_cycles() {
     assert_eq!(count, 0);
 }
 
-/// A primitive as it must not be.
+/// A primitive that allocates.
 struct Careless;
 
 impl Primitive for Careless {

@@ -1,5 +1,5 @@
 //! The controller with emulated arms on the real wire: nets that move them, and what happens when
-//! a robot, a net or the wire fails. Figures of timing are not looked at.
+//! a robot, a net or the wire fails. Timing is not checked.
 
 #![expect(clippy::float_cmp, reason = "what rests does so to the bit")]
 
@@ -79,7 +79,7 @@ fn slow_net_ends_lwr_brakes_at_once() {
         steady(|| {
             let cell = Cell::new(&["left"]);
             let before = cell.position("left", 6);
-            // At its fastest 0.04 rad/s, with a set-point each second.
+            // At most 0.04 rad/s, with a set-point each second.
             let net = cell.load_every(&swing("left", 20.0), Duration::from_secs(1));
             cell.controller.start_net(net).unwrap();
             cell.wait("the arm in motion", |_| {
@@ -141,7 +141,7 @@ fn lwr_controller_shutdown_in_motion_leaves_arm_resting() {
         let Cell { controller, robots } = cell;
         drop(controller);
         let status = &robots[0].status;
-        // A robot that was left in motion is moved on by its controller at the last speed, for a hundred cycles here.
+        // The controller of a robot without answers continues at the last speed, for 100 cycles here.
         let (rested, sent) = (status.commanded(), status.sent());
         let until = Instant::now() + Duration::from_secs(30);
         while status.sent() < sent + 50 {
@@ -237,7 +237,7 @@ fn net_threads_follow_robot_clock_and_its_successor() {
         reported,
         [("left".to_owned(), short), ("left".to_owned(), long)]
     );
-    // Its driver is removed and added again, as when the cell's file is read again.
+    // Its driver is removed and added again, as on a reload of the cell file.
     cell.robots.clear();
     cell.wait("the arm at rest", Controller::is_at_rest);
     cell.controller.remove_cell_device("left").unwrap();

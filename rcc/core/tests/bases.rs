@@ -1,4 +1,4 @@
-//! Mobile bases on the real wire, moved by nets: Segway RMP on a CAN bus inside of this process.
+//! Mobile bases on the real wire, moved by nets: Segway RMP on a CAN bus inside this process.
 
 #![expect(
     clippy::unwrap_used,
@@ -21,7 +21,7 @@ use takt_core::device::rmp::{Rmp, Wire, describe};
 use takt_core::{CellConfig, Controller, NetId, SessionId};
 use takt_tests::steady;
 
-/// Power bases in threads of their own, and a controller that leads them.
+/// Power bases in threads of their own, and a controller that commands them.
 struct Yard {
     controller: Controller,
     stop: Arc<AtomicBool>,
@@ -56,7 +56,7 @@ impl Yard {
         yard
     }
 
-    /// Starts a power base on a bus of its own and gives the port at its other end.
+    /// Starts a power base on a bus of its own; returns the port at the other end.
     fn powerbase(&mut self, model: Model, count: usize) -> LivePort {
         let config = Config {
             rates: takt_can::bits::Rates::classic(500_000),

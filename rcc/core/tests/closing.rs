@@ -1,4 +1,4 @@
-//! Controllers on their way to a standstill: nothing begins any more, and bases are waited for like arms.
+//! Shutdown of controllers: nothing starts any more, and the shutdown waits for bases as it does for arms.
 
 #![expect(
     clippy::unwrap_used,
@@ -46,7 +46,7 @@ fn start_after(start: NetId, ended: NetId) -> RuleRequest {
     }
 }
 
-/// Winds all nets down to their end.
+/// Cancels all nets and waits for their ends.
 fn wind_down(cell: &Cell) {
     cell.wait("the end of all nets", |controller| {
         controller.wind_down(&controller.nets())
@@ -79,7 +79,7 @@ fn shutdown_waits_for_braking_base() {
     assert!(speed().abs() < 1e-3, "{} m/s", speed());
 }
 
-/// A driver of a base that moves until it is told otherwise.
+/// A driver of a base that moves until the test stops it.
 #[derive(Debug)]
 struct Rolling(DriverThread);
 
@@ -97,9 +97,9 @@ impl DeviceDriver for Rolling {
     }
 }
 
-/// Adds a base that rolls down a slope, whatever is commanded, for as long as `rolls` says so.
+/// Adds a base that rolls down a slope, whatever is commanded, while `rolls` is true.
 fn add_rolling_base(cell: &Cell, rolls: &Arc<AtomicBool>) {
-    let told = Arc::clone(rolls);
+    let is_rolling = Arc::clone(rolls);
     let base = DeviceDescription {
         name: "base".to_owned(),
         kind: "test",
@@ -117,7 +117,7 @@ fn add_rolling_base(cell: &Cell, rolls: &Arc<AtomicBool>) {
             state.status = DeviceStatus::Operational;
             while !stopping.load(Ordering::Relaxed) {
                 let mut velocity = Twist::default();
-                let rolls = told.load(Ordering::Relaxed);
+                let rolls = is_rolling.load(Ordering::Relaxed);
                 velocity.vel.x = if rolls { 0.1 } else { 0.0 };
                 base.velocity.report(&mut state.signals, Some(velocity));
                 end.state.write_with(|slot| slot.copy_from(&state));
@@ -152,9 +152,9 @@ fn shutdown_reports_device_that_never_rests() {
     let log = tracing_subscriber::fmt().with_ansi(false);
     let log = log.with_writer(file).finish();
     tracing::subscriber::with_default(log, || drop(cell));
-    let told = std::fs::read_to_string(&path).unwrap();
-    let of_base = told.lines().find(|line| line.contains("still moves"));
-    let of_base = of_base.unwrap_or_else(|| panic!("{told}"));
+    let log = std::fs::read_to_string(&path).unwrap();
+    let of_base = log.lines().find(|line| line.contains("still moves"));
+    let of_base = of_base.unwrap_or_else(|| panic!("{log}"));
     assert!(
         of_base.contains("WARN") && of_base.contains("device=\"base\""),
         "{of_base}"

@@ -1,6 +1,6 @@
 //! Compliant motion as nets, on the emulated controllers and on the real wire: an arm comes down until it touches a
-//! wall, presses with a given force, and stops when the wall vanishes. What happened is read from the emulators, cycle by
-//! cycle; how long anything took is not looked at.
+//! wall, presses with a given force, and stops when the wall vanishes. The results are read from the emulators in each
+//! cycle; durations are not checked.
 
 #![expect(
     clippy::unwrap_used,
@@ -37,7 +37,7 @@ use takt_rt::thread::{Thread, ThreadConfig, spawn};
 const HOME: [f64; 7] = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
 /// How far below the flange the wall begins, m.
 const GAP: f64 = 0.02;
-/// Time from one cycle of nets to the next, s: inverse kinematics takes its time in a build for tests.
+/// Net period, s: inverse kinematics is slow in a test build.
 const PERIOD_S: f64 = 0.005;
 /// The force to be held, N.
 const FORCE: f64 = 20.0;
@@ -45,21 +45,21 @@ const FORCE: f64 = 20.0;
 const BAND: f64 = 2.0;
 /// The force that is never exceeded, N.
 const FORCE_MAX: f64 = 60.0;
-/// Cycles of the emulator that are looked at while the force is held, and after the wall has vanished.
+/// Checked cycles of the emulator while the force is held, and after the wall has vanished.
 const LOOK: usize = 500;
 /// Cycles that a test may last.
 const CYCLES_MAX: usize = 120_000;
-/// How often a host may stall.
+/// How many stalls of the host are tolerated.
 const ATTEMPTS: usize = 5;
 
-/// A controller with its arm, as the truth is known of it.
+/// A robot controller with its arm: its true state.
 trait Emulator: Send + 'static {
     fn due(&self) -> Duration;
     fn send(&mut self, now: Duration, buffer: &mut [u8]) -> Option<usize>;
     fn take(&mut self, datagram: &[u8], now: Duration);
     fn remove_wall(&mut self);
     fn sample(&self) -> Sample;
-    /// Why it left command mode other than asked for.
+    /// Why it left command mode without a request.
     fn complaint(&self) -> Option<String>;
 }
 
@@ -113,7 +113,7 @@ struct Sample {
     force: f64,
 }
 
-/// What passes between the thread of an emulator and the test.
+/// Shared by the thread of an emulator and the test.
 #[derive(Default)]
 struct Knobs {
     stop: AtomicBool,
@@ -121,7 +121,7 @@ struct Knobs {
     cycles: AtomicUsize,
 }
 
-/// An emulator in a thread of its own, and what it was like in each of its cycles.
+/// An emulator in a thread of its own, and its state in each of its cycles.
 struct Served<E> {
     knobs: Arc<Knobs>,
     thread: Option<Thread<(Box<E>, Vec<Sample>)>>,
@@ -200,7 +200,7 @@ fn wall(height: f64) -> Contact {
     }
 }
 
-/// A host without `PREEMPT_RT` may stall for tens of milliseconds: no reason to stop here.
+/// Tolerates stalls of tens of milliseconds, as of a host without `PREEMPT_RT`.
 fn patient() -> Timing {
     Timing {
         misses_max: 100,
@@ -236,7 +236,7 @@ fn out(family: &str, key: &str, link: &str) -> String {
 }
 
 /// Comes down at 3 cm/s until it touches; then the speed is `pressing`, m/s downwards; 0 once the contact is lost.
-/// `lacks` is what the force is short of. Speeds change by 1 m/s² at most.
+/// `lacks` is the missing force. Speeds change by 1 m/s² at most.
 fn press(pressing: &str, more: &str) -> String {
     let home: Vec<_> = HOME.iter().map(f64::to_string).collect();
     let home = home.join(",");
@@ -293,7 +293,7 @@ fn press_by_position() -> String {
     )
 }
 
-/// The arm stays where it touched, and a force is added to the springs until the sensor is content.
+/// The arm stays where it touched, and a force is added to the springs until the sensor shows the wanted force.
 fn press_by_wrench() -> String {
     let more = format!(
         "rate=Core::DoubleMultiply(inFirst=lacks.outValue,Second='5'),
@@ -313,7 +313,7 @@ fn press_by_wrench() -> String {
     press("Core::DoubleValue(Value='0')", &more)
 }
 
-/// Switches an LWR to Cartesian impedance, softer along z than it is by itself.
+/// Switches an LWR to Cartesian impedance, softer along z than its default.
 fn give_way() -> String {
     format!(
         "{{two=Core::IntValue(Value='2'),
@@ -339,7 +339,7 @@ fn is(controller: &Controller, net: NetId, key: &str, value: &str) -> bool {
 
 // ---------------------------------------------------------------------------------------- tests
 
-/// What is to be seen of an arm that pressed and lost its contact.
+/// Result of an arm that pressed and lost its contact.
 struct Seen {
     samples: Vec<Sample>,
     /// Cycle in which the net held its force for the first time.
@@ -380,7 +380,7 @@ impl Seen {
         assert!(settled.iter().all(|s| (s.force - FORCE).abs() <= BAND));
     }
 
-    /// The arm moved into the place of the wall by no more than the strain of its springs, and stopped.
+    /// The arm moved beyond the wall by no more than the strain of its springs, and stopped.
     fn stops(&self) {
         let before = self.samples[self.vanished - 1].height;
         let after = &self.samples[self.vanished..];
@@ -398,7 +398,7 @@ impl Seen {
     }
 }
 
-/// Lets the net press, then takes the wall away. Says why if the arm was lost, as by a host that stalls.
+/// Lets the net press, then takes the wall away. Returns the cause if the arm was lost, as by a stall of the host.
 fn run<E: Emulator>(cell: &Cell, served: Served<E>, text: &str) -> Result<(Box<E>, Seen), String> {
     let faults = || cell.controller.arm_state("arm").unwrap().faults;
     let before = faults();
@@ -513,7 +513,7 @@ fn press_with_iiwa() -> Result<(), String> {
         let config = CabinetConfig {
             robot: Robot::Iiwa7,
             limits: Limits::of(Robot::Iiwa7),
-            // Tells torques only: the force is felt by them.
+            // Reports torques only: the force is computed from them.
             dialect: Dialect::V1,
             send_period: period,
             joints: HOME,
@@ -539,7 +539,7 @@ fn press_with_iiwa() -> Result<(), String> {
     Ok(())
 }
 
-/// Again if the arm was lost: the host stalled for longer than the controllers forgive.
+/// Repeats if the arm was lost: the host stalled for longer than the controllers tolerate.
 fn retried(attempt: impl Fn() -> Result<(), String>) {
     let mut lost = Vec::new();
     while lost.len() < ATTEMPTS {

@@ -1,5 +1,5 @@
-//! What nets order of FRI arms beside positions, through the drivers' ends of the connection to the emulated
-//! controllers, in virtual time: strategies, impedances, additions, tools, inputs and outputs. Motion is elsewhere.
+//! Orders of nets to FRI arms besides positions, through the driver endpoints to the emulated controllers, in virtual
+//! time: strategies, impedances, additions, tools, inputs and outputs. Motion is tested elsewhere.
 
 #![expect(
     clippy::float_cmp,
@@ -11,11 +11,11 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
-mod stand;
+mod fixtures;
 
 use std::time::Duration;
 
-use stand::{Driven, Stand, watch};
+use fixtures::{Driven, Fixture, watch};
 use takt_core::cell::{IiwaConfig, IiwaIo, IiwaModel};
 use takt_core::device::fri::{Orders, Protocol};
 use takt_core::device::{
@@ -33,7 +33,7 @@ use takt_net::device::{Interfaces, Layout};
 
 const AXES: usize = 7;
 
-/// A controller at the other end of the wire.
+/// The emulated robot controller.
 trait Controller {
     fn due(&self) -> Duration;
     fn send(&mut self, now: Duration, buffer: &mut [u8]) -> Option<usize>;
@@ -68,9 +68,9 @@ impl Controller for Cabinet {
     }
 }
 
-/// A net thread, a driver's end and a controller, one step of each at a time.
+/// A net thread, a driver endpoint and a robot controller, stepped in turn.
 struct Rig<P, C> {
-    stand: Stand,
+    fixture: Fixture,
     driven: Driven,
     taken: DeviceCommand,
     reported: DeviceState,
@@ -87,10 +87,10 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
     fn of(description: DeviceDescription, end: P, robot: C) -> Self {
         let mut layout = Layout::default();
         let has = parts::lay(&description.parts, AXES, &mut layout);
-        let mut stand = Stand::default();
-        let driven = stand.add_driven(description);
+        let mut fixture = Fixture::default();
+        let driven = fixture.add_driven(description);
         Self {
-            stand,
+            fixture,
             driven,
             taken: DeviceCommand::new(layout.commands),
             reported: DeviceState::new(layout.signals),
@@ -104,7 +104,7 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
     }
 
     fn step(&mut self) {
-        self.stand.step();
+        self.fixture.step();
         let taken = &mut self.taken;
         self.driven
             .command
@@ -160,34 +160,34 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
         self.until("command mode", |rig| {
             rig.end.status() == DeviceStatus::Operational
         });
-        // Until nets know.
+        // Until nets receive it.
         self.steps(2);
     }
 
-    /// Starts a net that runs until it is ended.
+    /// Starts a net that runs until it is cancelled.
     fn start(&mut self, children: &str) -> u32 {
         self.nets += 1;
-        self.stand.start(self.nets, children);
+        self.fixture.start(self.nets, children);
         self.nets
     }
 
-    /// What an order of a net came to, once that is known: 0 if it was carried out.
+    /// Outcome of an order of a net, once known: 0 if it was carried out.
     fn outcome(&mut self, net: u32) -> String {
         for _ in 0..20_000 {
             self.step();
-            let error = self.stand.out(net, "error");
-            if self.stand.out(net, "done") == "true" || error != "0" {
+            let error = self.fixture.out(net, "error");
+            if self.fixture.out(net, "done") == "true" || error != "0" {
                 return error;
             }
         }
         panic!("the order of net {net} is never answered");
     }
 
-    /// The same of a net that is ended then.
+    /// The same; then ends the net.
     fn ordered(&mut self, children: &str) -> String {
         let net = self.start(children);
         let outcome = self.outcome(net);
-        self.stand.end(net);
+        self.fixture.end(net);
         outcome
     }
 }
@@ -240,7 +240,7 @@ impl Lwr {
             Script::Manual | Script::Auto { .. } => None,
         };
         let config = KrcConfig {
-            period: stand::PERIOD,
+            period: fixtures::PERIOD,
             script,
             control,
             ..KrcConfig::default()
@@ -273,7 +273,7 @@ fn lwr_net_switches_strategy_through_krl_program() {
         let mut rig = Lwr::new(Script::Handshake(protocol), Control::Position);
         rig.steps(200);
         if protocol == Handshake::Rcc {
-            // Its program enters command mode by itself, those of the others with the strategy.
+            // Its program enters command mode by itself, the others' with the strategy.
             rig.until_operational();
         }
         for (number, control) in [
@@ -332,7 +332,7 @@ fn lwr_impossible_strategy_is_refused() {
 
 #[test]
 fn lwr_unresponsive_program_is_reported_next_order_accepted() {
-    // The program is of another convention than the one that the cell names.
+    // The program uses another handshake than the cell configures.
     let mut rig = Lwr::new(Script::default(), Control::Position);
     rig.end = lwr::End::new(Some(Handshake::Rcc));
     rig.until_operational();
@@ -360,8 +360,8 @@ fn lwr_orders_before_command_mode_apply_with_it() {
     let wanted = CmdFlags::JNTPOS | CmdFlags::JNTSTIFF | CmdFlags::JNTDAMP;
     assert_eq!(cmd.flags, wanted);
     assert_eq!((cmd.joint_stiffness[1], cmd.joint_damping[1]), (300.0, 0.5));
-    assert_eq!(rig.stand.out(net, "error"), "0");
-    rig.stand.end(net);
+    assert_eq!(rig.fixture.out(net, "error"), "0");
+    rig.fixture.end(net);
     rig.steps(10);
     assert_eq!(rig.cmd().joint_stiffness[1], 300.0, "it stays");
     assert_eq!(rig.robot.exits(), 0);
@@ -377,7 +377,7 @@ fn lwr_unselected_fields_wait_for_next_command_mode() {
     rig.robot.fri_stop();
     rig.steps(200);
     rig.enter();
-    assert_eq!(rig.stand.out(net, "error"), "0");
+    assert_eq!(rig.fixture.out(net, "error"), "0");
     assert!(rig.cmd().flags.contains(CmdFlags::JNTSTIFF));
     assert_eq!(rig.robot.exits(), 1, "friStop alone");
 }
@@ -415,13 +415,13 @@ fn lwr_torque_needs_running_net_and_renewal_after_fault() {
     rig.until_operational();
     rig.steps(5);
     assert_eq!(rig.cmd().joint_torque, [0.0; 7], "not requested again");
-    assert_eq!(rig.stand.out(net, "error"), "6");
-    rig.stand.end(net);
+    assert_eq!(rig.fixture.out(net, "error"), "6");
+    rig.fixture.end(net);
     rig.steps(2);
     let net = rig.start(&joint(&[("inAddTorque", 5.0)]));
     assert_eq!(rig.outcome(net), "0");
     assert_eq!(rig.cmd().joint_torque[1], 5.0);
-    rig.stand.end(net);
+    rig.fixture.end(net);
     rig.steps(3);
     assert_eq!(rig.cmd().joint_torque[1], 0.0, "it ends with its net");
 }
@@ -494,9 +494,9 @@ fn lwr_user_data_outside_handshake_are_io() {
     let krl = *rig.robot.krl();
     assert!(krl.bool(3) && !krl.bool(15), "the last is the handshake's");
     assert_eq!((krl.real[3], krl.real[14]), (2.5, 0.0));
-    assert_eq!(rig.stand.out(net, "sent"), "false", "and a net sees it");
-    assert_eq!(rig.stand.out(net, "bool"), "true");
-    assert_eq!(rig.stand.out(net, "real"), "-1.25");
+    assert_eq!(rig.fixture.out(net, "sent"), "false", "and a net sees it");
+    assert_eq!(rig.fixture.out(net, "bool"), "true");
+    assert_eq!(rig.fixture.out(net, "real"), "-1.25");
     assert_eq!(rig.robot.state(), State::Cmd);
 }
 
@@ -515,7 +515,7 @@ impl Iiwa {
         let (input, output) = (IoDirection::Input, IoDirection::Output);
         let config = CabinetConfig {
             dialect,
-            send_period: stand::PERIOD,
+            send_period: fixtures::PERIOD,
             program: Program::Auto {
                 overlay,
                 restart: Some(Duration::from_millis(100)),
@@ -575,7 +575,7 @@ fn iiwa_torques_are_added_in_torque_overlay() {
         rig.until_operational();
         rig.steps(5);
         assert_eq!(rig.data().torque, Some([0.0; AXES]), "not requested again");
-        assert_eq!(rig.stand.out(net, "error"), "6");
+        assert_eq!(rig.fixture.out(net, "error"), "6");
     }
 }
 
@@ -589,7 +589,7 @@ fn iiwa_wrench_is_added_in_wrench_overlay() {
     assert_eq!(rig.outcome(net), "0");
     let wire = [0.0, 0.0, -20.0, 0.0, 0.0, 1.0];
     assert_eq!(rig.data().wrench, Some(wire));
-    rig.stand.end(net);
+    rig.fixture.end(net);
     rig.steps(3);
     assert_eq!(rig.data().wrench, Some([0.0; 6]), "it ends with its net");
 }
@@ -633,7 +633,7 @@ fn iiwa_shared_signals_are_io_of_nets() {
         ("bool", "true"),
         ("real", "42"),
     ] {
-        assert_eq!(rig.stand.out(net, key), value, "{key}");
+        assert_eq!(rig.fixture.out(net, key), value, "{key}");
     }
 }
 
@@ -647,6 +647,6 @@ fn iiwa_tool_force_is_reported_since_fri_2_7() {
         let mut rig = Iiwa::new(dialect, Mode::Position, CommandMode::Position);
         let net = rig.start(&force);
         rig.steps(5);
-        assert_eq!(rig.stand.out(net, "z"), known, "{dialect:?}");
+        assert_eq!(rig.fixture.out(net, "z"), known, "{dialect:?}");
     }
 }

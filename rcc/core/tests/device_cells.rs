@@ -6,16 +6,16 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
-mod stand;
+mod fixtures;
 
-#[path = "stand/cell.rs"]
+#[path = "fixtures/cell.rs"]
 mod cell;
 
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use stand::Stand;
+use fixtures::Fixture;
 use takt_core::controller::{LoadRequest, NetState};
 use takt_core::record::{Recorder, replay};
 use takt_core::{CellConfig, Controller, SessionId};
@@ -24,10 +24,10 @@ use takt_rt::alloc::{CountingAllocator, enter_real_time, real_time_allocations};
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// The counter is the process's: one test at a time.
+/// The counter covers the whole process: one test at a time.
 static COUNTER: Mutex<()> = Mutex::new(());
 
-/// What the net of all devices gives out when it has run.
+/// Outputs of the net of all devices after its run.
 fn assert_used(value: impl Fn(&str) -> String) {
     let number = |key: &str| value(key).parse::<f64>().unwrap();
     for key in ["strategy", "tool", "flag", "bool"] {
@@ -51,18 +51,18 @@ fn assert_used(value: impl Fn(&str) -> String) {
 #[test]
 fn sim_devices_step_without_allocation() {
     let _alone = COUNTER.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut stand = Stand::default();
+    let mut fixture = Fixture::default();
     for (name, kind, parameters) in cell::devices() {
-        stand.add(name, kind, &parameters);
+        fixture.add(name, kind, &parameters);
     }
-    stand.step();
-    stand.try_start(1, &cell::net(1.0), 1).unwrap();
+    fixture.step();
+    fixture.try_start(1, &cell::net(1.0), 1).unwrap();
     let before = real_time_allocations();
     let scope = enter_real_time();
-    stand.steps(1000);
+    fixture.steps(1000);
     drop(scope);
     assert_eq!(real_time_allocations() - before, 0);
-    let seen = std::cell::RefCell::new(stand);
+    let seen = std::cell::RefCell::new(fixture);
     assert_used(|key| seen.borrow_mut().out(1, key));
 }
 
@@ -97,7 +97,7 @@ fn run(controller: &Controller) {
 fn record(path: &Path) -> Result<u64, takt_core::Error> {
     let recording = Some(Recorder::start(path).unwrap());
     let controller = Controller::start_recording(&CellConfig::default(), recording).unwrap();
-    // The second time the devices get other names' places.
+    // The second time the devices get the numbers of others.
     for round in 0..2 {
         let mut devices = cell::devices();
         if round == 1 {

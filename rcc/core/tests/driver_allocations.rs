@@ -1,5 +1,5 @@
 //! Proof that the driver threads of all buses allocate nothing once their devices follow commands: nets move them
-//! under a counting allocator, and the driver is asked that it had cycles meanwhile. Emulators may allocate.
+//! under a counting allocator, and the driver must have run cycles meanwhile. Emulators may allocate.
 
 #![expect(
     clippy::unwrap_used,
@@ -40,7 +40,7 @@ use takt_tests::steady;
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// The counter is the process's: one test at a time.
+/// The counter covers the whole process: one test at a time.
 static ALONE: Mutex<()> = Mutex::new(());
 
 /// An emulator in a thread of its own, until it is dropped.
@@ -88,7 +88,7 @@ fn allocations(cell: &Cell, device: &str, nets: &[String]) -> u64 {
     let before = real_time_allocations();
     for text in nets {
         let net = cell.load(text);
-        // A host that stalls may have ended the command just now; what the driver did then is counted too.
+        // A stall of the host may just have ended the command; allocations after that count too.
         if cell.controller.start_net(net).is_ok() {
             cell.wait_for_end(net);
         }
@@ -102,7 +102,7 @@ fn swings(device: &str) -> [String; 2] {
     [swing_joint(device, 1, 0.7), swing_joint(device, 0, 0.7)]
 }
 
-/// Orders everything that FRI arms take beside positions, for a second.
+/// Orders everything that FRI arms accept besides positions, for a second.
 fn orders() -> String {
     let joint = |i: usize| {
         format!(
@@ -240,7 +240,7 @@ fn canopen_driver_allocates_nothing() {
             };
             let mut drives = [node(1), node(2)];
             while !stop.load(Ordering::Relaxed) {
-                // The second waits for nothing.
+                // The second does not wait.
                 let mut wait = Duration::from_micros(300);
                 for (port, drive) in ports.iter_mut().zip(&mut drives) {
                     while let Some(received) = port.receive(wait).unwrap() {

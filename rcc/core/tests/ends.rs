@@ -1,5 +1,5 @@
-//! What a net commanded ends with it: every way of ending, every kind of command, every period, in virtual time. What
-//! drivers see is looked at where it is handed to them; simulated devices also for where they come to rest.
+//! Commands of a net are withdrawn when it ends: every ending, every kind of command, every period, in virtual time.
+//! Commands are checked where drivers receive them; simulated devices also by where they come to rest.
 
 #![expect(
     clippy::float_cmp,
@@ -7,9 +7,9 @@
     reason = "what rests does so to the bit; a test may fail anywhere, its helpers too"
 )]
 
-mod stand;
+mod fixtures;
 
-use stand::{Driven, Stand, arm_parameters, parameters};
+use fixtures::{Driven, Fixture, arm_parameters, parameters};
 use takt_core::device::{DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use takt_core::executor::End;
 use takt_core::executor::rules::{Failure, RuleState};
@@ -30,11 +30,11 @@ enum Ending {
     Cancel,
     Abort,
     Rule,
-    /// What its client scheduled is taken back, what it runs is aborted.
+    /// Its client is lost: its scheduled nets are withdrawn, its running nets aborted.
     LostClient,
-    /// Aborted, and forgotten at once.
+    /// Aborted, and unloaded at once.
     Unload,
-    /// As the controller does it: nothing that waits begins any more, all that runs is aborted.
+    /// The controller shuts down: no pending net starts any more, all running nets are aborted.
     Shutdown,
     Runaway,
     DeviceFault,
@@ -62,9 +62,9 @@ struct Kind {
     name: &'static str,
     joints: usize,
     parts: &'static [Part],
-    /// Whether its net claims the device, and so ends with it; else it only holds something of it.
+    /// Whether its net claims the device, and so ends with it; else it only uses a part of it.
     claims: bool,
-    /// Children that command it; `STEP` is by how much a clock moves on in an evaluation, times 1000.
+    /// Children that command it; `STEP` is the step of a clock per evaluation, times 1000.
     children: &'static str,
 }
 
@@ -158,7 +158,7 @@ const fn kind(
     }
 }
 
-/// A net of these children that ends when told to cancel, or after so many evaluations.
+/// A net of these children that ends when cancelled, or after so many evaluations.
 fn net(children: &str, every: u64, ends_after: Option<u32>) -> String {
     let children = children.replace(
         "STEP",
@@ -173,35 +173,35 @@ fn net(children: &str, every: u64, ends_after: Option<u32>) -> String {
     )
 }
 
-/// Runs a net for a few evaluations and a part of a period, then has it end. Returns after the cycle of its end; with
-/// `fail`, which changes the state of its device.
+/// Runs a net for a few evaluations and a part of a period, then ends it. Returns after the cycle of its end.
+/// `fail` changes the state of its device.
 fn end(
-    stand: &mut Stand,
+    fixture: &mut Fixture,
     ending: Ending,
     every: u64,
-    fail: impl FnOnce(&mut Stand),
+    fail: impl FnOnce(&mut Fixture),
 ) -> Option<End> {
     let period = usize::try_from(every).unwrap();
-    stand.steps(period + period / 3 + 2);
+    fixture.steps(period + period / 3 + 2);
     if ending != Ending::Itself {
-        assert_eq!(stand.ended.get(&NET), None);
+        assert_eq!(fixture.ended.get(&NET), None);
     }
     match ending {
         Ending::Itself => {}
-        Ending::Cancel => assert!(stand.executor.cancel(NET)),
-        Ending::Abort => assert!(stand.executor.abort(NET)),
-        Ending::Rule => stand.stop_by_rule(9, NET, &[]),
-        Ending::Unload => stand.unload(NET),
+        Ending::Cancel => assert!(fixture.executor.cancel(NET)),
+        Ending::Abort => assert!(fixture.executor.abort(NET)),
+        Ending::Rule => fixture.stop_by_rule(9, NET, &[]),
+        Ending::Unload => fixture.unload(NET),
         Ending::LostClient | Ending::Shutdown => {
             let idle = "{no=Core::BooleanValue(),c=Cancel(),outTerminate=c.outCancel}";
-            stand.start_after(Some(NET), WAITS, idle, 1);
-            stand.lose_client(&[NET, WAITS]);
+            fixture.start_after(Some(NET), WAITS, idle, 1);
+            fixture.lose_client(&[NET, WAITS]);
         }
-        Ending::Runaway => stand.executor.end_runaway(NET),
-        Ending::DeviceFault | Ending::DeviceLost => fail(stand),
-        Ending::EmergencyStop => stand.set_stop(true),
+        Ending::Runaway => fixture.executor.end_runaway(NET),
+        Ending::DeviceFault | Ending::DeviceLost => fail(fixture),
+        Ending::EmergencyStop => fixture.set_stop(true),
     }
-    // By itself and on request it ends when it is evaluated next; else in this cycle.
+    // Done or cancelled, it ends at its next evaluation; else in this cycle.
     let most = match ending {
         Ending::Itself | Ending::Cancel => 5 * period,
         Ending::Abort
@@ -215,16 +215,16 @@ fn end(
         | Ending::EmergencyStop => 1,
     };
     for _ in 0..most {
-        stand.step();
-        if stand.ended.contains_key(&NET) {
+        fixture.step();
+        if fixture.ended.contains_key(&NET) {
             break;
         }
     }
-    assert!(!stand.ended.contains_key(&WAITS), "what waited never ran");
-    stand.ended.get(&NET).copied()
+    assert!(!fixture.ended.contains_key(&WAITS), "what waited never ran");
+    fixture.ended.get(&NET).copied()
 }
 
-/// Where the commands of a device lie among its words.
+/// Positions of the commands of a device among its words.
 fn targets(has: &Interfaces) -> Vec<usize> {
     let base = has.base.iter().map(|base| base.command.target());
     let io = has.io.iter().flat_map(|io| {
@@ -248,9 +248,9 @@ fn targets(has: &Interfaces) -> Vec<usize> {
     .collect()
 }
 
-/// A device of a kind whose driver the test is.
+/// A device of a kind, driven by the test.
 struct Bench {
-    stand: Stand,
+    fixture: Fixture,
     driven: Driven,
     state: DeviceState,
     commands: Vec<usize>,
@@ -264,8 +264,8 @@ impl Bench {
             velocity_max: 2.0,
             acceleration_max: 4.0,
         };
-        let mut stand = Stand::default();
-        let driven = stand.add_driven(DeviceDescription {
+        let mut fixture = Fixture::default();
+        let driven = fixture.add_driven(DeviceDescription {
             name: "x".to_owned(),
             kind: "test",
             limits: vec![limits; kind.joints],
@@ -283,17 +283,17 @@ impl Bench {
             cartesian.error.report(&mut state.signals, Some(0));
         }
         let mut bench = Self {
-            stand,
+            fixture,
             driven,
             state,
             commands: targets(&has),
         };
-        bench.tell();
-        bench.stand.step();
+        bench.publish();
+        bench.fixture.step();
         bench
     }
 
-    fn tell(&mut self) {
+    fn publish(&mut self) {
         let state = &self.state;
         self.driven.state.write_with(|slot| slot.copy_from(state));
     }
@@ -301,10 +301,10 @@ impl Bench {
     /// The device ceases to follow commands.
     fn fail(&mut self, status: DeviceStatus) {
         self.state.enter(status, takt_rt::Nanos(0));
-        self.tell();
+        self.publish();
     }
 
-    /// How many commands its driver has to follow now: set-points, and orders that were not withdrawn.
+    /// Number of commands in force for its driver: set-points, and orders that were not withdrawn.
     fn commanded(&mut self) -> usize {
         let commands = &self.commands;
         self.driven.command.read_with(|command| {
@@ -314,15 +314,15 @@ impl Bench {
             let late = commands.iter().any(|at| {
                 is_in_force(&command.words, *at, command.cycle) && command.words[*at + 2] == 0
             });
-            assert!(!late, "what is withdrawn does not stand");
+            assert!(!late, "what is withdrawn is not in force");
             joints + words
         })
     }
 }
 
-/// The product of all of it, up to the driver.
+/// All combinations, up to the driver.
 #[test]
-fn commands_are_withdrawn_in_the_cycle_their_net_ends() {
+fn commands_are_withdrawn_when_their_net_ends() {
     for kind in &KINDS {
         for every in PERIODS {
             for ending in ENDINGS {
@@ -337,17 +337,17 @@ fn commands_are_withdrawn_in_the_cycle_their_net_ends() {
                     every,
                     (ending == Ending::Itself).then_some(5),
                 );
-                bench.stand.try_start(NET, &text, every).unwrap();
+                bench.fixture.try_start(NET, &text, every).unwrap();
                 let period = usize::try_from(every).unwrap();
-                bench.stand.steps(period + 1);
+                bench.fixture.steps(period + 1);
                 assert!(bench.commanded() > 0, "{what}: nothing is commanded");
                 let Bench {
-                    stand,
+                    fixture,
                     driven,
                     state,
                     ..
                 } = &mut bench;
-                let fail = |_: &mut Stand| {
+                let fail = |_: &mut Fixture| {
                     let status = if ending == Ending::DeviceLost {
                         DeviceStatus::Offline
                     } else {
@@ -356,12 +356,12 @@ fn commands_are_withdrawn_in_the_cycle_their_net_ends() {
                     state.enter(status, takt_rt::Nanos(0));
                     driven.state.write_with(|slot| slot.copy_from(state));
                 };
-                let ended = end(stand, ending, every, fail);
+                let ended = end(fixture, ending, every, fail);
                 let outlives = ending == Ending::EmergencyStop && !kind.claims;
                 assert_eq!(ended.is_some(), !outlives, "{what}: {ended:?}");
                 assert_eq!(bench.commanded(), 0, "{what}");
                 for _ in 0..period + 3 {
-                    bench.stand.step();
+                    bench.fixture.step();
                     assert_eq!(bench.commanded(), 0, "{what}");
                 }
             }
@@ -369,9 +369,9 @@ fn commands_are_withdrawn_in_the_cycle_their_net_ends() {
     }
 }
 
-/// What a stopped net adds comes back with no release of the stop: only when it paused, or another net asks.
+/// Additions of a stopped net do not return when the stop is released: only after a pause, or from another net.
 #[test]
-fn additions_under_an_emergency_stop_do_not_return_by_themselves() {
+fn emergency_stop_additions_do_not_return() {
     for kind in KINDS
         .iter()
         .filter(|kind| kind.name == "joint torque" || kind.name == "wrench")
@@ -379,56 +379,56 @@ fn additions_under_an_emergency_stop_do_not_return_by_themselves() {
         for every in PERIODS {
             let mut bench = Bench::new(kind);
             let text = net(kind.children, every, None);
-            bench.stand.try_start(NET, &text, every).unwrap();
+            bench.fixture.try_start(NET, &text, every).unwrap();
             let period = usize::try_from(every).unwrap();
-            bench.stand.steps(2 * period);
+            bench.fixture.steps(2 * period);
             assert!(bench.commanded() > 0, "{}", kind.name);
-            bench.stand.set_stop(true);
-            bench.stand.steps(period + 2);
+            bench.fixture.set_stop(true);
+            bench.fixture.steps(period + 2);
             assert_eq!(bench.commanded(), 0, "{}", kind.name);
-            bench.stand.set_stop(false);
-            bench.stand.steps(2 * period + 2);
+            bench.fixture.set_stop(false);
+            bench.fixture.steps(2 * period + 2);
             assert_eq!(bench.commanded(), 0, "{}", kind.name);
-            bench.stand.end(NET);
-            bench.stand.steps(2);
-            bench.stand.try_start(2, &text, every).unwrap();
-            bench.stand.steps(period + 1);
+            bench.fixture.end(NET);
+            bench.fixture.steps(2);
+            bench.fixture.try_start(2, &text, every).unwrap();
+            bench.fixture.steps(period + 1);
             assert!(bench.commanded() > 0, "{}: a new net may", kind.name);
         }
     }
 }
 
-/// A simulated device, what moves it, and where it is.
+/// A simulated device, the net that moves it, and its position.
 struct Sim {
     kind: &'static str,
     children: &'static str,
-    place: fn(&Stand) -> f64,
+    place: fn(&Fixture) -> f64,
     /// Speed and acceleration, in the unit of `place`.
     speed: f64,
     acceleration: f64,
 }
 
-fn joint(stand: &Stand) -> f64 {
-    stand.executor.joints()[1]
+fn joint(fixture: &Fixture) -> f64 {
+    fixture.executor.joints()[1]
         .state
         .get()
         .measured_position
         .unwrap()
 }
 
-fn along_x(stand: &Stand) -> f64 {
-    let base = stand.table.interfaces("x").unwrap().base.unwrap();
+fn along_x(fixture: &Fixture) -> f64 {
+    let base = fixture.table.interfaces("x").unwrap().base.unwrap();
     base.pose
-        .get(&stand.executor.image)
+        .get(&fixture.executor.image)
         .unwrap()
         .translation
         .vector
         .x
 }
 
-fn distance(stand: &Stand) -> f64 {
-    let gripper = stand.table.interfaces("x").unwrap().gripper.unwrap();
-    gripper.distance.get(&stand.executor.image).unwrap()
+fn distance(fixture: &Fixture) -> f64 {
+    let gripper = fixture.table.interfaces("x").unwrap().gripper.unwrap();
+    gripper.distance.get(&fixture.executor.image).unwrap()
 }
 
 const SIMULATED: [Sim; 6] = [
@@ -443,7 +443,7 @@ const SIMULATED: [Sim; 6] = [
 const fn sim(
     kind: &'static str,
     children: &'static str,
-    place: fn(&Stand) -> f64,
+    place: fn(&Fixture) -> f64,
     speed: f64,
     acceleration: f64,
 ) -> Sim {
@@ -482,20 +482,20 @@ fn simulated_devices_rest_within_their_stopping_distance() {
                     "kuka_youbot_gripper_sim" => parameters(&[]),
                     _ => arm_parameters(joints, &[]),
                 };
-                let mut stand = Stand::default();
-                stand.add("x", device.kind, &parameters);
+                let mut fixture = Fixture::default();
+                fixture.add("x", device.kind, &parameters);
                 let text = net(
                     device.children,
                     every,
                     (ending == Ending::Itself).then_some(5),
                 );
-                stand.try_start(NET, &text, every).unwrap();
-                let began = (device.place)(&stand);
-                assert!(end(&mut stand, ending, every, |_| ()).is_some(), "{what}");
-                let ended = (device.place)(&stand);
+                fixture.try_start(NET, &text, every).unwrap();
+                let began = (device.place)(&fixture);
+                assert!(end(&mut fixture, ending, every, |_| ()).is_some(), "{what}");
+                let ended = (device.place)(&fixture);
                 assert!(ended != began, "{what}: it never moved");
                 let mut last = ended;
-                // One cycle until it is seen, one in which its speed is still that of before.
+                // One cycle of latency, and one at the previous speed.
                 let way = device.speed * (device.speed / device.acceleration / 2.0 + 0.002);
                 #[expect(
                     clippy::cast_possible_truncation,
@@ -504,8 +504,8 @@ fn simulated_devices_rest_within_their_stopping_distance() {
                 )]
                 let stopping = (device.speed / device.acceleration * 1000.0) as usize + 3;
                 for cycle in 0..stopping + usize::try_from(every).unwrap() {
-                    stand.step();
-                    let now = (device.place)(&stand);
+                    fixture.step();
+                    let now = (device.place)(&fixture);
                     assert!((now - ended).abs() <= way, "{what}: {now} after {ended}");
                     assert!(cycle < stopping || now == last, "{what}: moves on at {now}");
                     last = now;
@@ -515,8 +515,8 @@ fn simulated_devices_rest_within_their_stopping_distance() {
     }
 }
 
-/// Outputs are held when their net ends, also when it set them only in its last cycle, or take the value that is stated
-/// for that, in the same cycle.
+/// When their net ends, outputs hold their values, even if set only in its last cycle, or take the configured value in
+/// the same cycle.
 #[test]
 fn outputs_follow_their_policy_after_their_net() {
     let value = [("on_end_bool", "[false]"), ("on_end_real", "[0.5,hold]")];
@@ -531,38 +531,38 @@ fn outputs_follow_their_policy_after_their_net() {
                 if matches!(ending, Ending::DeviceFault | Ending::DeviceLost) {
                     continue;
                 }
-                let mut stand = Stand::default();
+                let mut fixture = Fixture::default();
                 let given = if arm {
                     arm_parameters(7, more)
                 } else {
                     parameters(more)
                 };
-                stand.add("x", kind, &given);
+                fixture.add("x", kind, &given);
                 let outputs = KINDS.iter().find(|kind| kind.name == "outputs").unwrap();
                 let text = net(
                     outputs.children,
                     10,
                     (ending == Ending::Itself).then_some(5),
                 );
-                stand.try_start(NET, &text, 10).unwrap();
+                fixture.try_start(NET, &text, 10).unwrap();
                 let what = format!("{kind}, {more:?}, {ending:?}");
-                assert!(end(&mut stand, ending, 10, |_| ()).is_some(), "{what}");
+                assert!(end(&mut fixture, ending, 10, |_| ()).is_some(), "{what}");
                 // The image shows what the cycle of the end left.
-                stand.step();
+                fixture.step();
                 for _ in 0..100 {
-                    let io = stand.table.interfaces("x").unwrap().io.unwrap();
-                    let image = &stand.executor.image;
+                    let io = fixture.table.interfaces("x").unwrap().io.unwrap();
+                    let image = &fixture.executor.image;
                     let (truth, number) = expected;
                     assert_eq!(io.bool_out[0].state.get(image), Some(truth), "{what}");
                     assert_eq!(io.real_out[0].state.get(image), Some(number), "{what}");
-                    stand.step();
+                    fixture.step();
                 }
             }
         }
     }
 }
 
-/// What is stated for outputs and makes no sense is refused with its port.
+/// An invalid value for an output is rejected with its port.
 #[test]
 fn output_policies_of_wrong_type_are_rejected() {
     for (key, value, expected) in [
@@ -588,7 +588,7 @@ fn output_policies_of_wrong_type_are_rejected() {
     }
 }
 
-/// A successor that commands the same takes it over without a gap, whatever the period; one that does not, not.
+/// A successor that commands the same takes over without a gap, whatever the period; others do not.
 #[test]
 fn successor_by_rule_keeps_commands_until_its_first_cycle() {
     let other = "j=RobotArm::JointPosition(Robot='x',Axis='2')";
@@ -596,29 +596,29 @@ fn successor_by_rule_keeps_commands_until_its_first_cycle() {
         for (children, keeps) in [(ARM, true), (other, false)] {
             for stops in [false, true] {
                 let mut bench = Bench::new(&KINDS[0]);
-                let stand = &mut bench.stand;
+                let fixture = &mut bench.fixture;
                 let first = net(ARM, every, (!stops).then_some(5));
-                stand.try_start(NET, &first, every).unwrap();
+                fixture.try_start(NET, &first, every).unwrap();
                 let second = net(children, every, None);
                 let period = usize::try_from(every).unwrap();
                 if stops {
-                    stand.steps(3 * period + period / 3);
-                    stand.schedule(2, &second, every);
-                    stand.stop_by_rule(2, NET, &[2]);
+                    fixture.steps(3 * period + period / 3);
+                    fixture.schedule(2, &second, every);
+                    fixture.stop_by_rule(2, NET, &[2]);
                 } else {
-                    stand.start_after(Some(NET), 2, &second, every);
+                    fixture.start_after(Some(NET), 2, &second, every);
                 }
                 let what = format!("every {every}, stopped {stops}, keeps {keeps}");
                 for _ in 0..6 * period {
-                    bench.stand.step();
-                    if bench.stand.ended.contains_key(&NET) {
+                    bench.fixture.step();
+                    if bench.fixture.ended.contains_key(&NET) {
                         break;
                     }
                 }
-                assert!(bench.stand.ended.contains_key(&NET), "{what}");
+                assert!(bench.fixture.ended.contains_key(&NET), "{what}");
                 for _ in 0..3 * period {
                     assert_eq!(bench.commanded() > 0, keeps, "{what}");
-                    bench.stand.step();
+                    bench.fixture.step();
                 }
             }
         }
@@ -628,30 +628,30 @@ fn successor_by_rule_keeps_commands_until_its_first_cycle() {
 /// A successor that commands the same, but not in its first cycle, does not prolong it.
 #[test]
 fn successor_that_commands_nothing_lets_commands_end() {
-    // A position out of range is none.
+    // A position out of range is no set-point.
     let silent = "far=Core::DoubleValue(Value='99'),
         j=RobotArm::JointPosition(inPosition=far.outValue,Robot='x',Axis='1')";
     let mut bench = Bench::new(&KINDS[0]);
     bench
-        .stand
+        .fixture
         .try_start(NET, &net(ARM, 1000, None), 1000)
         .unwrap();
-    bench.stand.steps(3400);
-    bench.stand.schedule(2, &net(silent, 10, None), 10);
-    bench.stand.stop_by_rule(2, NET, &[2]);
-    bench.stand.steps(12);
-    assert!(bench.stand.ended.contains_key(&NET));
+    bench.fixture.steps(3400);
+    bench.fixture.schedule(2, &net(silent, 10, None), 10);
+    bench.fixture.stop_by_rule(2, NET, &[2]);
+    bench.fixture.steps(12);
+    assert!(bench.fixture.ended.contains_key(&NET));
     assert_eq!(bench.commanded(), 0);
 }
 
-/// What a device goes through between a net being scheduled and its rule firing.
+/// Event of a device after a net is scheduled and before its rule fires.
 #[derive(Clone, Copy, Debug)]
 enum Between {
     Nothing,
     Fault,
     Lost,
     Stop,
-    /// Its position stands elsewhere all of a sudden, and it goes on following.
+    /// Its position jumps, and it goes on following.
     Jump,
     /// It did not follow commands when the net was scheduled.
     Comes,
@@ -666,11 +666,11 @@ fn scheduled_nets_of_failed_device_are_returned() {
             let mut bench = Bench::new(kind);
             if matches!(between, Comes) {
                 bench.fail(DeviceStatus::SafeOperational);
-                bench.stand.step();
+                bench.fixture.step();
             }
             // It waits for a net that has nothing to do with the device.
             bench
-                .stand
+                .fixture
                 .try_start(
                     NET,
                     "{no=Core::BooleanValue(),c=Cancel(),outTerminate=c.outCancel}",
@@ -678,49 +678,49 @@ fn scheduled_nets_of_failed_device_are_returned() {
                 )
                 .unwrap();
             bench
-                .stand
+                .fixture
                 .start_after(Some(NET), 2, &net(kind.children, 1, None), 1);
-            bench.stand.steps(3);
+            bench.fixture.steps(3);
             match between {
                 Nothing | Comes => {}
                 Fault => bench.fail(DeviceStatus::SafeOperational),
                 Lost => bench.fail(DeviceStatus::Offline),
-                Stop => bench.stand.set_stop(true),
+                Stop => bench.fixture.set_stop(true),
                 Jump => {
                     bench.state.jumped.count += 1;
-                    bench.tell();
+                    bench.publish();
                 }
             }
-            bench.stand.steps(3);
+            bench.fixture.steps(3);
             bench.fail(DeviceStatus::Operational);
-            bench.stand.set_stop(false);
-            bench.stand.steps(3);
-            let told = bench.stand.rules.get(&2).copied();
+            bench.fixture.set_stop(false);
+            bench.fixture.steps(3);
+            let rule = bench.fixture.rules.get(&2).copied();
             let fails = Some((RuleState::FireFailed, Some(Failure::DeviceChanged(0))));
             let expected = if matches!(between, Nothing) {
                 None
             } else {
                 fails
             };
-            assert_eq!(told, expected, "{what}: before its condition holds");
-            assert!(bench.stand.executor.cancel(NET));
-            bench.stand.steps(5);
+            assert_eq!(rule, expected, "{what}: before its condition holds");
+            assert!(bench.fixture.executor.cancel(NET));
+            bench.fixture.steps(5);
             let fires = matches!(between, Nothing);
             assert_eq!(bench.commanded() > 0, fires, "{what}");
             if fires {
                 continue;
             }
-            // Asked for again, it runs.
+            // Requested again, it runs.
             assert!(
-                bench.stand.executor.take_unscheduled(2, false).is_some(),
+                bench.fixture.executor.take_unscheduled(2, false).is_some(),
                 "{what}"
             );
-            bench.stand.rules.clear();
+            bench.fixture.rules.clear();
             bench
-                .stand
+                .fixture
                 .start_after(None, 3, &net(kind.children, 1, None), 1);
-            bench.stand.steps(3);
-            assert_eq!(bench.stand.rules[&3].0, RuleState::Fired, "{what}");
+            bench.fixture.steps(3);
+            assert_eq!(bench.fixture.rules[&3].0, RuleState::Fired, "{what}");
             assert!(bench.commanded() > 0, "{what}");
         }
     }

@@ -1,5 +1,5 @@
-//! EtherCAT segments of cell files, against emulated slaves at the end of a cable inside of this
-//! process: how slaves are found and set up, a ring, inputs and outputs, and a segment that is not as expected at first.
+//! EtherCAT segments of cell files, against emulated slaves on a cable inside this process:
+//! slave discovery and configuration, a ring, inputs and outputs, and a segment that first differs from the cell.
 
 #![expect(
     clippy::unwrap_used,
@@ -279,7 +279,7 @@ fn ethercat_unpowered_slave_reported_once_then_accepted() {
     );
 }
 
-/// What becomes of an arm in mid swing when the clock of its drive jumps, by a policy.
+/// State of an arm in mid swing after the clock of its drive jumps, by policy.
 fn jumps(policy: &str, judge: impl Fn(&TestBench, &ServoDrive, NetId, u64)) {
     let config = config(&format!(
         "clocks = {{ window = '50us', lost = '{policy}' }}\n\

@@ -5,7 +5,7 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
-#[path = "stand/phase.rs"]
+#[path = "fixtures/phase.rs"]
 mod phase;
 
 use std::time::Duration;
@@ -21,18 +21,18 @@ fn clock_drift_50_ppm_followed_within_5_us() {
         let rms = rms_ns(&points, AFTER);
         assert!(points.len() > 4500, "{}", points.len());
         assert!(rms < 5000.0, "{rms} ns rms");
-        // What the host and the way add, no servo takes away.
+        // The servo cannot remove the delays of host and segment.
         let mut later = points.iter().filter(|point| point.at >= AFTER);
         assert!(later.all(|point| point.frame_ns >= point.cycle_ns));
     }
 }
 
 #[test]
-fn the_phase_is_not_the_master_s_own() {
+fn clock_phase_is_that_of_the_segment() {
     // Its clock left alone would be 150 us off after three seconds.
     let points = run(&[50_000], 0.0, Duration::from_secs(5));
     let last = points.last().unwrap();
-    // Half of the way through the segment, which no master can tell apart from a way that is as long in both directions.
+    // Half of the delay through the segment: no master can distinguish it from a path as long in both directions.
     assert!(last.cycle_ns.abs() < 500, "{last:?}");
     assert!(rms_ns(&points, AFTER) < 500.0);
 }

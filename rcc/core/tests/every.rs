@@ -1,4 +1,4 @@
-//! What holds for every primitive of a controller that needs no device, whatever it computes.
+//! Properties of every primitive that needs no device.
 
 #[path = "../../net/tests/common/every.rs"]
 mod every;
@@ -9,11 +9,11 @@ fn every_primitive_can_be_built() {
 }
 
 #[test]
-fn null_propagates_where_the_definition_says_so() {
+fn primitive_null_propagates_as_defined() {
     every::null_propagates(&takt_core::registry());
 }
 
 #[test]
-fn no_sequence_of_inputs_makes_a_primitive_panic() {
+fn primitives_random_inputs_do_not_panic() {
     every::survives_anything(&takt_core::registry(), 100);
 }

@@ -1,5 +1,5 @@
-//! Values between nets of a running controller: what one gives, the other has in the next cycle, until the
-//! one that gives is unloaded.
+//! Values between nets of a running controller: the reader has the writer's value in the next cycle, until
+//! the writer is unloaded.
 
 #![expect(clippy::unwrap_used, reason = "tests fail by panicking")]
 
@@ -9,8 +9,8 @@ use takt_core::controller::{LoadRequest, NetState};
 use takt_core::executor::links::{OUT_READERS, WIRES_MAX};
 use takt_core::{CellConfig, Controller, NetId, SessionId};
 
-/// Far longer than anything takes here; it passes only when a test fails.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Far longer than anything here takes; expires only if a test fails.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 const END: &str = "x=Cancel(),outTerminate=x.outCancel";
 
@@ -45,7 +45,7 @@ fn value(controller: &Controller, net: NetId, key: &str) -> Option<f64> {
 }
 
 fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + TIMEOUT;
     while !done() {
         assert!(Instant::now() < until, "{what} does not happen");
         std::thread::sleep(Duration::from_millis(1));
@@ -57,7 +57,7 @@ fn clock(controller: &Controller) -> NetId {
     load(controller, format!("{{{clock},{END}}}"))
 }
 
-/// Tells by how much its own clock, begun in the same cycle or later, differs from the other's.
+/// Reports by how much its own clock, begun in the same cycle or later, differs from the other's.
 fn reader(of: NetId) -> String {
     format!(
         "{{i=Core::DoubleInterNetcommIn(RemoteNet='{of}',RemoteKey='t'),\
@@ -87,13 +87,13 @@ fn remote_value_is_null_after_unload() {
     assert_eq!(value(&controller, taker, "outt"), None);
     controller.start_net(giver).unwrap();
     wait_until("a value", || value(&controller, taker, "outstep").is_some());
-    // The clock goes on by one cycle in each cycle: none is lost, none is seen twice.
+    // The clock advances by one cycle in each cycle: none is lost or repeated.
     for _ in 0..50 {
         let step = value(&controller, taker, "outstep").unwrap();
         assert!((step - 0.001).abs() < 1e-9, "{step}");
     }
     controller.abort(giver).unwrap();
-    // The last value of a net that ended stays.
+    // The last value of an ended net remains.
     assert_eq!(null(&controller).as_deref(), Some("false"));
     controller.unload(giver).unwrap();
     wait_until("null", || null(&controller).as_deref() == Some("true"));
@@ -131,7 +131,7 @@ fn net_and_program_write_same_net() {
     wait_until("the program's value", || both(3.0, 5.0));
     controller.write_in(giver, "ing", "4").unwrap();
     wait_until("the net's next value", || both(4.0, 5.0));
-    // Links are no values of programs.
+    // Links are not values for programs.
     let keys = |values: Vec<(String, String)>| values.into_iter().map(|(k, _)| k);
     assert_eq!(
         keys(controller.out_values(giver)).collect::<Vec<_>>(),
@@ -141,7 +141,7 @@ fn net_and_program_write_same_net() {
         keys(controller.in_values(taker)).collect::<Vec<_>>(),
         ["ina", "inb"]
     );
-    // A net that comes and goes leaves no link behind.
+    // A net that is loaded and unloaded leaves no link.
     for number in 0..2 * WIRES_MAX {
         let text = format!(
             "{{v=Core::DoubleValue(Value='{number}'),w=Core::DoubleInterNetcommOut(inValue=v.outValue,\

@@ -1,5 +1,5 @@
 //! The controller with an emulated Sunrise cabinet on the real wire, in every dialect: nets that move its
-//! iiwa, and what happens when the cabinet or its power goes. Figures of timing are not looked at.
+//! iiwa, and what happens when the cabinet or its power is lost. Timing is not checked.
 
 #![expect(clippy::float_cmp, reason = "what rests does so to the bit")]
 #![expect(
@@ -69,8 +69,8 @@ impl Drop for Sunrise {
     }
 }
 
-/// A cabinet with longer timeouts than a real one: a host without `PREEMPT_RT` may stall for tens of
-/// milliseconds, and that is no reason to stop here.
+/// A cabinet with longer timeouts than a real one, as a host without `PREEMPT_RT` may stall for tens of
+/// milliseconds.
 fn patient(dialect: Dialect) -> CabinetConfig {
     CabinetConfig {
         dialect,

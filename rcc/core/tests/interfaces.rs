@@ -1,9 +1,9 @@
-//! The primitives of devices in nets, on simulated devices and on one whose driver the test is, in
+//! The primitives of devices in nets, on simulated devices and on one driven by the test, in
 //! virtual time: what they command and report, null, ranges, concurrent access and failures.
 
-mod stand;
+mod fixtures;
 
-use stand::{Driven, Stand, arm_parameters, endless, parameters, watch};
+use fixtures::{Driven, Fixture, arm_parameters, endless, parameters, watch};
 use takt_core::device::{
     ArmDescription, DeviceDescription, DeviceState, DeviceStatus, Part, parts,
 };
@@ -11,8 +11,8 @@ use takt_core::executor::{End, Refusal};
 use takt_net::device::{Answer, Interfaces, Layout};
 use takt_net::{JointLimits, Vector};
 
-/// A device with these parts and so many joints, and what its driver needs to tell.
-fn driven(stand: &mut Stand, joints: usize, of: &[Part]) -> (Driven, Interfaces, DeviceState) {
+/// A device with these parts and joints, with its endpoint, interfaces and state.
+fn driven(fixture: &mut Fixture, joints: usize, of: &[Part]) -> (Driven, Interfaces, DeviceState) {
     let limits = JointLimits {
         position_min: -1.0,
         position_max: 1.0,
@@ -25,7 +25,7 @@ fn driven(stand: &mut Stand, joints: usize, of: &[Part]) -> (Driven, Interfaces,
         limits: vec![limits; joints],
         model: "".into(),
     };
-    let driven = stand.add_driven(device.with(of));
+    let driven = fixture.add_driven(device.with(of));
     let mut layout = Layout::default();
     let interfaces = parts::lay(of, joints, &mut layout);
     let mut state = DeviceState::new(layout.signals);
@@ -33,7 +33,7 @@ fn driven(stand: &mut Stand, joints: usize, of: &[Part]) -> (Driven, Interfaces,
     (driven, interfaces, state)
 }
 
-fn tell(driven: &mut Driven, state: &DeviceState) {
+fn publish(driven: &mut Driven, state: &DeviceState) {
     driven.state.write_with(|slot| slot.copy_from(state));
 }
 
@@ -75,44 +75,44 @@ fn base_monitor(robot: &str) -> String {
 
 #[test]
 fn base_moves_and_brakes_without_commands() {
-    let mut stand = Stand::default();
-    stand.add(
+    let mut fixture = Fixture::default();
+    fixture.add(
         "base",
         "kuka_youbot_base_sim",
         &parameters(&[("max_acc", "2")]),
     );
-    stand.start(1, &base_monitor("base"));
-    stand.start(2, &base_velocity("base", "{vel:{x:0.4}}"));
-    stand.steps(201);
-    assert!((stand.number(1, "vx") - 0.4).abs() < 1e-12);
-    assert_eq!(stand.out(2, "error"), "0");
+    fixture.start(1, &base_monitor("base"));
+    fixture.start(2, &base_velocity("base", "{vel:{x:0.4}}"));
+    fixture.steps(201);
+    assert!((fixture.number(1, "vx") - 0.4).abs() < 1e-12);
+    assert_eq!(fixture.out(2, "error"), "0");
     // Half of it while it accelerated for 0.2 s.
-    let x = stand.number(1, "x");
+    let x = fixture.number(1, "x");
     assert!((x - 0.04).abs() < 0.001, "{x}");
-    stand.steps(1000);
-    assert!((stand.number(1, "x") - x - 0.4).abs() < 1e-9);
-    stand.end(2);
-    stand.steps(100);
-    let vx = stand.number(1, "vx");
+    fixture.steps(1000);
+    assert!((fixture.number(1, "x") - x - 0.4).abs() < 1e-9);
+    fixture.end(2);
+    fixture.steps(100);
+    let vx = fixture.number(1, "vx");
     assert!((vx - 0.2).abs() < 0.01, "it brakes at its limit: {vx}");
-    stand.steps(110);
-    assert_eq!(stand.out(1, "vx"), "0");
-    let rested = stand.out(1, "x");
-    stand.steps(100);
-    assert_eq!(stand.out(1, "x"), rested);
+    fixture.steps(110);
+    assert_eq!(fixture.out(1, "vx"), "0");
+    let rested = fixture.out(1, "x");
+    fixture.steps(100);
+    assert_eq!(fixture.out(1, "x"), rested);
 }
 
 #[test]
 fn base_velocity_holds_for_slow_nets() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.start(1, &base_monitor("base"));
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.start(1, &base_monitor("base"));
     let text = endless(&base_velocity("base", "{vel:{x:0.1}}"));
-    stand.try_start(2, &text, 4).unwrap();
-    stand.steps(300);
+    fixture.try_start(2, &text, 4).unwrap();
+    fixture.steps(300);
     for _ in 0..20 {
-        stand.step();
-        assert!((stand.number(1, "vx") - 0.1).abs() < 1e-12);
+        fixture.step();
+        assert!((fixture.number(1, "vx") - 0.1).abs() < 1e-12);
     }
 }
 
@@ -126,41 +126,41 @@ fn base_velocity_out_of_range_is_rejected() {
         // Directions in which a base cannot move do not matter.
         ("{vel:{z:9}}", "0", "false"),
     ] {
-        let mut stand = Stand::default();
-        stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-        stand.start(1, &base_monitor("base"));
-        stand.start(2, &base_velocity("base", velocity));
-        stand.steps(50);
-        assert_eq!(stand.out(2, "error"), error, "{velocity}");
-        assert_eq!(stand.out(2, "illegal"), illegal, "{velocity}");
-        assert_eq!(stand.out(1, "vx"), "0", "{velocity}");
+        let mut fixture = Fixture::default();
+        fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+        fixture.start(1, &base_monitor("base"));
+        fixture.start(2, &base_velocity("base", velocity));
+        fixture.steps(50);
+        assert_eq!(fixture.out(2, "error"), error, "{velocity}");
+        assert_eq!(fixture.out(2, "illegal"), illegal, "{velocity}");
+        assert_eq!(fixture.out(1, "vx"), "0", "{velocity}");
     }
 }
 
 #[test]
 fn base_null_velocity_is_no_error() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.start(1, &base_monitor("base"));
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.start(1, &base_monitor("base"));
     let children = base_velocity("base", "{vel:{x:0.4}}").replace(
         "inVel=v.outValue",
         "inVel=World::TwistSetNull(inValue=v.outValue,
             inNull=Core::BooleanValue(Value='true').outValue).outValue",
     );
-    stand.start(2, &children);
-    stand.steps(20);
+    fixture.start(2, &children);
+    fixture.steps(20);
     assert_eq!(
-        (stand.out(2, "error"), stand.out(1, "vx")),
+        (fixture.out(2, "error"), fixture.out(1, "vx")),
         ("0".to_owned(), "0".to_owned())
     );
 }
 
 #[test]
 fn second_primitive_gets_concurrent_access_error() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.start(1, &base_monitor("base"));
-    // The second depends on the first, so that their order is known.
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.start(1, &base_monitor("base"));
+    // The second depends on the first: this fixes their order.
     let both = format!(
         "{},no=Core::BooleanNot(inValue=move.outErrorIllegalVelocity),
         w2=World::TwistValue(Value='{{vel:{{x:-0.2}}}}'),
@@ -170,21 +170,21 @@ fn second_primitive_gets_concurrent_access_error() {
         watch("Core::Int", "error2", "again.outError"),
         watch("Core::Boolean", "concurrent2", "again.outErrorConcurrentAccess"),
     );
-    stand.start(2, &both);
-    stand.steps(300);
-    assert_eq!(stand.out(2, "error"), "0");
-    assert_eq!(stand.out(2, "error2"), "-1");
-    assert_eq!(stand.out(2, "concurrent2"), "true");
-    assert!((stand.number(1, "vx") - 0.2).abs() < 1e-12);
+    fixture.start(2, &both);
+    fixture.steps(300);
+    assert_eq!(fixture.out(2, "error"), "0");
+    assert_eq!(fixture.out(2, "error2"), "-1");
+    assert_eq!(fixture.out(2, "concurrent2"), "true");
+    assert!((fixture.number(1, "vx") - 0.2).abs() < 1e-12);
 }
 
 #[test]
 fn two_nets_cannot_command_one_base() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.start(1, &base_velocity("base", "{}"));
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.start(1, &base_velocity("base", "{}"));
     let second = endless(&base_velocity("base", "{}"));
-    let refused = stand.try_start(2, &second, 1);
+    let refused = fixture.try_start(2, &second, 1);
     assert!(
         matches!(refused, Err(Refusal::ResourceInUse(_))),
         "{refused:?}"
@@ -192,7 +192,7 @@ fn two_nets_cannot_command_one_base() {
     let pose = endless(
         "p=World::FrameValue(),to=CartesianPosition::CartesianPosition(inPosition=p.outValue,Robot='base')",
     );
-    let refused = stand.try_start(3, &pose, 1);
+    let refused = fixture.try_start(3, &pose, 1);
     assert!(
         matches!(refused, Err(Refusal::ResourceInUse(_))),
         "{refused:?}"
@@ -201,31 +201,31 @@ fn two_nets_cannot_command_one_base() {
 
 #[test]
 fn base_fault_ends_commanding_net_only() {
-    let mut stand = Stand::default();
-    let (mut dev, has, mut state) = driven(&mut stand, 0, &[BASE]);
+    let mut fixture = Fixture::default();
+    let (mut dev, has, mut state) = driven(&mut fixture, 0, &[BASE]);
     let base = has.base.unwrap();
     base.error.report(&mut state.signals, Some(0));
-    tell(&mut dev, &state);
-    stand.step();
-    stand.start(1, &base_monitor("dev"));
-    stand.start(2, &base_velocity("dev", "{vel:{x:0.4}}"));
-    stand.steps(5);
+    publish(&mut dev, &state);
+    fixture.step();
+    fixture.start(1, &base_monitor("dev"));
+    fixture.start(2, &base_velocity("dev", "{vel:{x:0.4}}"));
+    fixture.steps(5);
     let given = dev
         .command
         .read_with(|c| base.command.read(&c.words))
         .unwrap();
     assert_eq!(given.value.vel, Vector::new(0.4, 0.0, 0.0));
-    assert!(given.is_in_force(stand.cycle));
+    assert!(given.is_in_force(fixture.cycle));
     assert_eq!(
-        (stand.out(1, "base"), stand.out(1, "x")),
+        (fixture.out(1, "base"), fixture.out(1, "x")),
         ("0".into(), "null".into())
     );
-    // Its driver says that it does not follow, without leaving operation.
+    // Its driver reports that it does not follow, but stays operational.
     base.error.report(&mut state.signals, Some(2));
-    tell(&mut dev, &state);
-    stand.steps(2);
+    publish(&mut dev, &state);
+    fixture.steps(2);
     assert_eq!(
-        (stand.out(2, "error"), stand.out(2, "failed")),
+        (fixture.out(2, "error"), fixture.out(2, "failed")),
         ("2".into(), "true".into())
     );
     let given = dev
@@ -233,23 +233,23 @@ fn base_fault_ends_commanding_net_only() {
         .read_with(|c| base.command.read(&c.words))
         .unwrap();
     assert!(
-        !given.is_in_force(stand.cycle),
+        !given.is_in_force(fixture.cycle),
         "nothing is commanded any more"
     );
     (state.status, state.faults) = (DeviceStatus::SafeOperational, 1);
-    tell(&mut dev, &state);
-    stand.step();
-    assert_eq!(stand.ended.get(&2), Some(&End::DeviceFault(0)));
-    assert!(!stand.ended.contains_key(&1));
-    let again = stand.try_start(3, &endless(&base_velocity("dev", "{}")), 1);
+    publish(&mut dev, &state);
+    fixture.step();
+    assert_eq!(fixture.ended.get(&2), Some(&End::DeviceFault(0)));
+    assert!(!fixture.ended.contains_key(&1));
+    let again = fixture.try_start(3, &endless(&base_velocity("dev", "{}")), 1);
     assert_eq!(again, Err(Refusal::DeviceNotReady(0)));
 }
 
 #[test]
 fn base_controller_reaches_pose() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.start(
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.start(
         1,
         &format!(
             "{},to=World::FrameValue(Value='{{pos:{{x:0.5,y:-0.25}},rot:{{a:1.2}}}}'),
@@ -262,48 +262,48 @@ fn base_controller_reaches_pose() {
         ),
     );
     let mut sideways: f64 = 0.0;
-    stand.step();
-    while stand.out(1, "done") != "true" {
-        assert!(stand.cycle < 10_000, "it does not arrive");
-        stand.step();
-        assert_eq!(stand.out(1, "error"), "0");
-        if stand.cycle > 2 {
-            sideways = sideways.max((stand.number(1, "y") + stand.number(1, "x") / 2.0).abs());
+    fixture.step();
+    while fixture.out(1, "done") != "true" {
+        assert!(fixture.cycle < 10_000, "it does not arrive");
+        fixture.step();
+        assert_eq!(fixture.out(1, "error"), "0");
+        if fixture.cycle > 2 {
+            sideways = sideways.max((fixture.number(1, "y") + fixture.number(1, "x") / 2.0).abs());
         }
     }
-    assert!((stand.number(1, "x") - 0.5).abs() < 0.011);
-    assert!((stand.number(1, "y") + 0.25).abs() < 0.011);
+    assert!((fixture.number(1, "x") - 0.5).abs() < 0.011);
+    assert!((fixture.number(1, "y") + 0.25).abs() < 0.011);
     assert!(sideways < 0.02, "the path is straight: {sideways}");
     // 0.5 m at 0.25 m/s, and the end of an exponential.
-    assert!((2_000..5_000).contains(&stand.cycle), "{}", stand.cycle);
+    assert!((2_000..5_000).contains(&fixture.cycle), "{}", fixture.cycle);
 }
 
 #[test]
 fn base_controller_checks_pose_and_gains() {
-    let mut stand = Stand::default();
+    let mut fixture = Fixture::default();
     let text = format!(
         "to=World::FrameValue(),go=RobotBase::OmnidirectionalBaseController(inDest=to.outValue),{}",
         watch("Core::Boolean", "done", "go.outCompleted")
     );
-    stand.start(1, &text);
-    stand.steps(3);
-    assert_eq!(stand.out(1, "done"), "null");
-    let fault = stand.fault(&endless(&text.replace("(inDest", "(pX='0',inDest")));
+    fixture.start(1, &text);
+    fixture.steps(3);
+    assert_eq!(fixture.out(1, "done"), "null");
+    let fault = fixture.fault(&endless(&text.replace("(inDest", "(pX='0',inDest")));
     assert!(fault.contains("`pX`: 0 is not above zero"), "{fault}");
 }
 
 #[test]
 fn base_wheels_follow_kinematics() {
-    // By the sense of their motors: 0.2 m/s forward, 0.2 m/s to the left, 0.5 rad/s.
+    // In the direction of their motors: 0.2 m/s forward, 0.2 m/s to the left, 0.5 rad/s.
     let rates = |v: f64, signs: [f64; 4]| signs.map(|s| s * v / 0.0475);
     for (velocity, wheels) in [
         ("{vel:{x:0.2}}", rates(0.2, [-1.0, 1.0, -1.0, 1.0])),
         ("{vel:{y:0.2}}", rates(0.2, [1.0, 1.0, -1.0, -1.0])),
         ("{rot:{z:0.5}}", rates(0.5 * 0.385, [1.0; 4])),
     ] {
-        let mut stand = Stand::default();
-        stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-        stand.start(1, &base_velocity("base", velocity));
+        let mut fixture = Fixture::default();
+        fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+        fixture.start(1, &base_velocity("base", velocity));
         let monitors: Vec<_> = (0..4)
             .map(|i| {
                 let key = format!("w{i}");
@@ -313,10 +313,10 @@ fn base_wheels_follow_kinematics() {
                 )
             })
             .collect();
-        stand.start(2, &monitors.join(","));
-        stand.steps(1000);
+        fixture.start(2, &monitors.join(","));
+        fixture.steps(1000);
         for (i, wheel) in wheels.into_iter().enumerate() {
-            let rate = stand.number(2, &format!("w{i}"));
+            let rate = fixture.number(2, &format!("w{i}"));
             assert!((rate - wheel).abs() < 1e-9, "{velocity}, wheel {i}: {rate}");
         }
     }
@@ -324,30 +324,30 @@ fn base_wheels_follow_kinematics() {
 
 #[test]
 fn missing_interface_error_lists_suitable_devices() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
-    stand.add("io", "io_sim", &parameters(&[]));
-    let fault = stand.fault(&endless("b=RobotBase::BaseMonitor(Robot='arm')"));
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
+    fixture.add("io", "io_sim", &parameters(&[]));
+    let fault = fixture.fault(&endless("b=RobotBase::BaseMonitor(Robot='arm')"));
     let wanted = "there is no robot base `arm`; available are `base`";
     assert!(fault.contains(wanted), "{fault}");
-    let fault = stand.fault(&endless("j=RobotArm::JointMonitor(Robot='base')"));
+    let fault = fixture.fault(&endless("j=RobotArm::JointMonitor(Robot='base')"));
     assert!(
         fault.contains("no robot arm `base`; available are `arm`"),
         "{fault}"
     );
-    let fault = stand.fault(&endless("g=KUKA::youBot::GripperMonitor(Robot='io')"));
+    let fault = fixture.fault(&endless("g=KUKA::youBot::GripperMonitor(Robot='io')"));
     assert!(
         fault.contains("no gripper `io`; available are none"),
         "{fault}"
     );
-    let fault = stand.fault(&endless(
+    let fault = fixture.fault(&endless(
         "w=RobotBase::WheelMonitor(Robot='base',Wheel='4')",
     ));
     assert!(fault.contains("4 is not between 0 and 3"), "{fault}");
-    let fault = stand.fault(&endless("i=IO::InBool(DeviceID='io',Port='-1')"));
+    let fault = fixture.fault(&endless("i=IO::InBool(DeviceID='io',Port='-1')"));
     assert!(fault.contains("-1 is not between 0 and 7"), "{fault}");
-    let fault = stand.fault(&endless(
+    let fault = fixture.fault(&endless(
         "v=World::TwistValue(),m=RobotBase::BaseVelocity(Robot='base')",
     ));
     assert!(
@@ -358,7 +358,7 @@ fn missing_interface_error_lists_suitable_devices() {
 
 // -------------------------------------------------------------------------- CartesianPosition
 
-/// A pose that moves on at a speed in x, and where the device is.
+/// A pose that moves at a speed in x, and the pose of the device.
 fn follow(robot: &str, start: f64, speed: f64) -> String {
     format!(
         "clock=Core::Clock(Increment='{speed}'),
@@ -378,56 +378,56 @@ fn follow(robot: &str, start: f64, speed: f64) -> String {
 
 #[test]
 fn base_follows_poses_and_brakes_afterwards() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.start(1, &follow("base", 0.0, 0.3));
-    stand.steps(1001);
-    // The state seen in a cycle is that after the set-point of the one before.
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.start(1, &follow("base", 0.0, 0.3));
+    fixture.steps(1001);
+    // The state of a cycle is the result of the set-point of the previous cycle.
     assert!(
-        (stand.number(1, "x") - 0.3).abs() < 1e-9,
+        (fixture.number(1, "x") - 0.3).abs() < 1e-9,
         "{}",
-        stand.out(1, "x")
+        fixture.out(1, "x")
     );
-    assert_eq!(stand.out(1, "error"), "0");
-    stand.start(2, &base_monitor("base"));
-    stand.end(1);
-    stand.steps(2);
-    let vx = stand.number(2, "vx");
+    assert_eq!(fixture.out(1, "error"), "0");
+    fixture.start(2, &base_monitor("base"));
+    fixture.end(1);
+    fixture.steps(2);
+    let vx = fixture.number(2, "vx");
     assert!((0.29..0.3).contains(&vx), "it brakes, not jumps: {vx}");
-    stand.steps(400);
-    assert_eq!(stand.out(2, "vx"), "0");
+    fixture.steps(400);
+    assert_eq!(fixture.out(2, "vx"), "0");
 }
 
 #[test]
 fn base_rejects_distant_pose_until_stream_ends() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.start(1, &follow("base", 0.5, 0.0));
-    stand.steps(20);
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.start(1, &follow("base", 0.5, 0.0));
+    fixture.steps(20);
     assert_eq!(
-        (stand.out(1, "error"), stand.out(1, "device")),
+        (fixture.out(1, "error"), fixture.out(1, "device")),
         ("3".into(), "3".into())
     );
-    assert_eq!(stand.out(1, "x"), "0");
-    stand.end(1);
-    stand.steps(2);
-    stand.start(2, &follow("base", 0.0, 0.1));
-    stand.steps(20);
-    assert_eq!(stand.out(2, "error"), "0");
+    assert_eq!(fixture.out(1, "x"), "0");
+    fixture.end(1);
+    fixture.steps(2);
+    fixture.start(2, &follow("base", 0.0, 0.1));
+    fixture.steps(20);
+    assert_eq!(fixture.out(2, "error"), "0");
 }
 
 #[test]
 fn base_slow_net_reaches_same_distance() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.start(1, &base_monitor("base"));
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.start(1, &base_monitor("base"));
     let text = endless(&follow("base", 0.0, 0.075));
-    stand.try_start(2, &text, 4).unwrap();
-    // Its clock counts its own cycles, of which this stand says that they last 1 ms each.
-    stand.steps(400);
+    fixture.try_start(2, &text, 4).unwrap();
+    // Its clock counts its own cycles, which the fixture configures as 1 ms each.
+    fixture.steps(400);
     for _ in 0..8 {
-        stand.step();
-        let vx = stand.number(1, "vx");
+        fixture.step();
+        let vx = fixture.number(1, "vx");
         assert!(
             (vx - 0.075 / 4.0).abs() < 1e-6,
             "the speed does not pulse: {vx}"
@@ -437,12 +437,12 @@ fn base_slow_net_reaches_same_distance() {
 
 #[test]
 fn base_nan_pose_is_reported() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.start(1, &follow("base", f64::NAN, 0.0).replace("NaN", "nan"));
-    stand.steps(3);
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.start(1, &follow("base", f64::NAN, 0.0).replace("NaN", "nan"));
+    fixture.steps(3);
     assert_eq!(
-        (stand.out(1, "error"), stand.out(1, "illegal")),
+        (fixture.out(1, "error"), fixture.out(1, "illegal")),
         ("2".into(), "true".into())
     );
 }
@@ -470,14 +470,14 @@ fn io_net(device: &str) -> String {
 
 #[test]
 fn outputs_keep_values_after_net_end() {
-    let mut stand = Stand::default();
-    stand.add(
+    let mut fixture = Fixture::default();
+    fixture.add(
         "io",
         "io_sim",
         &parameters(&[("bools", "3"), ("reals", "2")]),
     );
-    stand.start(1, &io_net("io"));
-    stand.steps(2);
+    fixture.start(1, &io_net("io"));
+    fixture.steps(2);
     for (key, value) in [
         ("in1", "true"),
         ("in2", "true"),
@@ -486,61 +486,61 @@ fn outputs_keep_values_after_net_end() {
         ("sensor", "true"),
         ("sensor_real", "2.5"),
     ] {
-        assert_eq!(stand.out(1, key), value, "{key}");
+        assert_eq!(fixture.out(1, key), value, "{key}");
     }
-    let second = stand.try_start(2, &endless("o=IO::OutBool(DeviceID='io',Port='1')"), 1);
+    let second = fixture.try_start(2, &endless("o=IO::OutBool(DeviceID='io',Port='1')"), 1);
     assert!(
         matches!(second, Err(Refusal::ResourceInUse(_))),
         "{second:?}"
     );
-    stand.end(1);
+    fixture.end(1);
     let text = format!(
         "i=IO::InBool(DeviceID='io',Port='1'),{}",
         watch("Core::Boolean", "in1", "i.outIO")
     );
-    stand.start(3, &text);
-    stand.steps(10);
-    assert_eq!(stand.out(3, "in1"), "true");
+    fixture.start(3, &text);
+    fixture.steps(10);
+    assert_eq!(fixture.out(3, "in1"), "true");
 }
 
 #[test]
-fn a_simulated_lwr_has_outputs_beside_its_joints() {
-    let mut stand = Stand::default();
-    stand.add("lwr", "kuka_lwr_sim", &arm_parameters(7, &[]));
+fn sim_lwr_has_outputs_besides_joints() {
+    let mut fixture = Fixture::default();
+    fixture.add("lwr", "kuka_lwr_sim", &arm_parameters(7, &[]));
     let text = format!(
         "on=IO::OutBool(DeviceID='lwr',Port='7',IO='true'),in=IO::InBool(DeviceID='lwr',Port='7'),
         set=IO::OutReal(DeviceID='lwr',Port='7',IO='2.5'),
-        told=IO::OutRealSensor(DeviceID='lwr',Port='7'),{},{}",
+        set_to=IO::OutRealSensor(DeviceID='lwr',Port='7'),{},{}",
         watch("Core::Boolean", "in", "in.outIO"),
-        watch("Core::Double", "told", "told.outIO"),
+        watch("Core::Double", "set_to", "set_to.outIO"),
     );
-    stand.start(1, &text);
-    stand.steps(2);
-    let told = ["in", "told"].map(|key| stand.out(1, key));
-    assert_eq!(told, ["true", "2.5"]);
+    fixture.start(1, &text);
+    fixture.steps(2);
+    let values = ["in", "set_to"].map(|key| fixture.out(1, key));
+    assert_eq!(values, ["true", "2.5"]);
 }
 
 #[test]
 fn null_keeps_output_unknown_input_is_null() {
-    let mut stand = Stand::default();
+    let mut fixture = Fixture::default();
     let part = Part::Io {
         bool_in: 1,
         bool_out: 1,
         real_in: 1,
         real_out: 0,
     };
-    let (mut dev, has, state) = driven(&mut stand, 0, &[part]);
+    let (mut dev, has, state) = driven(&mut fixture, 0, &[part]);
     let io = has.io.unwrap();
-    tell(&mut dev, &state);
-    stand.step();
+    publish(&mut dev, &state);
+    fixture.step();
     let text = format!(
         "n=Core::BooleanValue(Value='true'),v=Core::BooleanSetNull(inValue=n.outValue,inNull=n.outValue),
         o=IO::OutBool(inIO=v.outValue,DeviceID='dev',IO='true'),i=IO::InReal(DeviceID='dev'),{}",
         watch("Core::Double", "real", "i.outIO")
     );
-    stand.start(1, &text);
-    stand.steps(5);
-    assert_eq!(stand.out(1, "real"), "null");
+    fixture.start(1, &text);
+    fixture.steps(5);
+    assert_eq!(fixture.out(1, "real"), "null");
     let given = dev
         .command
         .read_with(|c| io.bool_out[0].command.read(&c.words));
@@ -566,122 +566,122 @@ fn joint_monitor(robot: &str) -> String {
     )
 }
 
-/// Switches the strategy of an arm and ends the net that does.
-fn switch(stand: &mut Stand, robot: &str, number: i32) {
-    stand.start(90, &strategy(robot, number));
-    stand.until(90, "done", "true");
-    assert_eq!(stand.out(90, "error"), "0");
-    stand.end(90);
+/// Switches the strategy of an arm and ends that net.
+fn switch(fixture: &mut Fixture, robot: &str, number: i32) {
+    fixture.start(90, &strategy(robot, number));
+    fixture.until(90, "done", "true");
+    assert_eq!(fixture.out(90, "error"), "0");
+    fixture.end(90);
 }
 
 const LOAD: (&str, &str) = ("external_torque", "[0,20,0,0,0,0,0]");
 
 #[test]
 fn compliant_joint_yields_stiff_joint_holds() {
-    let mut stand = Stand::default();
-    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[LOAD]));
-    stand.start(1, &joint_monitor("arm"));
-    stand.steps(100);
-    assert_eq!(stand.out(1, "measured"), "0");
-    switch(&mut stand, "arm", 3);
-    stand.steps(2000);
+    let mut fixture = Fixture::default();
+    fixture.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[LOAD]));
+    fixture.start(1, &joint_monitor("arm"));
+    fixture.steps(100);
+    assert_eq!(fixture.out(1, "measured"), "0");
+    switch(&mut fixture, "arm", 3);
+    fixture.steps(2000);
     // 20 Nm at the 1000 Nm/rad it has at first.
-    assert!((stand.number(1, "measured") - 0.02).abs() < 1e-9);
-    assert_eq!(stand.out(1, "commanded"), "0");
+    assert!((fixture.number(1, "measured") - 0.02).abs() < 1e-9);
+    assert_eq!(fixture.out(1, "commanded"), "0");
     let impedance = "k=Core::DoubleValue(Value='200'),d=Core::DoubleValue(Value='0.5'),
         i=KUKA::LWR::JointImpParameters(inStiffness=k.outValue,inDamping=d.outValue,Robot='arm',Axis='1')";
-    stand.start(2, impedance);
-    stand.step();
-    stand.steps(3000);
-    assert!((stand.number(1, "measured") - 0.1).abs() < 1e-6);
-    // The stiffness stays when the net that set it has ended.
-    stand.end(2);
-    stand.steps(100);
-    assert!((stand.number(1, "measured") - 0.1).abs() < 1e-6);
+    fixture.start(2, impedance);
+    fixture.step();
+    fixture.steps(3000);
+    assert!((fixture.number(1, "measured") - 0.1).abs() < 1e-6);
+    // The stiffness remains after the end of the net that set it.
+    fixture.end(2);
+    fixture.steps(100);
+    assert!((fixture.number(1, "measured") - 0.1).abs() < 1e-6);
 }
 
 #[test]
 fn added_torque_ends_with_its_net() {
-    let mut stand = Stand::default();
-    stand.add("arm", "kuka_iiwa_sim", &arm_parameters(7, &[]));
-    stand.start(1, &joint_monitor("arm"));
-    switch(&mut stand, "arm", 3);
-    stand.start(
+    let mut fixture = Fixture::default();
+    fixture.add("arm", "kuka_iiwa_sim", &arm_parameters(7, &[]));
+    fixture.start(1, &joint_monitor("arm"));
+    switch(&mut fixture, "arm", 3);
+    fixture.start(
         2,
         "t=Core::DoubleValue(Value='10'),
         i=KUKA::LWR::JointImpParameters(inAddTorque=t.outValue,Robot='arm',Axis='1')",
     );
-    stand.steps(2000);
-    assert!((stand.number(1, "measured") - 0.01).abs() < 1e-9);
-    stand.end(2);
-    stand.steps(2000);
-    assert!(stand.number(1, "measured").abs() < 1e-9);
+    fixture.steps(2000);
+    assert!((fixture.number(1, "measured") - 0.01).abs() < 1e-9);
+    fixture.end(2);
+    fixture.steps(2000);
+    assert!(fixture.number(1, "measured").abs() < 1e-9);
 }
 
 #[test]
 fn strategy_rejected_if_unknown_or_moving() {
-    let mut stand = Stand::default();
-    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[LOAD]));
-    stand.start(1, &strategy("arm", 7));
-    stand.until(1, "error", "1");
-    assert_eq!(stand.out(1, "done"), "false");
-    stand.end(1);
-    switch(&mut stand, "arm", 3);
-    stand.steps(2000);
-    // 0.02 rad from where it is commanded.
-    stand.start(1, &strategy("arm", 1));
-    stand.until(1, "error", "3");
-    assert_eq!(stand.out(1, "done"), "false");
-    stand.end(1);
-    // An answer to an earlier order is none to a new one.
-    stand.start(1, &strategy("arm", 3));
-    stand.step();
+    let mut fixture = Fixture::default();
+    fixture.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[LOAD]));
+    fixture.start(1, &strategy("arm", 7));
+    fixture.until(1, "error", "1");
+    assert_eq!(fixture.out(1, "done"), "false");
+    fixture.end(1);
+    switch(&mut fixture, "arm", 3);
+    fixture.steps(2000);
+    // 0.02 rad from its set-point.
+    fixture.start(1, &strategy("arm", 1));
+    fixture.until(1, "error", "3");
+    assert_eq!(fixture.out(1, "done"), "false");
+    fixture.end(1);
+    // The answer to an earlier order does not answer a new one.
+    fixture.start(1, &strategy("arm", 3));
+    fixture.step();
     assert_eq!(
-        (stand.out(1, "error"), stand.out(1, "done")),
+        (fixture.out(1, "error"), fixture.out(1, "done")),
         ("0".into(), "false".into())
     );
-    stand.until(1, "done", "true");
+    fixture.until(1, "done", "true");
 }
 
 #[test]
 fn null_strategy_changes_nothing() {
-    let mut stand = Stand::default();
-    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
-    stand.start(1, &strategy("arm", 3).replace("inStrategy=s.outValue,", ""));
-    stand.steps(5);
+    let mut fixture = Fixture::default();
+    fixture.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
+    fixture.start(1, &strategy("arm", 3).replace("inStrategy=s.outValue,", ""));
+    fixture.steps(5);
     assert_eq!(
-        (stand.out(1, "error"), stand.out(1, "done")),
+        (fixture.out(1, "error"), fixture.out(1, "done")),
         ("null".into(), "null".into())
     );
 }
 
 #[test]
 fn second_order_gets_error_every_cycle() {
-    let mut stand = Stand::default();
-    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
+    let mut fixture = Fixture::default();
+    fixture.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
     let both = format!(
         "{},late=Core::IntConditional(inCondition=c.outCompleted,True='1',False='1'),
         again=KUKA::LWR::ControlStrategy(inStrategy=late.outValue,Robot='arm'),{}",
         strategy("arm", 3),
         watch("Core::Int", "error2", "again.outError"),
     );
-    stand.start(1, &both);
+    fixture.start(1, &both);
     for _ in 0..20 {
-        stand.step();
-        assert_eq!(stand.out(1, "error2"), "-1");
+        fixture.step();
+        assert_eq!(fixture.out(1, "error2"), "-1");
     }
     assert_eq!(
-        (stand.out(1, "error"), stand.out(1, "done")),
+        (fixture.out(1, "error"), fixture.out(1, "done")),
         ("0".into(), "true".into())
     );
 }
 
 #[test]
 fn tool_force_acts_on_joints_and_is_reported() {
-    let mut stand = Stand::default();
+    let mut fixture = Fixture::default();
     // Stretched upwards: a force along x at 1.178 m above the base bends the second joint.
     let wrench = ("external_wrench", "[10,0,0,0,0,0]");
-    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[wrench]));
+    fixture.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[wrench]));
     let text = format!(
         "f=KUKA::LWR::FMonitor(Robot='arm'),t=KUKA::LWR::TMonitor(Robot='arm',Axis='1'),
         all=KUKA::LWR::FTMonitor(Robot='arm'),z=RobotArm::JointMonitor(Robot='arm',Axis='1'),
@@ -694,50 +694,50 @@ fn tool_force_acts_on_joints_and_is_reported() {
         watch("Core::Double", "all_fx", "all.outTcpFx"),
         watch("Core::Double", "height", "at.outZ"),
     );
-    stand.start(1, &text);
-    stand.steps(5);
+    fixture.start(1, &text);
+    fixture.steps(5);
     assert_eq!(
-        (stand.out(1, "fx"), stand.out(1, "all_fx")),
+        (fixture.out(1, "fx"), fixture.out(1, "all_fx")),
         ("10".into(), "10".into())
     );
-    let lever = stand.number(1, "height") - 0.3105;
-    let torque = stand.number(1, "est");
+    let lever = fixture.number(1, "height") - 0.3105;
+    let torque = fixture.number(1, "est");
     assert!(
         (torque.abs() - 10.0 * lever).abs() < 1e-3,
         "{torque} Nm at {lever} m"
     );
-    assert_eq!(stand.out(1, "est"), stand.out(1, "est2"));
-    assert_eq!(stand.out(1, "est"), stand.out(1, "msr2"));
+    assert_eq!(fixture.out(1, "est"), fixture.out(1, "est2"));
+    assert_eq!(fixture.out(1, "est"), fixture.out(1, "msr2"));
 }
 
 #[test]
 fn unknown_forces_are_null() {
-    let mut stand = Stand::default();
-    let (mut dev, has, mut state) = driven(&mut stand, 7, &[Part::Torques, Part::Wrench]);
+    let mut fixture = Fixture::default();
+    let (mut dev, has, mut state) = driven(&mut fixture, 7, &[Part::Torques, Part::Wrench]);
     has.torques.unwrap()[6]
         .measured
         .report(&mut state.signals, Some(1.5));
-    tell(&mut dev, &state);
-    stand.step();
+    publish(&mut dev, &state);
+    fixture.step();
     let text = format!(
         "all=KUKA::LWR::FTMonitor(Robot='dev'),{},{},{}",
         watch("Core::Double", "msr7", "all.outMsrJ7"),
         watch("Core::Double", "est7", "all.outEstJ7"),
         watch("Core::Double", "fx", "all.outTcpFx"),
     );
-    stand.start(1, &text);
-    stand.step();
+    fixture.start(1, &text);
+    fixture.step();
     assert_eq!(
         [
-            stand.out(1, "msr7"),
-            stand.out(1, "est7"),
-            stand.out(1, "fx")
+            fixture.out(1, "msr7"),
+            fixture.out(1, "est7"),
+            fixture.out(1, "fx")
         ],
         ["1.5", "null", "null"]
     );
 }
 
-/// A tool of this mass, told in either way.
+/// A tool of this mass, configured in either way.
 fn tools(mass: &str) -> [String; 2] {
     let done = [
         watch("Core::Boolean", "done", "t.outCompleted"),
@@ -758,13 +758,13 @@ fn tools(mass: &str) -> [String; 2] {
 #[test]
 fn tool_is_set_once_and_confirmed() {
     for (number, text) in tools("1.5").into_iter().enumerate() {
-        let mut stand = Stand::default();
-        let (mut dev, has, mut state) = driven(&mut stand, 7, &[Part::Tool]);
+        let mut fixture = Fixture::default();
+        let (mut dev, has, mut state) = driven(&mut fixture, 7, &[Part::Tool]);
         let tool = has.tool.unwrap();
-        tell(&mut dev, &state);
-        stand.step();
-        stand.start(1, &text);
-        stand.steps(10);
+        publish(&mut dev, &state);
+        fixture.step();
+        fixture.start(1, &text);
+        fixture.steps(10);
         let given = dev
             .command
             .read_with(|c| tool.command.read(&c.words))
@@ -773,17 +773,17 @@ fn tool_is_set_once_and_confirmed() {
         let height = given.value.tcp.translation.vector.z;
         assert_eq!(height > 0.0, number == 1, "{height}");
         assert_eq!(
-            (stand.out(1, "done"), stand.out(1, "error")),
+            (fixture.out(1, "done"), fixture.out(1, "error")),
             ("false".into(), "0".into())
         );
         for (error, done) in [(5, "false"), (0, "true")] {
             let order = given.cycle;
             tool.answer
                 .report(&mut state.signals, Some(Answer { order, error }));
-            tell(&mut dev, &state);
-            stand.step();
-            assert_eq!(stand.out(1, "done"), done);
-            assert_eq!(stand.out(1, "error"), error.to_string());
+            publish(&mut dev, &state);
+            fixture.step();
+            assert_eq!(fixture.out(1, "done"), done);
+            assert_eq!(fixture.out(1, "error"), error.to_string());
         }
     }
 }
@@ -792,33 +792,33 @@ fn tool_is_set_once_and_confirmed() {
 fn invalid_tools_are_not_set() {
     for (mass, error) in [("-1", "1"), ("nan", "2")] {
         for text in tools(mass) {
-            let mut stand = Stand::default();
-            let (mut dev, has, state) = driven(&mut stand, 7, &[Part::Tool]);
-            tell(&mut dev, &state);
-            stand.step();
-            stand.start(1, &text);
-            stand.steps(3);
-            assert_eq!(stand.out(1, "error"), error);
+            let mut fixture = Fixture::default();
+            let (mut dev, has, state) = driven(&mut fixture, 7, &[Part::Tool]);
+            publish(&mut dev, &state);
+            fixture.step();
+            fixture.start(1, &text);
+            fixture.steps(3);
+            assert_eq!(fixture.out(1, "error"), error);
             let tool = has.tool.unwrap();
             assert_eq!(dev.command.read_with(|c| tool.command.read(&c.words)), None);
         }
     }
-    let mut stand = Stand::default();
-    driven(&mut stand, 7, &[Part::Tool]);
-    let fault = stand.fault(&endless("t=RobotArm::ToolParameters(Robot='dev',Axis='2')"));
-    assert!(fault.contains("tools are told for axis 6"), "{fault}");
+    let mut fixture = Fixture::default();
+    driven(&mut fixture, 7, &[Part::Tool]);
+    let fault = fixture.fault(&endless("t=RobotArm::ToolParameters(Robot='dev',Axis='2')"));
+    assert!(fault.contains("a tool is set for axis 6"), "{fault}");
 }
 
 #[test]
 fn tool_cannot_change_while_joint_moves() {
-    let mut stand = Stand::default();
-    stand.add("dev", "kuka_lwr_sim", &arm_parameters(7, &[]));
-    stand.start(
+    let mut fixture = Fixture::default();
+    fixture.add("dev", "kuka_lwr_sim", &arm_parameters(7, &[]));
+    fixture.start(
         1,
         "p=Core::DoubleValue(),j=RobotArm::JointPosition(inPosition=p.outValue,Robot='dev',Axis='6')",
     );
     for text in tools("1") {
-        let refused = stand.try_start(2, &endless(&text), 1);
+        let refused = fixture.try_start(2, &endless(&text), 1);
         assert!(
             matches!(refused, Err(Refusal::ResourceInUse(_))),
             "{refused:?}"
@@ -828,16 +828,16 @@ fn tool_cannot_change_while_joint_moves() {
 
 #[test]
 fn cartesian_impedance_omits_null_values() {
-    let mut stand = Stand::default();
-    let (mut dev, has, state) = driven(&mut stand, 7, &[Part::CartesianImpedance]);
-    tell(&mut dev, &state);
-    stand.step();
-    stand.start(
+    let mut fixture = Fixture::default();
+    let (mut dev, has, state) = driven(&mut fixture, 7, &[Part::CartesianImpedance]);
+    publish(&mut dev, &state);
+    fixture.step();
+    fixture.start(
         1,
         "k=World::WrenchValue(Value='{force:{x:500},torque:{z:30}}'),
         c=KUKA::LWR::CartImpParameters(inStiffness=k.outValue,Robot='dev')",
     );
-    stand.steps(3);
+    fixture.steps(3);
     let order = has.cartesian_impedance.unwrap();
     let given = dev
         .command
@@ -848,15 +848,15 @@ fn cartesian_impedance_omits_null_values() {
         Vector::new(500.0, 0.0, 0.0)
     );
     assert_eq!((given.value.damping, given.value.wrench), (None, None));
-    assert!(given.is_in_force(stand.cycle));
+    assert!(given.is_in_force(fixture.cycle));
 }
 
 #[test]
 fn youbot_arm_switches_controller_and_yields() {
-    let mut stand = Stand::default();
+    let mut fixture = Fixture::default();
     let load = ("external_torque", "[0,2,0,0,0]");
-    stand.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[load]));
-    stand.start(1, &joint_monitor("arm"));
+    fixture.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[load]));
+    fixture.start(1, &joint_monitor("arm"));
     let text = format!(
         "c=KUKA::youBot::ArmControlStrategy(Robot='arm',Controller='1'),
         i=KUKA::youBot::JointImpParameters(Robot='arm',JointIndex='1',Stiffness='20',Damping='0.7'),
@@ -868,8 +868,8 @@ fn youbot_arm_switches_controller_and_yields() {
         watch("Core::Boolean", "position_mode", "e.bit10"),
         watch("Core::Boolean", "overcurrent", "e.bit0"),
     );
-    stand.start(2, &text);
-    stand.steps(5000);
+    fixture.start(2, &text);
+    fixture.steps(5000);
     for (key, value) in [
         ("switched", "true"),
         ("set", "true"),
@@ -877,37 +877,37 @@ fn youbot_arm_switches_controller_and_yields() {
         ("position_mode", "true"),
         ("overcurrent", "false"),
     ] {
-        assert_eq!(stand.out(2, key), value, "{key}");
+        assert_eq!(fixture.out(2, key), value, "{key}");
     }
-    let measured = stand.number(1, "measured");
+    let measured = fixture.number(1, "measured");
     assert!((measured - 0.1).abs() < 1e-6, "{measured}");
 }
 
 #[test]
 fn maximum_torque_lets_joint_slip() {
-    let mut stand = Stand::default();
+    let mut fixture = Fixture::default();
     let load = ("external_torque", "[0,2,0,0,0]");
-    stand.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[load]));
-    stand.start(1, &joint_monitor("arm"));
-    stand.start(
+    fixture.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[load]));
+    fixture.start(1, &joint_monitor("arm"));
+    fixture.start(
         2,
         "c=KUKA::youBot::ArmControlStrategy(Robot='arm',Controller='1'),
         i=KUKA::youBot::JointImpParameters(Robot='arm',JointIndex='1',Stiffness='20',
             Damping='0.7',MaxTorque='1')",
     );
-    stand.steps(20_000);
+    fixture.steps(20_000);
     // Up to its stop.
     assert!(
-        (stand.number(1, "measured") - 2.0).abs() < 1e-9,
+        (fixture.number(1, "measured") - 2.0).abs() < 1e-9,
         "{}",
-        stand.out(1, "measured")
+        fixture.out(1, "measured")
     );
 }
 
 #[test]
 fn gripper_opens_at_speed_and_reports_completion() {
-    let mut stand = Stand::default();
-    stand.add(
+    let mut fixture = Fixture::default();
+    fixture.add(
         "hand",
         "kuka_youbot_gripper_sim",
         &parameters(&[("max_vel", "0.02")]),
@@ -918,23 +918,23 @@ fn gripper_opens_at_speed_and_reports_completion() {
         watch("Core::Boolean", "done", "g.outCompleted"),
         watch("Core::Double", "at", "m.outDistance"),
     );
-    stand.start(1, &text);
-    stand.steps(501);
+    fixture.start(1, &text);
+    fixture.steps(501);
     // A hundredth in half a second, less what it takes to get up to speed at 1 m/s².
-    let at = stand.number(1, "at");
+    let at = fixture.number(1, "at");
     assert!((at - 0.0098).abs() < 3e-5, "{at}");
-    assert_eq!(stand.out(1, "done"), "false");
-    stand.until(1, "done", "true");
-    assert_eq!(stand.out(1, "at"), "0.02");
-    assert!((1010..1050).contains(&stand.cycle), "{}", stand.cycle);
-    let second = stand.try_start(2, &endless("g=KUKA::youBot::Gripper(Robot='hand')"), 1);
+    assert_eq!(fixture.out(1, "done"), "false");
+    fixture.until(1, "done", "true");
+    assert_eq!(fixture.out(1, "at"), "0.02");
+    assert!((1010..1050).contains(&fixture.cycle), "{}", fixture.cycle);
+    let second = fixture.try_start(2, &endless("g=KUKA::youBot::Gripper(Robot='hand')"), 1);
     assert!(
         matches!(second, Err(Refusal::ResourceInUse(_))),
         "{second:?}"
     );
     let wide = endless("g=KUKA::youBot::Gripper(Robot='hand',Distance='0.03')");
     assert!(
-        stand
+        fixture
             .fault(&wide)
             .contains("0.03 m is not between 0 and 0.023 m")
     );
@@ -944,26 +944,31 @@ fn gripper_opens_at_speed_and_reports_completion() {
 
 #[test]
 fn orders_do_not_reach_later_devices() {
-    let mut stand = Stand::default();
-    let (mut dev, has, mut state) = driven(&mut stand, 0, &[BASE]);
+    let mut fixture = Fixture::default();
+    let (mut dev, has, mut state) = driven(&mut fixture, 0, &[BASE]);
     let base = has.base.unwrap();
     base.error.report(&mut state.signals, Some(0));
-    tell(&mut dev, &state);
-    stand.step();
-    stand.start(1, &base_velocity("dev", "{vel:{x:0.4}}"));
-    stand.steps(3);
-    stand.end(1);
-    let number = stand.table.remove("dev").unwrap();
-    assert!(stand.served.remove(number, &mut stand.executor).is_some());
-    let (mut dev, ..) = driven(&mut stand, 0, &[BASE]);
-    stand.steps(2);
+    publish(&mut dev, &state);
+    fixture.step();
+    fixture.start(1, &base_velocity("dev", "{vel:{x:0.4}}"));
+    fixture.steps(3);
+    fixture.end(1);
+    let number = fixture.table.remove("dev").unwrap();
+    assert!(
+        fixture
+            .served
+            .remove(number, &mut fixture.executor)
+            .is_some()
+    );
+    let (mut dev, ..) = driven(&mut fixture, 0, &[BASE]);
+    fixture.steps(2);
     assert_eq!(dev.command.read_with(|c| base.command.read(&c.words)), None);
 }
 
 #[test]
 fn device_is_visible_to_second_thread() {
     use takt_core::executor::serve::{DeviceEnd, Driver};
-    let (mut one, mut other) = (Stand::default(), Stand::default());
+    let (mut one, mut other) = (Fixture::default(), Fixture::default());
     one.add("base", "kuka_youbot_base_sim", &parameters(&[]));
     let device = one.table.find("base").unwrap();
     let driver = Driver::Seen {
@@ -980,10 +985,10 @@ fn device_is_visible_to_second_thread() {
 }
 
 #[test]
-fn an_arm_moves_on_a_base_that_moves() {
-    let mut stand = Stand::default();
-    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
-    stand.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[]));
+fn arm_moves_on_moving_base() {
+    let mut fixture = Fixture::default();
+    fixture.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    fixture.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[]));
     let text = format!(
         "{},{},clock=Core::Clock(),part=Core::Interval(inValue=clock.outValue,Max='1'),
         smooth=Core::DoubleBezier(inValue=part.outValue,To='0.5'),
@@ -992,18 +997,18 @@ fn an_arm_moves_on_a_base_that_moves() {
         base_monitor("base"),
         watch("Core::Int", "joint", "joint.outError"),
     );
-    stand.start(1, &text);
-    stand.start(2, &joint_monitor("arm"));
-    stand.steps(1100);
+    fixture.start(1, &text);
+    fixture.start(2, &joint_monitor("arm"));
+    fixture.steps(1100);
     assert_eq!(
-        (stand.out(1, "error"), stand.out(1, "joint")),
+        (fixture.out(1, "error"), fixture.out(1, "joint")),
         ("0".into(), "0".into())
     );
-    assert!((stand.number(2, "measured") - 0.5).abs() < 1e-9);
+    assert!((fixture.number(2, "measured") - 0.5).abs() < 1e-9);
     assert!(
-        (stand.number(1, "y") - 0.2).abs() < 0.03,
+        (fixture.number(1, "y") - 0.2).abs() < 0.03,
         "{}",
-        stand.out(1, "y")
+        fixture.out(1, "y")
     );
 }
 

@@ -1,4 +1,4 @@
-//! What a controller does that the host gives little memory: alone in its process, as the limit holds for all of it.
+//! A controller with little memory: alone in its process, as the limit applies to the whole process.
 
 use nix::sys::resource::{Resource, setrlimit};
 use takt_core::controller::{LoadRequest, NetState};
@@ -25,7 +25,7 @@ fn net_beyond_host_memory_is_rejected() {
     setrlimit(Resource::RLIMIT_AS, limit, limit).unwrap();
     let shortage = takt_core::memory::shortage(1024).unwrap();
     assert!(shortage.contains("nets_memory_mib = "), "{shortage}");
-    // It would take far more than there is to read it, and the process would end.
+    // Reading it would need far more memory than there is and end the process.
     let mut text = String::with_capacity(8 << 20);
     text.push_str("{x=Cancel(),outTerminate=x.outCancel");
     let mut number = 0;

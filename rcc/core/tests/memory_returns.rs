@@ -1,5 +1,5 @@
-//! Memory of unloaded nets goes back to the host though the process locks its memory. Alone in its process, as it
-//! measures all of it.
+//! Memory of unloaded nets is returned to the host though the process locks its memory. Alone in its process, as the
+//! whole process is measured.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
@@ -52,7 +52,7 @@ fn unloaded_nets_return_memory_to_host() {
     cell.controller.nets_memory_mib = 900;
     let controller = Arc::new(Controller::start(&cell).unwrap());
     let begin = resident();
-    // As connections do, each from a thread of its own; small nets that stay come in between.
+    // Like connections, each from a thread of its own; small nets that remain are loaded in between.
     let load = |text: String| {
         let controller = Arc::clone(&controller);
         let thread = std::thread::spawn(move || {
@@ -72,7 +72,7 @@ fn unloaded_nets_return_memory_to_host() {
     for id in large {
         controller.unload(id).unwrap();
     }
-    // The controller returns memory within seconds; the heap keeps 24 MiB for what comes next.
+    // The controller returns memory within seconds; the heap keeps 24 MiB for later nets.
     let wanted = begin + 24 * MIB + (loaded - begin) / 10;
     let until = Instant::now() + Duration::from_secs(60);
     while resident() > wanted && Instant::now() < until {
@@ -90,7 +90,7 @@ fn unloaded_nets_return_memory_to_host() {
         "the nets are too small to show it"
     );
     assert!(after <= wanted);
-    // What is loaded then is evaluated without a page fault where memory is locked.
+    // A net loaded afterwards is evaluated without a page fault if memory is locked.
     let last = load(net(1000));
     controller.start_net(last).unwrap();
     while controller.net(last).unwrap().state() == NetState::Ready {

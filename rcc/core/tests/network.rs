@@ -1,4 +1,4 @@
-//! An arm on a CANopen network, moved by nets: emulated drives on a CAN bus inside of this process.
+//! An arm on a CANopen network, moved by nets: emulated drives on a CAN bus inside this process.
 
 #![expect(
     clippy::unwrap_used,
@@ -66,7 +66,7 @@ fn config() -> CanopenConfig {
     }
 }
 
-/// A link whose owner can be held in the middle of receiving, as when its thread hangs.
+/// A link whose owner can be blocked while receiving, as if its thread hangs.
 #[derive(Debug)]
 struct Gate {
     port: LivePort,
@@ -86,7 +86,7 @@ impl Link for Gate {
     }
 }
 
-/// Drives in a thread of their own, and a controller that leads them.
+/// Drives in a thread of their own, and a controller that commands them.
 struct TestBench {
     cell: Option<Cell>,
     drives: Arc<Mutex<Vec<DriveNode>>>,
@@ -128,7 +128,7 @@ impl TestBench {
         };
         let thread = spawn(of_thread, move || {
             while !stopping.load(Ordering::Relaxed) {
-                // All but the first wait for nothing.
+                // Only the first waits.
                 let mut wait = Duration::from_micros(300);
                 for (at, port) in ports.iter_mut().enumerate() {
                     while let Some(received) = port.receive(wait).unwrap() {
@@ -175,7 +175,7 @@ impl TestBench {
         }
     }
 
-    /// What is so of all drives.
+    /// Whether all drives satisfy a condition.
     fn all(&self, holds: impl Fn(&Drive) -> bool) -> bool {
         let drives = self.drives.lock().unwrap();
         drives
@@ -220,7 +220,7 @@ fn canopen_net_moves_arm() {
             assert_eq!(bytes(0x60C2, 1), [4], "SYNC every 4");
             assert_eq!(bytes(0x60C2, 2), (-3_i8).to_le_bytes(), "ms");
             assert_eq!(bytes(0x6007, 0), 3_i16.to_le_bytes(), "quick stop");
-            // Five cycles between its heartbeats, and two and a half of those to be patient.
+            // A heartbeat every five cycles, and a timeout of two and a half times that.
             let watched = 50_u32 | 127 << 16;
             assert_eq!(bytes(0x1016, 1), watched.to_le_bytes(), "the master");
         }
@@ -242,7 +242,7 @@ fn drive_fault_ends_net_arm_recovers_at_rest() {
     });
 }
 
-/// A cable that shakes: the node itself is well and goes on running.
+/// A loose cable: the node itself keeps running.
 #[test]
 fn canopen_arm_recovers_after_lost_process_data() {
     steady(|| {
@@ -281,7 +281,7 @@ fn canopen_network_reports_why_arm_not_operational() {
     config.arms[0].joints.truncate(2);
     let ours = LivePort::first_of(Bus::new(Config::default()));
     let mut port = ours.attach();
-    let (state, _told) = latest(1, DeviceState::default);
+    let (state, _reported) = latest(1, DeviceState::default);
     let (_commands, command) = latest(1, DeviceCommand::default);
     let end = DeviceEnd {
         state,
@@ -346,7 +346,7 @@ fn cell_of(arms: &[(&str, &[(u8, u8)])]) -> CanopenConfig {
     CellConfig::parse(&text).unwrap().canopen.remove(0)
 }
 
-/// Joint 1 is axis 2, and axis 0 has no joint: places in the arm and numbers in the drive differ.
+/// Joint 1 is axis 2, and axis 0 has no joint: indices in the arm and in the drive differ.
 #[test]
 fn canopen_axes_of_one_drive_form_arm() {
     steady(|| {
@@ -381,8 +381,8 @@ fn canopen_six_axis_drive_forms_arm() {
     });
 }
 
-/// Both arms have an axis in each of two drives. That is begun again if the host stalls and the other arm is
-/// lost for that.
+/// Both arms have an axis in each of two drives. Repeats if the host stalls and the other arm is lost because
+/// of that.
 #[test]
 fn canopen_axis_fault_spares_other_arm_of_drive() {
     let config = cell_of(&[("left", &[(3, 0), (4, 1)]), ("right", &[(3, 1), (4, 0)])]);

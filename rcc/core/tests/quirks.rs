@@ -25,10 +25,10 @@ use takt_rt::servo::Estimate;
 use takt_rt::thread::ThreadConfig;
 use takt_tests::steady;
 
-/// Far longer than a drive takes to be enabled, or a fault to be seen.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// Far longer than enabling a drive or detecting a fault takes.
+const TIMEOUT: Duration = Duration::from_secs(30);
 
-/// A drive that behaves so.
+/// A drive with this behaviour.
 fn behaviour(quirk: Quirk) -> Quirks {
     let mut quirks = Quirks {
         // A host without PREEMPT_RT misses set-points now and then.
@@ -53,7 +53,7 @@ fn cell(bus: &str, drive: &str, quirks: &str) -> CellConfig {
 
 /// One device, and the state of it as nets read it.
 fn ends() -> (DriverEnds, LatestReader<DeviceState>) {
-    let (state, told) = latest(1, DeviceState::default);
+    let (state, reported) = latest(1, DeviceState::default);
     let (_, command) = latest(1, DeviceCommand::default);
     let end = DeviceEnd {
         state,
@@ -64,7 +64,7 @@ fn ends() -> (DriverEnds, LatestReader<DeviceState>) {
         devices: vec![end],
         clock: latest(1, Estimate::default).0,
     };
-    (ends, told)
+    (ends, reported)
 }
 
 /// Drives the bus until the arm is operational, or an error names the quirk: whether it is operational.
@@ -86,7 +86,7 @@ fn is_operational(
             turn();
         }
     });
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + TIMEOUT;
     let mut notices = Vec::new();
     let result = loop {
         assert!(Instant::now() < until, "{quirk:?}: {notices:#?}");
@@ -166,7 +166,7 @@ fn canopen_drive_needs_its_quirk_in_the_cell() {
                 drive.handle_frame(frame, now());
             }
             while let Some(frame) = drive.poll_transmit(now()) {
-                // What finds no room is lost, as on a bus.
+                // Frames beyond the queue are lost, as on a bus.
                 let _ = port.send(&frame.into());
             }
         })
@@ -174,7 +174,7 @@ fn canopen_drive_needs_its_quirk_in_the_cell() {
 }
 
 #[test]
-fn unknown_quirk_is_refused_with_place_and_names() {
+fn quirk_unknown_is_rejected_with_location_and_names() {
     let text = "[[canopen]]\nname = 'bus'\ninterface = 'can0'\n[[canopen.arm]]\nname = 'arm'\n\
         [[canopen.arm.joint]]\nnode = 1\nincrements_per_turn = 1\nrange = [0, 1]\nvelocity_max = 1\n\
         acceleration_max = 1\nquirks = ['no_folow_bit']\n";

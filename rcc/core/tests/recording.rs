@@ -1,5 +1,5 @@
-//! Recordings of running controllers and their replay: the same words again, a difference found
-//! where there is one, and no harm from files that are broken.
+//! Recordings of running controllers and their replay: replay yields the same words, finds a
+//! difference, and rejects broken files.
 
 #![expect(
     clippy::unwrap_used,
@@ -17,14 +17,14 @@ use takt_core::controller::NetState;
 use takt_core::record::{Recorder, replay};
 use takt_tests::steady;
 
-/// Gives out its cycles, the time of day and what is written to it; ends when asked to.
+/// Outputs its cycles, the time of day and its inputs; ends when cancelled.
 const TALKATIVE: &str = "{clock=Core::Clock(),
     t=Core::DoubleNetcommOut(inValue=clock.outValue,Key='t'),
     x=Core::IntNetcommIn(Key='x',Value='0'),y=Core::IntAdd(inFirst=x.outValue,Second='1'),
     out=Core::IntNetcommOut(inValue=y.outValue,Key='y'),
     cancel=Cancel(),outTerminate=cancel.outCancel}";
 
-/// A value that stands nowhere else in a recording.
+/// A value that occurs nowhere else in a recording.
 const MARK: i32 = 0x05EE_D5EE;
 
 fn path(name: &str) -> PathBuf {
@@ -85,7 +85,7 @@ fn messages(bytes: &[u8]) -> Vec<mcap::Message<'_>> {
         .collect()
 }
 
-/// Writes a recording anew, with sums that are right, after a change of the words of its cycles.
+/// Writes a recording again with changed words in its cycles and correct checksums.
 fn rewrite(from: &[u8], to: &Path, mut change: impl FnMut(usize, &mut [u8])) {
     let mut bytes = Vec::new();
     let options = mcap::WriteOptions::new().compression(None);
@@ -126,7 +126,7 @@ fn moved_arm_replays_identically() {
             let net = cell.load(&swing("left", 0.3));
             cell.controller.start_net(net).unwrap();
             assert_eq!(cell.wait_for_end(net).end, None);
-            // One that the robot ends.
+            // Ended by the robot.
             let net = cell.load(&swing("left", 30.0));
             cell.controller.start_net(net).unwrap();
             cell.robots[0].status.set_power(false);
@@ -168,7 +168,7 @@ fn replay_finds_cycle_of_changed_input() {
     });
     assert!(marked.is_some(), "the value is written somewhere");
     assert_eq!(replay(&changed).unwrap().differs, marked);
-    // Unchanged, a recording written anew is as good as before.
+    // Unchanged, a recording written again replays as before.
     rewrite(&bytes, &changed, |_, _| {});
     assert_eq!(replay(&changed).unwrap().differs, None);
 }
@@ -268,7 +268,7 @@ fn random_recordings_are_rejected() {
     assert_clear(&replay(&none).unwrap_err(), &none);
 }
 
-/// The text of an error names the file and something else.
+/// The error text begins with the file name and states a cause.
 fn assert_clear(error: &takt_core::Error, path: &Path) {
     let text = error.to_string();
     let rest = text.strip_prefix(&format!("{}: ", path.display()));

@@ -112,7 +112,7 @@ fn lasting(seconds: f64, ends: bool) -> String {
 }
 
 #[test]
-fn a_rule_starts_a_net_when_its_condition_becomes_true() {
+fn rule_condition_true_starts_net() {
     let bench = Bench::new();
     let (first, second) = (
         bench.load(&lasting(0.05, false)),
@@ -175,7 +175,7 @@ fn rule_ends_if_condition_impossible() {
     let rule = bench.rule(&format!("{first}.terminated"), &[], &[], &[second]);
     bench.0.abort(first).unwrap();
     bench.wait_rule(rule, RuleState::Inactive);
-    // What was scheduled can still be started by hand.
+    // The scheduled net can still be started by hand.
     bench.wait("the net to be free", || bench.0.start_net(second).is_ok());
     bench.wait_state(second, NetState::Terminated);
 }
@@ -203,7 +203,7 @@ fn successor_is_chosen_by_result() {
 }
 
 #[test]
-fn several_nets_are_stopped_cancelled_and_started_at_once() {
+fn rule_stops_cancels_and_starts_nets_at_once() {
     let bench = Bench::new();
     let nets: Vec<NetId> = (0..4).map(|_| bench.load(&lasting(9.0, false))).collect();
     let starter = bench.load(&lasting(0.02, true));
@@ -234,7 +234,7 @@ fn several_nets_are_stopped_cancelled_and_started_at_once() {
 }
 
 #[test]
-fn a_rule_on_an_ended_net_is_decided_at_once() {
+fn rule_on_ended_net_decides_at_once() {
     let bench = Bench::new();
     let (first, second) = (
         bench.load(&lasting(0.0, true)),
@@ -252,7 +252,7 @@ fn a_rule_on_an_ended_net_is_decided_at_once() {
 }
 
 #[test]
-fn an_immediate_rule_fires_and_cancels() {
+fn rule_immediate_fires_and_cancels() {
     let bench = Bench::new();
     let net = bench.load(&lasting(9.0, false));
     let start = bench.rule("t", &[], &[], &[net]);
@@ -284,9 +284,9 @@ fn invalid_rules_are_rejected_with_cause() {
     assert_eq!(bench.state(net), NetState::Ready);
 }
 
-/// Every net of a chain runs its five cycles; that none lies between them is shown in virtual time.
+/// Every net of a chain runs its five cycles; `switching.rs` shows in virtual time that none is lost between them.
 #[test]
-fn a_chain_of_nets_runs_to_its_end() {
+fn net_chain_runs_to_its_end() {
     let bench = Bench::new();
     let ring: Vec<NetId> = (0..40).map(|_| bench.load(&counting())).collect();
     for pair in ring.windows(2) {

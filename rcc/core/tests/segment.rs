@@ -1,5 +1,5 @@
-//! Devices on an EtherCAT segment, moved by nets: an emulated Stäubli TX90 and terminals at the end of a cable
-//! inside of this process.
+//! Devices on an EtherCAT segment, moved by nets: an emulated Stäubli TX90 and terminals on a cable inside
+//! this process.
 
 #![expect(
     clippy::unwrap_used,
@@ -93,7 +93,7 @@ impl TestBench {
         bench
     }
 
-    /// Whose devices are not waited for.
+    /// Without waiting for its devices.
     fn start(config: &EthercatConfig) -> Self {
         let (terminal, io) = Io::digital(8, 8);
         let mut tx90 = ServoConfig::tx90();
@@ -131,7 +131,7 @@ fn segment_differences_are_reported_per_slave() {
 #[test]
 fn segment_start_up_burst_reads_last_answer() {
     steady(|| {
-        // An answer takes longer than what a cycle of start-up leaves after the one before.
+        // An answer takes longer than a cycle of start-up leaves after the previous answer.
         let (terminal, _) = Io::digital(8, 8);
         let segment = Segment::line([Coupler::slave(), terminal]);
         let mut config = config();
@@ -245,7 +245,7 @@ fn ethercat_shutdown_in_motion_powers_off_at_standstill() {
     steady(|| {
         use takt_can::cia402::State;
         let mut bench = TestBench::new();
-        // Faster than 0.2 rad/s at the joint; again if the host stalled meanwhile.
+        // Faster than 0.2 rad/s at the joint; repeats if the host stalled meanwhile.
         let turns = |bench: &TestBench| look(&bench.drives, 3).1 > 10.0;
         while !turns(&bench) {
             bench.cell().wait_for("tx90", DeviceStatus::Operational);

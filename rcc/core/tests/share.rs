@@ -1,5 +1,5 @@
-//! What nets take together: what is refused when those of one thread would cost more than a cycle has, and
-//! what the refusal says. That the sums are right is shown beside the executor.
+//! Admission control: nets of one thread that would exceed its cycle are rejected, with a useful error. The sums are
+//! tested in the executor.
 
 #![expect(
     clippy::unwrap_used,
@@ -11,7 +11,7 @@ use std::time::Duration;
 use takt_core::controller::{LoadRequest, NetState, RuleRequest, RuleState};
 use takt_core::{CellConfig, Controller, NetId, SessionId};
 
-/// Never ends, and costs about 50 us a cycle for each of `tracks` by what it declares.
+/// Never ends; its declared cost is about 50 us per cycle for each of `tracks`.
 fn costly(tracks: usize) -> String {
     let mut text =
         String::from("{g=Core::DoubleArrayNetcommIn(Key='g',Value='[0,0,0,0,0,0,0,0]'),");
@@ -50,7 +50,7 @@ fn overloading_start_is_rejected_naming_heaviest() {
     assert!(why.contains(&format!("net {second} costs up to ")), "{why}");
     assert!(why.contains(&format!("taken: net {first} with ")), "{why}");
     assert!(why.contains("of the 800µs"), "{why}");
-    // A refusal changes nothing: there is room once the other has ended.
+    // A rejection changes nothing: the net is accepted once the other has ended.
     controller.abort(first).unwrap();
     controller.start_net(second).unwrap();
 }
@@ -102,7 +102,7 @@ fn switch_between_nets_filling_budget_works() {
     assert_eq!(controller.net(second).unwrap().state(), NetState::Scheduled);
 }
 
-/// A controller whose nets may take so many MiB, and their texts a sixteenth of that.
+/// A controller with a net memory quota in MiB, a sixteenth of it for texts.
 fn narrow(mib: u32) -> Controller {
     let mut cell = CellConfig::default();
     cell.controller.nets_memory_mib = mib;
@@ -128,7 +128,7 @@ fn net_text_quota_is_enforced() {
     );
     controller.unload(most).unwrap();
     load(&controller, text(1000)).unwrap();
-    // One that is over makes room, but goes for nothing that has no room even then.
+    // An ended net is unloaded for a new one, but only if that one then fits.
     controller.abort(kept[0]).unwrap();
     load(&controller, text(2 * large + 1)).unwrap_err();
     assert!(controller.net(kept[0]).is_some());
@@ -153,7 +153,7 @@ fn net_memory_quota_is_enforced() {
         why.to_string().contains("bytes of arrays and histories"),
         "{why}"
     );
-    // A net that is over or was rejected takes none.
+    // An ended or rejected net takes no memory.
     controller.abort(first).unwrap();
     let again = load(&controller, MINDFUL.to_owned()).unwrap();
     assert_eq!(state(again), NetState::Ready);
@@ -173,8 +173,8 @@ fn concurrent_loads_respect_memory_quota() {
     assert_eq!(nets.iter().filter(ready).count(), 2);
 }
 
-/// Ends when its own value says so.
-fn told(tracks: usize) -> String {
+/// Ends when its input `end` is true.
+fn ends_by_input(tracks: usize) -> String {
     costly(tracks).replace("never=Core::BooleanValue()", "never=Core::BooleanNetcommIn(Key='end'),
         good=Core::BooleanNetcommIn(Key='in'),out=Core::BooleanNetcommOut(inValue=good.outValue,Key='good')")
 }
@@ -182,7 +182,7 @@ fn told(tracks: usize) -> String {
 #[test]
 fn second_rule_exceeding_budget_is_rejected() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
-    let first = load(&controller, told(8)).unwrap();
+    let first = load(&controller, ends_by_input(8)).unwrap();
     let [second, third] = [10, 9].map(|tracks| ready(&controller, tracks));
     controller.start_net(first).unwrap();
     let rule = |condition: String, start: NetId| {
@@ -208,7 +208,7 @@ fn second_rule_exceeding_budget_is_rejected() {
     );
     assert!(!why.contains(&format!("net {first}")), "it ends: {why}");
     assert_eq!(controller.net(third).unwrap().state(), NetState::Ready);
-    // One or the other may come to run, never both.
+    // Only one of the two may run.
     rule(format!("{first}.terminated & !{first}.outgood"), third).unwrap();
 }
 
@@ -224,11 +224,11 @@ fn cycle_time_is_reserved_for_scheduled_nets() {
     };
     let rule = controller.schedule(follow).unwrap();
     controller.start_net(small).unwrap();
-    // There is room for it beside the nets that run, and not beside the one that follows.
+    // It fits beside the running nets, but not beside the successor.
     let why = controller.start_net(beside).unwrap_err().to_string();
     assert!(why.contains("with what rules may start beside it"), "{why}");
     assert!(why.contains(&format!("net {second} with ")), "{why}");
-    // An abort is no end by itself: nothing is kept any more.
+    // After an abort nothing is reserved any more.
     controller.abort(first).unwrap();
     while controller.rule(rule).unwrap().state == RuleState::Active {
         std::thread::sleep(Duration::from_millis(1));

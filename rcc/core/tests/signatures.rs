@@ -27,6 +27,6 @@ fn every_primitive_has_its_known_signature() {
 }
 
 #[test]
-fn everything_is_explained() {
+fn primitive_signatures_have_descriptions() {
     signatures::are_explained(&takt_core::registry());
 }

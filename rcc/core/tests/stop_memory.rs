@@ -1,5 +1,5 @@
-//! The stop channel of a process that has no memory left: a child of this test takes all that its limit leaves, and
-//! is stopped from here. Whether other parts live on without memory is not asked.
+//! The stop channel of a process without free memory: a child of this test allocates up to its limit, and is stopped
+//! from here. Other parts are not tested without memory.
 
 #![expect(
     clippy::unwrap_used,
@@ -19,9 +19,9 @@ use takt_core::{CellConfig, Controller, SessionId};
 
 /// Names the child's socket.
 const CHILD: &str = "TAKT_TEST_STOP_SOCKET";
-/// What the child says when no memory is left.
+/// Printed by the child when no memory is left.
 const EXHAUSTED: &str = "exhausted";
-/// Pieces of this size and larger are not to be had any more.
+/// Allocations of this size and larger fail.
 const PIECE: usize = 8 << 10;
 
 #[test]
@@ -64,7 +64,7 @@ fn ask(socket: &PathBuf) -> String {
     answer
 }
 
-/// The child: a controller with a running net, and no memory.
+/// The child: a controller with a running net and no free memory.
 fn exhausted(socket: &Path) -> ! {
     let switch = StopSwitch::default();
     let config = StopChannelConfig {

@@ -1,5 +1,5 @@
-//! Controllers with several net threads: who runs where, what all of them see, rules between them, and
-//! what is told of each net. Simulated arms; none of it depends on a wire.
+//! Controllers with several net threads: which net runs where, shared state, rules between them, and
+//! what is reported of each net. Simulated arms; none of it depends on a wire.
 
 #![expect(
     clippy::unwrap_used,
@@ -184,7 +184,7 @@ fn arm_state_is_visible_in_all_threads() {
     bench.0.remove_device("arm").unwrap();
     let gone = bench.refusal(&swing(&["arm"]), None);
     assert!(gone.contains("`arm`"), "{gone}");
-    // A new one of that name is the first thread's.
+    // A new one of that name belongs to the first thread.
     bench.arm("arm", "1ms");
     let mover = bench.load(&swing(&["arm"]), None);
     assert_eq!(bench.periods(mover), (FAST, FAST));
@@ -217,7 +217,7 @@ fn joint_belongs_to_one_net_of_any_period() {
     let bench = Bench::new();
     bench.arm("arm", "1ms");
     let first = bench.load(&swing(&["arm"]), None);
-    // There is a thread of that period, but the arm is not its.
+    // A thread of that period exists, but does not command the arm.
     let second = bench.load(&swing(&["arm"]), Some(SLOW));
     assert_eq!(bench.periods(second), (SLOW, FAST));
     bench.0.start_net(first).unwrap();
@@ -292,13 +292,13 @@ fn rule_failing_in_one_thread_fails_all() {
     let nets = [load(9.0, FAST), load(9.0, SLOW)];
     let rule = bench.rule(&format!("{trigger}.outdone"), &[kept], &[], &nets);
     bench.0.start_net(kept).unwrap();
-    // Without one of its nets it can do nothing.
+    // Without one of its nets it cannot fire.
     bench.0.abort(nets[1]).unwrap();
     bench.0.start_net(trigger).unwrap();
     bench.wait_rule(rule, RuleState::Inactive);
     bench.wait_state(trigger, NetState::Terminated);
     assert_eq!(bench.0.net(kept).unwrap().state(), NetState::Running);
-    // What it does not start any more can be started by hand.
+    // The net that it no longer starts can be started by hand.
     bench.wait("the net to be free", || bench.0.start_net(nets[0]).is_ok());
 }
 
@@ -369,10 +369,10 @@ fn estop_ends_commanding_nets_in_all_threads() {
     for (net, name) in moving.iter().zip(["fast", "slow"]) {
         bench.wait_state(*net, NetState::Terminated);
         let end = bench.0.net(*net).unwrap().end.unwrap();
-        let told = format!(
+        let expected = format!(
             "device {name} stopped following commands and is safe-operational: the emergency stop is on"
         );
-        assert_eq!(end, told);
+        assert_eq!(end, expected);
     }
     assert!(bench.0.is_stopped());
     assert_eq!(bench.0.net(guard).unwrap().state(), NetState::Running);
@@ -384,7 +384,7 @@ fn estop_ends_commanding_nets_in_all_threads() {
         error.contains("safe-operational: the emergency stop is on"),
         "{error}"
     );
-    // Whoever demanded it can go; it stands until somebody says otherwise.
+    // The stop outlives the net that requested it; it is in force until it is released.
     bench.0.abort(guard).unwrap();
     assert!(bench.0.is_stopped());
     let relief = bench.load(&says(false), Some(SLOW));

@@ -43,6 +43,6 @@ fn every_primitive_has_its_known_signature() {
 }
 
 #[test]
-fn everything_is_explained() {
+fn primitive_signatures_have_descriptions() {
     signatures::are_explained(&registry());
 }

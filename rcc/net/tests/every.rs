@@ -11,11 +11,11 @@ fn every_primitive_can_be_built() {
 }
 
 #[test]
-fn null_propagates_where_the_definition_says_so() {
+fn primitive_null_propagates_as_defined() {
     every::null_propagates(&Registry::core());
 }
 
 #[test]
-fn no_sequence_of_inputs_makes_a_primitive_panic() {
+fn primitives_random_inputs_do_not_panic() {
     every::survives_anything(&Registry::core(), 100);
 }

@@ -155,7 +155,7 @@ pub struct Interface {
 }
 
 impl Interface {
-    /// Prepares to ask the interface of that name; whether there is one the first question tells. It stays that of the
+    /// Prepares queries of the interface of that name; a missing one is reported by the first query. It stays that of the
     /// network namespace of the thread that calls this.
     ///
     /// # Errors

@@ -67,7 +67,7 @@ fn limit_in_force() -> Option<u64> {
     let Ok(address) = mapped else {
         return Some(limit);
     };
-    // SAFETY: exactly the mapping made above, of which nobody else knows.
+    // SAFETY: exactly the mapping made above, to which no other pointer exists.
     let unmapped = unsafe { munmap(address, length.get()) };
     unmapped.err().map(|_| limit)
 }

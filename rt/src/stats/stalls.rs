@@ -1,5 +1,5 @@
-//! Stalls of a thread: when it stood still for much longer than it wanted to, for how long, and on which processor it
-//! went on. Kept apart from the distributions, which forget when something happened. It judges no cause.
+//! Stalls of a thread: when it overslept by far, for how long, and on which processor it resumed. Separate from the
+//! distributions, which do not record times. It names no cause.
 //!
 //! One writer, any number of readers, no lock: an entry is two words, and a reader drops what is overwritten while it
 //! reads.
@@ -14,21 +14,21 @@ use std::{
 
 use crate::{Nanos, linux::clock::processor};
 
-/// Stalls of a thread that are kept; the oldest go first.
+/// Recorded stalls of a thread; the oldest are overwritten.
 pub const STALLS_KEPT: usize = 16;
 /// Bits of a processor's number beside the length of a stall, us.
 const CPU_BITS: u32 = 16;
-/// That no processor is known.
+/// No processor is known.
 const NO_CPU: u64 = (1 << CPU_BITS) - 1;
 
-/// A time for which a thread stood still.
+/// A stall of a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stall {
-    /// When it went on, on `CLOCK_MONOTONIC`.
+    /// When the thread resumed, on `CLOCK_MONOTONIC`.
     pub end: Nanos,
-    /// How long it stood still, in whole microseconds.
+    /// Length, in whole microseconds.
     pub length: Duration,
-    /// The processor on which it went on; `None` if the system does not say.
+    /// The processor on which it resumed; `None` if unknown.
     pub cpu: Option<usize>,
 }
 
@@ -63,7 +63,7 @@ pub fn stalls() -> (StallWriter, StallReader) {
 }
 
 impl StallWriter {
-    /// Notes that the calling thread stood still for `length`, until `end`.
+    /// Records a stall of the calling thread of `length`, until `end`.
     pub fn note(&mut self, end: Nanos, length: Nanos) {
         let shared = &*self.0;
         let turns = shared.turns.load(Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! What ethercrab does to the segment: scan, SDOs, clocks, OP, two drives that follow positions.
+//! ethercrab as the master of the segment: scan, SDOs, clocks, OP, two drives that follow positions.
 
 #[path = "../../../ethercat/tests/peers/crab.rs"]
 pub(super) mod client;
@@ -14,7 +14,7 @@ const SLAVES: usize = 8;
 const IMAGE: usize = 128;
 const CYCLE: Duration = Duration::from_millis(4);
 
-/// What one drive is told: a controlword and a position.
+/// Outputs of one drive: a controlword and a position.
 pub(crate) fn command(outputs: &mut [u8], word: u16, target: i32) {
     outputs.fill(0);
     outputs[..2].copy_from_slice(&word.to_le_bytes());
@@ -36,7 +36,7 @@ pub(crate) const fn follow(word: u16) -> u16 {
     }
 }
 
-/// What one drive is told in a cycle, from what it says.
+/// Outputs of one drive in a cycle, from its inputs.
 #[derive(Clone, Copy)]
 struct Axis {
     start: i32,
@@ -45,7 +45,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// Follows the statusword; `steps` is how far it is to be from where it started.
+    /// Follows the statusword; `steps` is the target distance from the start.
     fn cycle(&mut self, inputs: &[u8], outputs: &mut [u8], steps: Option<i32>) {
         (self.word, self.position) = feedback(inputs);
         match steps {
@@ -124,7 +124,7 @@ async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
         }
         let far = (step > 0).then_some(20 * step.min(250));
         for (slave, axis) in group.iter(main).skip(3).zip(&mut axes) {
-            // Both sides are behind one lock.
+            // One lock covers both sides.
             let inputs = slave.inputs_raw().to_vec();
             axis.cycle(&inputs, &mut slave.outputs_raw_mut(), far);
         }

@@ -1,7 +1,7 @@
 //! Independent EtherCAT masters, unmodified, and our own against the emulated segment: SOEM (by pysoem), KickCAT,
 //! ethercrab or ours at one end of a virtual cable, the segment at the other, in a network namespace of
-//! the test's own; tshark reads what went over the cable. These run in real time and so wait for
-//! it; what cannot run on a machine says so.
+//! the test's own; tshark checks the captured frames. These tests run in real time; those that cannot run on a
+//! machine are skipped with a reason.
 
 #![cfg(target_os = "linux")]
 #![expect(
@@ -54,7 +54,7 @@ fn run(test: &str, script: &str, module: &str, bench: impl Fn() -> Bench) {
     let script = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
         .join("../ethercat/tests/peers")
         .join(script);
-    // These masters give up when the host stands still for longer than they wait for an answer.
+    // These masters fail if the host stalls for longer than their timeouts.
     steady(|| once(test, &python, &script, bench()));
 }
 
@@ -66,58 +66,62 @@ fn once(test: &str, python: &Path, script: &Path, bench: Bench) {
     let served = wire::serve(bench);
     let mut command = Command::new(python);
     command
-        // Lines come as they are printed, and an abort shows where it stood.
+        // Lines arrive as they are printed, and an abort prints its stack.
         .args(["-u", "-X", "faulthandler"])
         .arg(script)
         .arg(cable.master());
-    let Ended { good, told, errors } = peer(command);
-    assert!(good, "{told}\n{errors}");
-    assert!(told.ends_with("done\n"), "{told}");
+    let Ended {
+        good,
+        output,
+        errors,
+    } = peer(command);
+    assert!(good, "{output}\n{errors}");
+    assert!(output.ends_with("done\n"), "{output}");
     served.end();
     check(test, capture);
 }
 
-/// A peer that has come to its end.
+/// Result of a peer.
 struct Ended {
     good: bool,
-    told: String,
+    output: String,
     errors: String,
 }
 
-/// How long a peer may take; each needs some ten seconds.
-const PATIENCE: Duration = Duration::from_secs(90);
+/// Timeout of a peer; each needs some ten seconds.
+const TIMEOUT: Duration = Duration::from_secs(90);
 
-/// Runs a peer; one that hangs is ended and says where it stood, as none of them bounds its own waits.
+/// Runs a peer; one that hangs is ended and prints where it hung, as none of them has timeouts of its own.
 fn peer(mut command: Command) -> Ended {
     let mut child = command
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    let told = collected(child.stdout.take().unwrap());
+    let output = collected(child.stdout.take().unwrap());
     let errors = collected(child.stderr.take().unwrap());
     let begin = Instant::now();
     let (mut status, mut hung) = (child.try_wait().unwrap(), false);
     while status.is_none() {
-        if !hung && begin.elapsed() > PATIENCE {
+        if !hung && begin.elapsed() > TIMEOUT {
             hung = true;
             kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGABRT).unwrap();
         }
         std::thread::sleep(Duration::from_millis(50));
         status = child.try_wait().unwrap();
     }
-    let mut told = told.join().unwrap();
+    let mut output = output.join().unwrap();
     if hung {
-        told += &format!("hung for {PATIENCE:?} after the line above; where it stood:");
+        output += &format!("hung for {TIMEOUT:?} after the line above; stack:");
     }
     Ended {
         good: status.is_some_and(|status| status.success()),
-        told,
+        output,
         errors: errors.join().unwrap(),
     }
 }
 
-/// Reads all that comes, in a thread, so that no pipe fills.
+/// Reads all output in a thread, so that the pipe does not fill.
 fn collected(mut from: impl Read + Send + 'static) -> JoinHandle<String> {
     std::thread::spawn(move || {
         let mut bytes = Vec::new();
@@ -126,7 +130,7 @@ fn collected(mut from: impl Read + Send + 'static) -> JoinHandle<String> {
     })
 }
 
-/// What tshark has to say against the frames of a test.
+/// Complaints of tshark about the frames of a test.
 fn check(test: &str, capture: Option<Capture>) {
     match capture {
         Some(capture) => capture.check(),
@@ -171,8 +175,8 @@ fn ethercrab_scans_configures_and_moves_two_drives_by_sync0() {
 }
 
 #[test]
-fn our_master_asks_moves_two_drives_by_sync0_and_names_a_cut_cable() {
-    let test = "our_master_asks_moves_two_drives_by_sync0_and_names_a_cut_cable";
+fn our_master_moves_two_drives_reports_cut_cable() {
+    let test = "our_master_moves_two_drives_reports_cut_cable";
     steady(|| {
         let Some(cable) = Cable::lay(test) else {
             return;
@@ -180,7 +184,7 @@ fn our_master_asks_moves_two_drives_by_sync0_and_names_a_cut_cable() {
         let capture = Capture::begin();
         let served = wire::serve(wire::segment());
         let (interface, segment) = (cable.master(), served.segment.clone());
-        // As drivers run, and so in the namespace of this thread.
+        // In the namespace of this thread, as drivers run.
         let config = ThreadConfig {
             priority: Some(50),
             ..ThreadConfig::new("master")

@@ -1,5 +1,5 @@
-//! What our own master does to the segment, over the packet socket that drivers use: OP, objects beside the cycle, two
-//! drives that follow positions by SYNC0, a cable that is cut and mended. It is not compared with the others here.
+//! Our own master on the segment, over the packet socket that drivers use: OP, SDOs beside the cycle, two
+//! drives that follow positions by SYNC0, a cable that is cut and reconnected. It is not compared with the others here.
 
 use std::time::Duration;
 
@@ -14,9 +14,9 @@ use takt_ethercat::master::{Cable, Event, Job, JobError, JobKind, Master};
 use super::crab::{command, feedback, follow};
 
 const CYCLE: Duration = Duration::from_millis(2);
-/// Longer than a host stalls: what is not back by then is lost.
-const PATIENCE: Duration = Duration::from_millis(200);
-/// Most cycles of any wait; some seconds on a good host, and longer on one that is not.
+/// Longer than a host stalls: a frame not received by then is lost.
+const TIMEOUT: Duration = Duration::from_millis(200);
+/// Maximum cycles of any wait: some seconds on a good host, longer on others.
 const CYCLES: usize = 10_000;
 /// Numbers of the drives.
 const DRIVES: [usize; 2] = [3, 4];
@@ -35,7 +35,7 @@ fn config() -> MasterConfig {
             .contains(&usize::from(position))
             .then(|| SyncSpec::sync0(CYCLE)),
         // Longer than a host stalls, too.
-        watchdog: (position > 0).then_some(10 * PATIENCE),
+        watchdog: (position > 0).then_some(10 * TIMEOUT),
         ..SlaveSpec::new(*name, Location::Position(position))
     };
     MasterConfig {
@@ -61,7 +61,7 @@ impl Line {
         let now = monotonic().unwrap();
         if let Some(len) = self.master.poll_transmit(now, &mut self.frame) {
             self.port.send(&self.frame[..len]).unwrap();
-            while let Some((bytes, at)) = self.port.receive(PATIENCE).unwrap() {
+            while let Some((bytes, at)) = self.port.receive(TIMEOUT).unwrap() {
                 if self.master.handle_frame(0, bytes, at) {
                     break;
                 }
@@ -85,7 +85,7 @@ impl Line {
         panic!("in vain: {phase:?} {frames:?} {:?}", self.events);
     }
 
-    /// Asks a drive while the cycle goes on.
+    /// Runs a job of a drive while the cycle continues.
     fn ask(&mut self, kind: JobKind, data: Vec<u8>) -> Result<Vec<u8>, JobError> {
         let job = Job {
             slave: DRIVES[0],
@@ -105,14 +105,14 @@ impl Line {
     }
 
     /// Statusword and position of a drive.
-    fn told(&self, drive: usize) -> (u16, i32) {
+    fn feedback_of(&self, drive: usize) -> (u16, i32) {
         feedback(self.master.inputs(drive).0)
     }
 
-    /// Gives both drives power, then moves them by as many counts as 250 cycles of 20.
+    /// Enables both drives, then moves them by 250 cycles of 20 counts.
     fn moves(&mut self) {
         for _ in 0..CYCLES {
-            let words = DRIVES.map(|drive| self.told(drive));
+            let words = DRIVES.map(|drive| self.feedback_of(drive));
             if words.iter().all(|(word, _)| word & 0x6F == 0x27) {
                 break;
             }
@@ -121,7 +121,7 @@ impl Line {
             }
             self.cycle();
         }
-        let starts = DRIVES.map(|drive| self.told(drive).1);
+        let starts = DRIVES.map(|drive| self.feedback_of(drive).1);
         for n in 1..=300 {
             for (drive, start) in DRIVES.into_iter().zip(starts) {
                 command(
@@ -134,8 +134,11 @@ impl Line {
             self.cycle();
         }
         for (drive, start) in DRIVES.into_iter().zip(starts) {
-            let way = self.told(drive).1 - start;
-            assert!((4900..=5010).contains(&way), "drive {drive} moved {way}");
+            let distance = self.feedback_of(drive).1 - start;
+            assert!(
+                (4900..=5010).contains(&distance),
+                "drive {drive} moved {distance}"
+            );
         }
         assert_eq!(self.master.inputs(1).0, [0xA5]);
     }
@@ -145,14 +148,14 @@ fn objects(line: &mut Line) {
     let one = |index, sub| (Address::new(index, sub), Whole::Entry);
     let upload = |(address, whole)| JobKind::Upload { address, whole };
     let download = |(address, whole)| JobKind::Download { address, whole };
-    let told = line.ask(upload(one(0x1000, 0)), Vec::with_capacity(4));
-    assert_eq!(told, Ok(0x0002_0192_u32.to_le_bytes().to_vec()));
+    let answer = line.ask(upload(one(0x1000, 0)), Vec::with_capacity(4));
+    assert_eq!(answer, Ok(0x0002_0192_u32.to_le_bytes().to_vec()));
     let value = 54_321_u32.to_le_bytes().to_vec();
     assert!(line.ask(download(one(0x6083, 0)), value.clone()).is_ok());
-    let told = line.ask(upload(one(0x6083, 0)), Vec::with_capacity(4));
-    assert_eq!(told, Ok(value));
-    let told = line.ask(upload(one(0x3000, 0)), Vec::with_capacity(4));
-    assert_eq!(told, Err(JobError::Abort(AbortCode::NoObject)));
+    let answer = line.ask(upload(one(0x6083, 0)), Vec::with_capacity(4));
+    assert_eq!(answer, Ok(value));
+    let answer = line.ask(upload(one(0x3000, 0)), Vec::with_capacity(4));
+    assert_eq!(answer, Err(JobError::Abort(AbortCode::NoObject)));
 }
 
 pub(crate) fn drive(interface: &str, segment: &SharedSegment) {
@@ -161,7 +164,7 @@ pub(crate) fn drive(interface: &str, segment: &SharedSegment) {
     assert_eq!(line.master.differences(), []);
     objects(&mut line);
     line.moves();
-    // They drift apart while a host stalls, and come together again.
+    // They drift apart while the host stalls, and converge again.
     let away = |line: &Line, drive| line.master.slave(drive).unwrap().clock_difference_ns();
     line.until(|line| {
         let mut clocks = DRIVES.into_iter().map(|drive| away(line, drive));

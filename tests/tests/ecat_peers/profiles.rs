@@ -1,5 +1,5 @@
-//! Masters against slaves that answer as real devices do: ethercrab and ours here, the others by their scripts. What
-//! the devices do is the emulator's.
+//! Masters against slaves that answer as real devices do: ethercrab and ours here, the others by their scripts. The
+//! emulator defines the behaviour of the devices.
 
 use std::time::{Duration, Instant};
 
@@ -69,7 +69,7 @@ async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
         right += u32::from(response.working_counter == COUNTER);
         std::thread::sleep(response.extra.next_cycle_wait);
     }
-    // From its first SYNC0 on the drive has inputs.
+    // The drive has inputs from its first SYNC0 on.
     assert!(right >= 100, "{right} of 200");
     Ok(())
 }
@@ -130,7 +130,7 @@ pub(crate) fn ours(interface: &str) {
             std::thread::sleep(CYCLE);
         }
     }
-    // How long that took is said, and not judged here: this host may be busy.
+    // The duration is printed but not checked: this host may be busy.
     #[expect(clippy::print_stderr, reason = "a figure for those who ask for it")]
     {
         eprintln!("in OP after {:?}", begin.elapsed());
@@ -139,7 +139,7 @@ pub(crate) fn ours(interface: &str) {
     assert_eq!(master.reference(), Some(0));
 }
 
-/// The devices that a peer is tried on.
+/// The devices for the peers.
 pub(crate) const KICKCAT: [Profile; 5] = [
     Profile::Ek1100,
     Profile::El1004,

@@ -1,5 +1,5 @@
-//! A virtual cable in a network namespace of the calling thread, the segment that is served at one
-//! end of it, and what went over it. The masters are elsewhere.
+//! A virtual cable in a network namespace of the calling thread, the segment served at one
+//! end of it, and a capture. The masters are elsewhere.
 
 use std::fs::File;
 use std::path::PathBuf;
@@ -23,14 +23,14 @@ const NEAR: &str = "ecat-seg";
 /// The end of the master.
 const FAR: &str = "ecat-master";
 
-/// The cable; it is gone with the thread that laid it and all that it started.
+/// The cable; it is removed with the thread that created it and its children.
 pub(crate) struct Cable {
-    /// Held so that these tests run one after the other: each is in real time and needs the host.
+    /// Serializes these tests: each runs in real time and needs the host.
     _turn: File,
 }
 
 impl Cable {
-    /// Lays it in a namespace of this thread's own, or notes why that cannot be.
+    /// Creates it in a namespace of this thread's own, or records why it cannot.
     pub(crate) fn lay(test: &str) -> Option<Self> {
         if let Err(error) = unshare(CloneFlags::CLONE_NEWNET) {
             let why = format!(
@@ -61,7 +61,7 @@ fn ip(arguments: &[&str]) -> bool {
     status.is_ok_and(|status| status.success())
 }
 
-/// What is served.
+/// The served segment.
 pub(crate) struct Served {
     pub(crate) segment: SharedSegment,
     stop: Arc<AtomicBool>,
@@ -75,7 +75,7 @@ impl Served {
     }
 }
 
-/// A segment, and the terminals whose outputs come back as inputs.
+/// A segment, and the terminals whose outputs are looped back to inputs.
 pub(crate) struct Bench {
     segment: Segment,
     loops: Vec<Io>,
@@ -108,7 +108,7 @@ pub(crate) fn segment() -> Bench {
     }
 }
 
-/// Slaves that answer as real devices do, with times so often as long.
+/// Slaves that answer as real devices do, with their delays multiplied by `times`.
 pub(crate) fn profiles(devices: &[Profile], times: u64) -> Bench {
     let (segment, _) = Profile::line(devices, times).unwrap();
     Bench {
@@ -117,14 +117,14 @@ pub(crate) fn profiles(devices: &[Profile], times: u64) -> Bench {
     }
 }
 
-/// Serves it in a thread of its own; that thread is in the namespace of the one that calls.
+/// Serves it in a thread of its own, in the namespace of the calling thread.
 pub(crate) fn serve(bench: Bench) -> Served {
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = stop.clone();
     let link = PacketLink::open(NEAR).unwrap();
     let segment = SharedSegment::new(bench.segment);
     let mut server = Server::new(segment.clone(), link);
-    // A slave controller is not kept from answering by what else a host does.
+    // The load of a host does not delay a slave controller.
     let config = ThreadConfig {
         priority: Some(60),
         ..ThreadConfig::new("segment")
@@ -146,14 +146,14 @@ pub(crate) fn serve(bench: Bench) -> Served {
     }
 }
 
-/// A capture that goes on.
+/// A running capture.
 pub(crate) struct Capture {
     dumpcap: Child,
     path: PathBuf,
 }
 
 impl Capture {
-    /// Begins to write down what goes over the cable; `None` without the tool for it.
+    /// Starts a capture of the cable; `None` without the tool for it.
     pub(crate) fn begin() -> Option<Self> {
         let name = format!("takt-peers-{}.pcapng", std::process::id());
         let path = std::env::temp_dir().join(name);
@@ -165,7 +165,7 @@ impl Capture {
             .stderr(Stdio::piped())
             .spawn()
             .ok()?;
-        // It says so when it has begun.
+        // It prints a line when it has started.
         let stderr = dumpcap.stderr.take()?;
         let begun = std::io::BufRead::lines(std::io::BufReader::new(stderr))
             .map_while(Result::ok)
@@ -173,14 +173,14 @@ impl Capture {
         begun.then_some(Self { dumpcap, path })
     }
 
-    /// Ends it: there must be frames, and none that the dissector finds fault with.
+    /// Ends it: there must be frames, none of them with a dissector error.
     pub(crate) fn check(mut self) {
         let pid = i32::try_from(self.dumpcap.id()).unwrap();
         kill(Pid::from_raw(pid), Signal::SIGINT).unwrap();
         self.dumpcap.wait().unwrap();
         let frames = self.matching("ecat");
         assert!(frames.len() > 500, "{} frames", frames.len());
-        // Other complaints there are: the address that SOEM sends from is none of a station.
+        // Other complaints are accepted: SOEM's source address is no station address.
         let mut found = self.matching("_ws.malformed || _ws.short || _ws.unreassembled");
         found.truncate(5);
         assert_eq!(found, Vec::<String>::new());
@@ -203,7 +203,7 @@ impl Capture {
 }
 
 impl Drop for Capture {
-    /// A test that failed leaves neither the tool nor its file behind.
+    /// A failed test leaves neither the tool nor its file.
     fn drop(&mut self) {
         let _ = self.dumpcap.kill();
         let _ = self.dumpcap.wait();

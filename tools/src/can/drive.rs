@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use clap::Args;
 use takt_can::canopen::NodeId;
-use takt_cia402::{Patience, Quirk};
+use takt_cia402::{MasterOptions, Quirk};
 
 use super::confirm;
 use super::wire::Live;
@@ -126,7 +126,7 @@ impl Drive {
                 time: self.time,
                 unguarded: self.unguarded,
             }),
-            profile: Patience::default().with_quirks(&self.quirks),
+            profile: MasterOptions::default().with_quirks(&self.quirks),
         };
         let mut show = |step: &Step| match self.json {
             true => Ok(()),

@@ -16,7 +16,7 @@ use takt_cia402::dictionary::Address;
 use takt_cia402::emulator::FaultCode;
 use takt_cia402::proof::{Object, Objects};
 use takt_cia402::{
-    ControlWord, DriveFault, Goal, Monitor, Patience, Quirk, Runaway, State, StatusWord,
+    ControlWord, DriveFault, Goal, MasterOptions, Monitor, Quirk, Runaway, State, StatusWord,
 };
 use takt_ethercat::AlState;
 use takt_ethercat::axis::{Axis, AxisState, Target};
@@ -100,7 +100,7 @@ impl Drive {
             hold: self.hold,
             jog: self.jog.map(|increments| (increments, self.time)),
             patience: self.target.patience,
-            profile: Patience::default().with_quirks(&self.quirks),
+            profile: MasterOptions::default().with_quirks(&self.quirks),
             not_mirrored: {
                 let mut all = Objects::default();
                 self.not_mirrored
@@ -162,7 +162,7 @@ pub(super) struct Order {
     jog: Option<(i32, Duration)>,
     patience: Duration,
     /// How the drive keeps to its profile.
-    profile: Patience,
+    profile: MasterOptions,
     /// Objects that are not compared before it gets power.
     not_mirrored: Objects,
 }

@@ -9,6 +9,7 @@ mod manifests;
 mod markdown;
 mod proofs;
 mod sources;
+mod words;
 
 use std::fmt;
 use std::path::Path;
@@ -59,6 +60,7 @@ const RULES: &[Rule] = &[
     manifests::check,
     proofs::check,
     sources::check,
+    words::check,
 ];
 
 /// Prints all findings; true if there are none.

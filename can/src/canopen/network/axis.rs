@@ -235,14 +235,14 @@ impl Axis {
             keys,
             proof: Proof::new(plan.axis, keys.carried(image), plan.not_mirrored),
             parked: None,
-            master: Master::new(plan.patience),
+            master: Master::new(plan.options),
             command: AxisCommand::default(),
             state: AxisState::default(),
             goal: Goal::SwitchOnDisabled,
             mode: 0,
             homing: None,
             homing_failed: None,
-            hand_shake: HandShake::new(plan.patience.state),
+            hand_shake: HandShake::new(plan.options.state),
             handed_over: None,
             not_taken: None,
             fresh: false,
@@ -310,7 +310,7 @@ impl Axis {
     }
 
     const fn discard_set_points(&mut self) {
-        self.hand_shake = HandShake::new(self.plan.patience.state);
+        self.hand_shake = HandShake::new(self.plan.options.state);
         (self.handed_over, self.not_taken) = (None, None);
     }
 
@@ -397,7 +397,7 @@ impl Axis {
         self.goal = Goal::SwitchOnDisabled;
         self.proof.restart();
         self.parked = None;
-        self.master = Master::new(self.plan.patience);
+        self.master = Master::new(self.plan.options);
         self.master.set_mode(self.mode);
         self.aligned = false;
         self.state.follows = false;

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use takt_cia402::Patience;
+use takt_cia402::MasterOptions;
 use takt_cia402::dictionary::{Address, Mapped};
 use takt_cia402::proof::Objects;
 
@@ -87,7 +87,7 @@ pub struct AxisPlan {
     /// 0 to 7.
     pub axis: u8,
     /// Timeouts and deviations of the drive from the profile.
-    pub patience: Patience,
+    pub options: MasterOptions,
     /// Maximum distance of 607Ah from 6064h when the drive starts to follow, user units.
     pub jump_max: u32,
     /// Maximum consecutive SYNCs without its TPDOs before it is stopped.
@@ -170,7 +170,7 @@ impl Default for AxisPlan {
     fn default() -> Self {
         Self {
             axis: 0,
-            patience: Patience::default(),
+            options: MasterOptions::default(),
             jump_max: 1000,
             missing_max: 3,
             homing: Duration::from_secs(60),

@@ -226,7 +226,7 @@ fn set_up_broken_off_after_any_frame_never_leads_to_shifted_targets() {
         rig.master = Master::new(config(false)).unwrap();
         rig.until(20_000, Master::is_operational);
         let process = rig.master.slave(0).unwrap().process().clone();
-        let axis = Axis::new(0, &process, 0, Patience::default()).unwrap();
+        let axis = Axis::new(0, &process, 0, MasterOptions::default()).unwrap();
         let mut fixture = Fixture {
             rig,
             drive,

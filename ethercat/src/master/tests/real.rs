@@ -367,7 +367,7 @@ fn eeprom_that_never_acknowledges_is_reported() {
     let begin = rig.now;
     let refused = job(&mut rig, write, vec![1, 2]);
     assert_eq!(refused, Err(JobError::Protocol("SII access (0502h)")));
-    assert!(rig.now - begin >= rig.master.config().patience.sii);
+    assert!(rig.now - begin >= rig.master.config().timeouts.sii);
 }
 
 impl Rig {

@@ -20,7 +20,7 @@ use std::time::Duration;
 use super::super::event::JobError;
 use super::transfer::{Progress, Transfer, protocol};
 use super::{Answer, Request};
-use crate::config::Patience;
+use crate::config::Timeouts;
 use crate::register;
 use crate::sii::MailboxAreas;
 use crate::{CoeService, Emergency, MailboxError, MailboxHeader, MailboxKind, SyncManager};
@@ -74,7 +74,7 @@ pub(super) struct Mailbox {
     repeat_since: Duration,
     /// Number of attempts of the transfer.
     attempts: u8,
-    patience: Patience,
+    timeouts: Timeouts,
     /// Number of unsolicited messages.
     pub(super) ignored: u32,
     /// Number of repeat requests and of repeated requests.
@@ -82,7 +82,7 @@ pub(super) struct Mailbox {
 }
 
 impl Mailbox {
-    pub(super) fn new(patience: Patience) -> Self {
+    pub(super) fn new(timeouts: Timeouts) -> Self {
         Self {
             areas: MailboxAreas::default(),
             protocols: 0,
@@ -95,15 +95,15 @@ impl Mailbox {
             since: Duration::ZERO,
             repeat_since: Duration::ZERO,
             attempts: 0,
-            patience,
+            timeouts,
             ignored: 0,
             repeated: 0,
         }
     }
 
     /// Sets the timeouts for answers.
-    pub(super) const fn set_patience(&mut self, patience: Patience) {
-        self.patience = patience;
+    pub(super) const fn set_timeouts(&mut self, timeouts: Timeouts) {
+        self.timeouts = timeouts;
     }
 
     /// Sets its areas and protocols.
@@ -264,9 +264,9 @@ impl Mailbox {
             return None;
         }
         let timeout = if self.is_raw() {
-            self.patience.raw
+            self.timeouts.raw
         } else {
-            self.patience.mailbox
+            self.timeouts.mailbox
         };
         let again = self.attempts < ATTEMPTS && self.may_restart();
         // All attempts together take no longer than one request that must not be repeated.

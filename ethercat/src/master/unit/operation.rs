@@ -393,7 +393,7 @@ impl Unit {
 
     /// Ends an operation that takes too long; each has its own timeout.
     pub(super) fn check_deadline(&mut self, cx: &Context<'_>, out: &mut Outbox) {
-        let patience = self.patience(cx.config);
+        let timeouts = self.timeouts(cx.config);
         let waited = cx.now.saturating_sub(self.since);
         match self.op {
             Op::State { wanted, phase } => {
@@ -405,9 +405,9 @@ impl Unit {
                 );
                 let limit = match (acknowledges, wanted) {
                     (true, _) => ACKNOWLEDGE,
-                    (_, AlState::SafeOp | AlState::Op) => patience.op,
+                    (_, AlState::SafeOp | AlState::Op) => timeouts.op,
                     (_, AlState::Init | AlState::PreOp | AlState::Boot | AlState::Other(_)) => {
-                        patience.pre_op
+                        timeouts.pre_op
                     }
                 };
                 if waited <= limit {
@@ -439,13 +439,13 @@ impl Unit {
                 };
                 self.fail(fault, cx, out);
             }
-            Op::Sii { word, .. } if waited > patience.sii => {
+            Op::Sii { word, .. } if waited > timeouts.sii => {
                 let refused = self.sii_status & SII_NO_ACKNOWLEDGE != 0;
                 let (status, error) = if refused {
                     let error = JobError::Protocol("SII access (0502h)");
                     (self.sii_status, error)
                 } else {
-                    (SII_BUSY, JobError::Timeout(patience.sii))
+                    (SII_BUSY, JobError::Timeout(timeouts.sii))
                 };
                 self.failed(Fault::Sii { word, status }, error, cx, out);
             }

@@ -147,7 +147,7 @@ pub struct Cabinet {
     /// Time of the program's next action; `None` when it has ended.
     program_at: Option<Duration>,
     closed_at: Option<Duration>,
-    says_farewell: bool,
+    reports_close: bool,
     to_client: Line<MESSAGE_MAX>,
     to_cabinet: Line<MESSAGE_MAX>,
     rng: Rng,
@@ -190,7 +190,7 @@ impl Cabinet {
             waiting: (Duration::ZERO, ExitReason::Cancelled),
             program_at: Some(Duration::ZERO),
             closed_at: None,
-            says_farewell: false,
+            reports_close: false,
             to_client: Line::new(),
             to_cabinet: Line::new(),
             rng: Rng::new(config.seed),
@@ -286,7 +286,7 @@ impl Cabinet {
         }
         self.leave(ExitReason::Closed);
         self.state = SessionState::Idle;
-        self.says_farewell = true;
+        self.reports_close = true;
         self.closed_at = Some(self.grid.time());
         self.program_at = None;
     }
@@ -489,7 +489,7 @@ impl Cabinet {
         if self.state == SessionState::Idle {
             self.inbox = None;
             self.stop();
-            if std::mem::take(&mut self.says_farewell) {
+            if std::mem::take(&mut self.reports_close) {
                 self.send(now);
             }
             return;

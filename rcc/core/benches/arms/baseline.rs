@@ -1,4 +1,4 @@
-//! The least that answers a KRC over a socket: what a C client does that copies a fixed answer and patches its counters.
+//! The minimal client of a KRC over a socket: like a C client that copies a fixed answer and patches its counters.
 //! It decodes, checks and commands nothing.
 
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use takt_fri::lwr::wire::{Cmd, Msr};
 use takt_rt::stats::{Recorder, RecorderReader};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
 
-/// The client in a thread of its own, like a driver's.
+/// The client in a thread of its own, like a driver.
 pub(crate) struct Baseline {
     pub(crate) answer_time: RecorderReader,
     stop: Arc<AtomicBool>,

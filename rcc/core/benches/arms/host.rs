@@ -1,5 +1,5 @@
-//! What the host stole while the arms were looked at: a bare thread above all others on each processor, which does
-//! nothing but wake every 200 us and see how late it is. None of ours can make it late. It judges no arm.
+//! Stalls of the host during the measurement: a bare thread above all others on each processor wakes every 200 us and
+//! measures how late it is. No thread of ours can delay it. It judges no arm.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,11 +8,11 @@ use takt_fri::lwr::emulator::KrcStatus;
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
 use takt_rt::{Nanos, monotonic, sleep_until};
 
-/// From one look to the next.
+/// Polling period.
 const STEP: Nanos = Nanos(200_000);
-/// Later than this is a stall: a part of the time that an answer has.
+/// Latency that counts as a stall: a part of the time for an answer.
 const LATE: Nanos = Nanos(200_000);
-/// Length of a slot, for each of which it is told whether the host stood still in it.
+/// Length of a slot, each marked if the host stalled in it.
 const SLOT: Nanos = Nanos(10_000_000);
 
 /// Totals of an emulated controller.
@@ -55,26 +55,26 @@ impl Counts {
     }
 }
 
-/// What one of these threads saw.
+/// Result of one of these threads.
 struct Seen {
-    /// By slot, whether its processor was taken away.
+    /// By slot, whether its processor stalled.
     stalls: Vec<bool>,
     longest: Nanos,
-    /// By robot, at the begin of each slot; of the first processor's thread.
+    /// By robot, at the start of each slot; from the first processor's thread.
     counts: Vec<Vec<Counts>>,
 }
 
-/// What happened to the robots while the host was watched.
+/// Results of the robots during the measurement.
 pub(crate) struct Watched {
-    /// By robot: in all of the time, and in that in which the host did not stand still, nor shortly before or after.
+    /// By robot: over the whole time, and over the time in which the host did not stall, nor shortly before or after.
     pub(crate) robots: Vec<[Counts; 2]>,
-    /// Share of the time that is left out of the second, 0..=1.
+    /// Share of the time that the second excludes, 0..=1.
     pub(crate) left_out: f64,
-    /// Longest time that a processor was taken away.
+    /// Longest stall of a processor.
     pub(crate) longest_stall: Duration,
 }
 
-/// Watches the host and these robots for so long.
+/// Measures the host and these robots for a time.
 pub(crate) fn watch(robots: &[Arc<KrcStatus>], look: Duration) -> Watched {
     let slots = usize::try_from(Nanos::from(look).0 / SLOT.0).unwrap_or(0);
     let start = monotonic() + SLOT;

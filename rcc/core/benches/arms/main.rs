@@ -1,12 +1,12 @@
 //! One, two, four and eight LWRs at 1 ms, moved by one net of one thread, each with a driver of its own and an emulated
-//! KRC at the other end of the wire, on the other processors as far as there are any. Prints how many answers came in
-//! time, and how late. Judges no figure. `cargo bench -p takt-core --bench arms [-- [--json]]`.
+//! KRC at the other end of the wire, on the other processors if there are any. Prints how many answers were in
+//! time, and their latency. Judges no figure. `cargo bench -p takt-core --bench arms [-- [--json]]`.
 //!
-//! Answers in time are told twice: of all cycles, and of those in which the host did its part. A virtual machine is taken
-//! its processors away now and then, and nothing on it answers meanwhile; a bare thread above all others on each processor
-//! (`host`) sees that. What is missing from the first figure alone was stolen, what is missing from the second we did late.
-//! Before that, the time from a datagram to its answer is measured of one driver and, beside it on the same processor at
-//! the same priority, of the least client there can be (`baseline`): that is what the kernel takes, the rest is the driver's.
+//! Answers in time are counted twice: in all cycles, and in those in which the host did not stall. A virtual machine loses
+//! its processors now and then, and nothing on it answers meanwhile; a bare thread above all others on each processor
+//! (`host`) measures that. Answers missing from the first figure alone are due to the host, those missing from the second
+//! are ours. Before that, the time from a datagram to its answer is measured for one driver and, on the same processor at
+//! the same priority, for a minimal client (`baseline`): the latter is the kernel's share, the rest the driver's.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
 
 mod baseline;
@@ -34,10 +34,10 @@ use host::Counts;
 
 const COUNTS: [usize; 4] = [1, 2, 4, 8];
 const PERIOD: Duration = Duration::from_millis(1);
-/// How long the arms are looked at.
+/// Duration of the measurement.
 const LOOK: Duration = Duration::from_secs(10);
-/// How long they may take to follow commands.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// Timeout until they follow commands.
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 fn main() {
     let mut all = json!({ "answer": answer() });
@@ -45,7 +45,7 @@ fn main() {
         let result = run(count);
         let value = |key: &str| result[key].as_f64().unwrap_or(f64::NAN);
         println!(
-            "{count} arms: {:.5} of answers in time (the worst arm), {:.5} where the host did not stand still (it did in \
+            "{count} arms: {:.5} of answers in time (the worst arm), {:.5} where the host did not stall (it did in \
              {:.1} % of the time, for {:.1} ms at most), {:.5} answered at all, answer time p50 {:.1} us, p99 {:.1} us, {} falls",
             value("in_time"),
             value("in_time_steady"),
@@ -63,7 +63,7 @@ fn main() {
     }
 }
 
-/// Answer times of a driver and of the least client, side by side for the same seconds of this host.
+/// Answer times of a driver and of the minimal client, measured side by side.
 fn answer() -> Value {
     let [ours, theirs] = processors();
     let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
@@ -127,7 +127,7 @@ impl Robot {
         let thread = spawn(config, move || {
             let local = SocketAddr::from(([127, 0, 0, 1], 0));
             let mut link = UdpLink::connect(local, target).expect("loopback is there");
-            // More patience than a real one: a fall would hide what is to be seen.
+            // Tolerates more misses than a real one: a lost session would hide the latencies.
             let timing = Timing {
                 misses_max: 1000,
                 bad_from: 0.0,
@@ -160,7 +160,7 @@ impl Drop for Robot {
     }
 }
 
-/// Moves joint 6 of each arm to and fro without end.
+/// Moves joint 6 of each arm to and fro endlessly.
 fn net(count: usize) -> String {
     let mut text = String::from(
         "{true=Core::BooleanValue(Value='true'),past=Core::BooleanPre(inValue=true.outValue),
@@ -199,7 +199,7 @@ fn start(count: usize, cpus: &[usize]) -> Controller {
 }
 
 fn wait_for(controller: &Controller) {
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + TIMEOUT;
     let follows = |c: &Controller| {
         let devices = c.devices();
         devices
@@ -212,7 +212,7 @@ fn wait_for(controller: &Controller) {
     }
 }
 
-/// One run with so many arms.
+/// One run with `count` arms.
 fn run(count: usize) -> Value {
     let [ours, theirs] = processors();
     let controller = start(count, &ours);

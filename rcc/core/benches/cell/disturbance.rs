@@ -1,5 +1,5 @@
-//! What running nets notice of nets that are loaded meanwhile: the latency of a net thread in slices with
-//! and without, in turns, so that a slow drift of the machine does not decide.
+//! Effect of loading nets on running nets: the latency of a net thread in alternating slices with and
+//! without loading, so that a slow drift of the machine cancels out.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -13,9 +13,9 @@ use takt_net::{Limits, LoadContext, NoDevices, load};
 
 use crate::quantiles::as_f64;
 
-/// Primitives of the nets that are loaded.
+/// Primitives of the loaded nets.
 const PRIMITIVES: usize = 10_000;
-/// Primitives of the net that runs.
+/// Primitives of the running net.
 const RUNNING: usize = 400;
 /// Slices of each kind.
 const SLICES: usize = 20;
@@ -34,7 +34,7 @@ fn chain(additions: usize) -> String {
     text + "never=Core::BooleanValue(Value='false'),outTerminate=never.outValue}"
 }
 
-/// Does something while a thread loads nets.
+/// Runs a function while a thread loads nets.
 pub(crate) fn while_loading<R>(work: impl FnOnce() -> R) -> R {
     let stop = AtomicBool::new(false);
     let text = chain(PRIMITIVES);
@@ -75,7 +75,7 @@ fn latencies(controller: &Controller) -> Histogram {
     buckets.map(|(bound, count)| (bound.0, count)).collect()
 }
 
-/// Adds what came since `before`.
+/// Adds the counts since `before`.
 fn add_since(before: &Histogram, controller: &Controller, sum: &mut Histogram) {
     for (bound, count) in latencies(controller) {
         let new = count - before.get(&bound).copied().unwrap_or(0);
@@ -83,7 +83,7 @@ fn add_since(before: &Histogram, controller: &Controller, sum: &mut Histogram) {
     }
 }
 
-/// The bound that a share of all stays within, us.
+/// The bound of a quantile, us.
 fn quantile_us(histogram: &Histogram, share: f64) -> f64 {
     let all: u64 = histogram.values().sum();
     let mut seen = 0;

@@ -1,5 +1,5 @@
-//! What nets cost where they run: the net of two arms that move along lines, hand-overs without end, and
-//! what the running nets notice of nets being loaded. Judges no figure.
+//! Cost of running nets: the net of two arms that move along lines, endless hand-overs, and the effect of
+//! loading nets on running ones. Judges no figure.
 //! `cargo bench -p takt-core --bench cell [-- [--json]]`.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
 

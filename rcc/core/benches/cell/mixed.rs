@@ -1,8 +1,8 @@
-//! The net of a Cartesian linear motion of two LWRs: what a cycle of it costs in a 1 kHz loop, and which
-//! types of primitives make that. Drivers and their wires are not part of it.
+//! The net of a Cartesian linear motion of two LWRs: its cost per cycle in a 1 kHz loop, by type of
+//! primitive. Drivers and their wires are not part of it.
 //!
 //! The share of a type is measured by doubling: the same net with a second instance, fed by the same
-//! links, beside each primitive of that type. By what it takes longer, that type costs. A clock read
+//! links, beside each primitive of that type. The increase is the cost of that type. A clock read
 //! around each step would cost more than most steps do.
 
 use std::collections::BTreeMap;
@@ -35,7 +35,7 @@ type Child = (String, &'static str, String);
 
 /// Joint positions at the start, rad.
 const HOME: [f64; JOINTS] = [0.3, 0.6, 0.2, -1.4, 0.1, 0.9, 0.4];
-/// Where the motion leads from there, m.
+/// The motion from there, m.
 const WAY: [f64; 3] = [-0.05, 0.1, 0.08];
 
 /// Start and end of the motion, as text.
@@ -145,7 +145,7 @@ impl Arm<'_> {
             .for_each(|(part, ty, args)| self.add(part, ty, args));
     }
 
-    /// Where a successor may take over, the end, and what programs are told.
+    /// Where a successor may take over, the end, and the values for programs.
     fn ends(&mut self) {
         let [lin, kin, inv, past, blend, bad] =
             ["lin", "kin", "inv", "past", "blend", "bad"].map(|part| self.n(part));
@@ -168,7 +168,7 @@ impl Arm<'_> {
         ];
         rows.into_iter()
             .for_each(|(part, ty, args)| self.add(part, ty, args));
-        let told = [
+        let outputs = [
             ("frame", "World::FrameNetcommOut", format!("{kin}.outFrame")),
             (
                 "part",
@@ -182,9 +182,9 @@ impl Arm<'_> {
                 format!("{bad}.outValue"),
             ),
         ];
-        for (what, ty, value) in told {
+        for (what, ty, value) in outputs {
             let args = format!("inValue={value},Key='{}'", self.n(what));
-            self.add(&format!("tell_{what}"), ty, args);
+            self.add(&format!("report_{what}"), ty, args);
         }
     }
 }
@@ -238,7 +238,7 @@ fn text(children: &[Child], doubled: Option<&str>) -> String {
     text + "outTerminate=end.outValue}"
 }
 
-/// A net in a cell whose arms follow at once.
+/// A net in a cell whose arms follow without delay.
 struct Cell {
     plan: Plan,
     image: Image,
@@ -353,8 +353,8 @@ fn paced(mut cell: Cell) -> Vec<f64> {
     thread.join().expect("no cycle panics")
 }
 
-/// The time of the first net, ns, and the share of each type in it by what the net in which that type
-/// is doubled takes longer. What is left over is the walk itself and rounding.
+/// The time of the first net, ns, and the share of each type in it: the increase in the net with that type
+/// doubled. The remainder is the evaluation itself and rounding.
 fn shares<'t>(mut cells: Vec<Cell>, types: &[&'t str]) -> (f64, BTreeMap<&'t str, f64>) {
     let mut times = vec![Vec::new(); cells.len()];
     for _ in 0..ROUNDS {

@@ -1,5 +1,5 @@
-//! What waiting rules cost a cycle at the bound of what they may look at, beside as many running nets as
-//! there may be: every cycle, and in the one in which all of them fire.
+//! Cost of pending rules per cycle at the limit of their literals, beside the maximum number of running
+//! nets: in every cycle, and in the one in which all of them fire.
 
 use std::time::Duration;
 
@@ -19,7 +19,7 @@ const LITERALS: usize = 100;
 const BRIEF: &str = "{clock=Core::Clock(Increment='1000'),end=Core::DoubleGreater(inFirst=clock.outValue,\
                      Second='1e9'),outTerminate=end.outValue}";
 
-/// As many nets as there may be, none of which ends.
+/// The maximum number of nets, all endless.
 fn executor() -> Executor {
     let registry = takt_core::registry();
     let mut executor = Executor::default();
@@ -49,7 +49,7 @@ fn asked(net: u32) -> Literal {
     }
 }
 
-/// Rules with long conditions, up to the bound.
+/// Rules with long conditions, up to the limit.
 fn conditions(executor: &mut Executor) -> usize {
     let nets = (0..).take(RUNNING_MAX).cycle();
     let mut count = 0;
@@ -66,7 +66,7 @@ fn conditions(executor: &mut Executor) -> usize {
     }
 }
 
-/// As many rules as there may be, which wait for the end of net 0 to stop others, up to the bound.
+/// The maximum number of rules, which wait for the end of net 0 to stop others, up to the limit.
 fn orders(executor: &mut Executor) -> usize {
     let stops = WORK_MAX / RULES_MAX - 2;
     for number in (0_u32..).take(RULES_MAX) {

@@ -11,18 +11,18 @@ use takt_rt::latest::latest;
 
 const PERIOD: Duration = Duration::from_micros(500);
 
-/// What came of it.
+/// The result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Switched {
     /// Hand-overs from one net to the next.
     pub(crate) switches: u32,
     /// Cycles without a set-point.
     pub(crate) missing: u64,
-    /// Cycles in which another net than the one whose turn it was commanded or ended.
+    /// Cycles in which the wrong net commanded or ended.
     pub(crate) doubled: u64,
 }
 
-/// Commands its number for so many cycles and ends.
+/// Commands its number for some cycles and ends.
 fn net(id: u32, cycles: u32, registry: &Registry, devices: &DeviceTable) -> Box<Running> {
     let text = format!(
         "{{clock=Core::Clock(Increment='2000'),value=Core::DoubleValue(Value='{id}'),
@@ -88,7 +88,7 @@ const fn turns(id: u32) -> u32 {
     1 + id * 7 % 4
 }
 
-/// Hands over so many times.
+/// Hands over `count` times.
 pub(crate) fn run(switches: u32) -> Switched {
     let (registry, devices) = (takt_core::registry(), arm());
     let next = |id| net(id, turns(id), &registry, &devices);

@@ -88,10 +88,10 @@ mod tests {
             panic!("no LWR");
         };
         assert_eq!(arm.handshake, None);
-        let told = parse("handshake = \"RCC\"").unwrap_err();
+        let error = parse("handshake = \"RCC\"").unwrap_err();
         let all =
             "`RCC` is no handshake; known handshakes are rcc, stanford, kuka-lwr, tum, first-app";
-        assert!(told.contains(all), "{told}");
+        assert!(error.contains(all), "{error}");
     }
 
     #[test]

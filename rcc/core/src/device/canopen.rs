@@ -94,7 +94,7 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
             set_point_period: Some(config.cycle),
             on_link_loss: on_link_loss(config.on_link_loss),
             not_mirrored: Objects::of(&joint.not_mirrored).unwrap_or_default(),
-            patience: joint.patience(),
+            options: joint.master_options(),
             ..AxisPlan::default()
         };
         match nodes.iter_mut().find(|(node, _)| *node == id) {
@@ -444,13 +444,13 @@ impl Driver {
             Event::Emergency(node, emergency, count) => {
                 NetworkEvent::Emergency(node, emergency, count)
             }
-            Event::Axis(node) => return self.tell_axes(node),
+            Event::Axis(node) => return self.report_axes(node),
             Event::Phase(..) | Event::Homed(_) | Event::Transferred(..) => return,
         };
         self.events.push(event).ok();
     }
 
-    fn tell_axes(&mut self, node: NodeId) {
+    fn report_axes(&mut self, node: NodeId) {
         let axes = self.arms.iter_mut().flat_map(|(_, axes)| axes);
         for axis in axes.filter(|axis| axis.node == node) {
             if let Some(event) = axis.poll_event(&self.network) {

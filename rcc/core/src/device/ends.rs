@@ -1,6 +1,6 @@
-//! What a net commanded ends with it, seen at the wire: a net thread, a driver and its emulator in virtual time, a net
-//! that moves the device and ends in each way there is, and what leaves for the wire until long after. Drivers state
-//! beside their own tests what they drive; what is the same for all of them is here.
+//! Commands of a net are withdrawn when it ends, as seen on the wire: a net thread, a driver and its emulator in virtual
+//! time; a net that moves the device and ends in every way; the frames sent until long after. Each driver's tests
+//! describe its device; the common part is here.
 
 use std::time::Duration;
 
@@ -8,17 +8,17 @@ use takt_rt::Nanos;
 
 use super::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus};
 use crate::executor::End;
-use stand::Stand;
+use fixtures::Fixture;
 
+#[path = "../../tests/fixtures/mod.rs"]
+mod fixtures;
 mod jumps;
 mod outputs;
-#[path = "../../tests/stand/mod.rs"]
-mod stand;
 
 pub(super) use jumps::Jumps;
 pub(super) use outputs::outputs_follow_their_policy;
 
-/// Nets that are scheduled to follow the one that ends, and rules, by its number and this.
+/// Offsets from a net's number to those of its scheduled successor and of its rules.
 const NEXT: u32 = 100;
 const RULE: u32 = 200;
 /// Periods of nets, in cycles of their thread of 1 ms.
@@ -27,29 +27,29 @@ pub(super) const PERIODS: [u64; 2] = [1, 1000];
 /// How a net ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Ending {
-    /// It terminates.
+    /// The net terminates.
     Itself,
-    /// It is asked to cancel.
+    /// The net is cancelled.
     Cancel,
-    /// It is aborted.
+    /// The net is aborted.
     Abort,
-    /// A rule stops it.
+    /// A rule stops the net.
     Rule,
-    /// Its client is lost: what it scheduled is taken back, what it runs is aborted.
+    /// Its client is lost: its scheduled nets are withdrawn, its running nets aborted.
     LostClient,
-    /// It is aborted and unloaded, and its thread serves nothing of it in the next cycle.
+    /// The net is aborted and unloaded.
     Unload,
     /// An emergency stop of another thread.
     EmergencyStop,
-    /// It took too long too often.
+    /// The net overran its cycle too often.
     Overrun,
-    /// The device ceases to follow, and comes back later.
+    /// The device stops following, and recovers later.
     DeviceFault,
-    /// The controller ends: nets, then threads, then drivers.
+    /// The controller shuts down: nets, then threads, then drivers.
     Shutdown,
 }
 
-/// All of them.
+/// All endings.
 const ENDINGS: [Ending; 10] = [
     Ending::Itself,
     Ending::Cancel,
@@ -65,49 +65,49 @@ const ENDINGS: [Ending; 10] = [
 
 /// A driver, its wire and its emulator.
 pub(super) trait Plant {
-    /// When it is in virtual time.
+    /// Its virtual time.
     fn now(&self) -> Nanos;
-    /// Runs driver and emulator up to then, with what nets command. While `is_ending` the driver is to end.
+    /// Runs driver and emulator up to a time, with the commands of nets. While `is_ending` the driver shuts down.
     fn run_to(&mut self, until: Nanos, given: &DeviceCommand, is_ending: bool);
-    /// What the driver reports.
+    /// State reported by the driver.
     fn copy_state(&mut self, state: &mut DeviceState);
-    /// What left for the wire last: a position or a speed.
+    /// Last position or speed sent.
     fn sent(&mut self) -> f64;
-    /// Where the emulated device is.
+    /// Position of the emulated device.
     fn place(&mut self) -> f64;
-    /// Puts a fault in, or takes it out again.
+    /// Injects or clears a fault.
     fn fail(&mut self, is_on: bool);
 }
 
-/// Whether it is positions or speeds that leave for the wire.
+/// Whether positions or speeds are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Wire {
     Positions,
     Speeds,
 }
 
-/// A device and how it is to come to rest.
+/// A device and its expected stop.
 pub(super) struct Row {
     pub(super) name: &'static str,
     pub(super) description: DeviceDescription,
-    /// Children that move it to and fro, in turn; `STEP` is by how much a clock moves on in an evaluation, times 1000.
+    /// Children that move it to and fro, in turn; `STEP` is the step of a clock per evaluation, times 1000.
     pub(super) children: [String; 2],
-    /// For how long it moves at least, ms.
+    /// Minimum duration of the motion, ms.
     pub(super) runs: usize,
     pub(super) wire: Wire,
-    /// Acceleration that its limits allow, in the unit of what is sent.
+    /// Acceleration limit, in the unit of the sent values.
     pub(super) acceleration: f64,
-    /// Steps in which what is sent is rounded.
+    /// Resolution of the sent values.
     pub(super) resolution: f64,
-    /// From a command to the frame that carries it out, a cycle of the driver or two.
+    /// Latency from a command to its frame: one or two cycles of the driver.
     pub(super) latency: Duration,
-    /// By how much the emulated device may move after what is sent rests, by its lag and its compliance.
+    /// Distance that the emulated device may move after the sent values rest, by its lag and its compliance.
     pub(super) creep: f64,
-    /// Why an ending makes no sense for it at that period of its net, if so.
+    /// Why an ending does not apply to it at that period of its net.
     pub(super) without: fn(Ending, u64) -> Option<&'static str>,
 }
 
-/// Children that swing a joint to and fro from where it is at these speeds, rad/s.
+/// Children that swing a joint about its position at these speeds, rad/s.
 pub(super) fn joint(axis: usize, speeds: [f64; 2]) -> [String; 2] {
     speeds.map(|speed| swing(axis, speed))
 }
@@ -129,7 +129,7 @@ fn swing(axis: usize, speed: f64) -> String {
     )
 }
 
-/// Children that drive a base to and fro at so many m/s.
+/// Children that drive a base to and fro at a speed, m/s.
 pub(super) fn velocity(ahead: f64) -> [String; 2] {
     [ahead, -ahead].map(|ahead| {
         format!(
@@ -153,19 +153,19 @@ fn net(children: &str, every: u64, ends_after: Option<u32>) -> String {
 
 /// A net thread and a plant that it commands.
 struct Bench<P> {
-    stand: Stand,
-    driven: stand::Driven,
+    fixture: Fixture,
+    driven: fixtures::Driven,
     plant: P,
     given: DeviceCommand,
     state: DeviceState,
-    /// What was sent, and where the device was, each millisecond.
+    /// Sent values and positions of the device, each millisecond.
     sent: Vec<f64>,
     places: Vec<f64>,
 }
 
 impl<P: Plant> Bench<P> {
     fn new(row: &Row, plant: P) -> Self {
-        let mut stand = Stand::default();
+        let mut fixture = Fixture::default();
         let description = DeviceDescription {
             name: "x".to_owned(),
             ..row.description.clone()
@@ -173,10 +173,10 @@ impl<P: Plant> Bench<P> {
         let mut layout = takt_net::device::Layout::default();
         let joints = description.limits.len();
         let _places = super::parts::lay(&description.parts, joints, &mut layout);
-        let driven = stand.add_driven(description);
-        stand.cycle = plant.now().0.unsigned_abs().div_ceil(1_000_000);
+        let driven = fixture.add_driven(description);
+        fixture.cycle = plant.now().0.unsigned_abs().div_ceil(1_000_000);
         let mut bench = Self {
-            stand,
+            fixture,
             driven,
             plant,
             given: DeviceCommand::new(layout.commands),
@@ -194,7 +194,7 @@ impl<P: Plant> Bench<P> {
         bench
     }
 
-    /// The driver's part of a millisecond.
+    /// Runs driver and emulator up to a time.
     fn drive(&mut self, until: Nanos, is_ending: bool) {
         self.plant.run_to(until, &self.given, is_ending);
         self.plant.copy_state(&mut self.state);
@@ -205,12 +205,12 @@ impl<P: Plant> Bench<P> {
     }
 
     fn time(&self) -> Nanos {
-        Nanos(self.stand.cycle.cast_signed() * 1_000_000)
+        Nanos(self.fixture.cycle.cast_signed() * 1_000_000)
     }
 
     /// A cycle of the net thread, then the driver until the next.
     fn step(&mut self) {
-        self.stand.step();
+        self.fixture.step();
         let given = &mut self.given;
         self.driven
             .command
@@ -222,7 +222,7 @@ impl<P: Plant> Bench<P> {
         (0..cycles).for_each(|_| self.step());
     }
 
-    /// The threads of nets are over, the driver is to end.
+    /// The net threads have ended, the driver shuts down.
     fn end_driver(&mut self, cycles: u32) {
         for n in 1..=cycles {
             let span = i64::from(n) * 1_000_000;
@@ -230,19 +230,19 @@ impl<P: Plant> Bench<P> {
         }
     }
 
-    /// Has the net of that number end in this way, at once or in its next cycle.
+    /// Ends a net in this way, at once or in its next cycle.
     fn end(&mut self, id: u32, ending: Ending) {
-        let executor = &mut self.stand.executor;
+        let executor = &mut self.fixture.executor;
         match ending {
             Ending::Itself => {}
             Ending::Cancel => assert!(executor.cancel(id)),
             Ending::Abort | Ending::Shutdown => assert!(executor.abort(id)),
-            Ending::Unload => self.stand.unload(id),
-            Ending::LostClient => self.stand.lose_client(&[id, id + NEXT]),
-            Ending::Rule => self.stand.stop_by_rule(id + RULE, id, &[]),
+            Ending::Unload => self.fixture.unload(id),
+            Ending::LostClient => self.fixture.lose_client(&[id, id + NEXT]),
+            Ending::Rule => self.fixture.stop_by_rule(id + RULE, id, &[]),
             Ending::Overrun => executor.end_runaway(id),
             Ending::DeviceFault => self.plant.fail(true),
-            Ending::EmergencyStop => self.stand.set_stop(true),
+            Ending::EmergencyStop => self.fixture.set_stop(true),
         }
     }
 
@@ -250,7 +250,7 @@ impl<P: Plant> Bench<P> {
     fn await_end(&mut self, id: u32, most: usize, what: &str) -> End {
         for _ in 0..most {
             self.step();
-            if let Some(end) = self.stand.ended.get(&id) {
+            if let Some(end) = self.fixture.ended.get(&id) {
                 return *end;
             }
         }
@@ -269,7 +269,7 @@ impl<P: Plant> Bench<P> {
     }
 }
 
-/// The largest change between two values so many steps apart.
+/// The largest change between two values `span` steps apart.
 fn fastest(values: &[f64], span: usize) -> f64 {
     let windows = values.windows(span + 1);
     let changes = windows.map(|w| (w[span] - w[0]).abs());
@@ -277,7 +277,7 @@ fn fastest(values: &[f64], span: usize) -> f64 {
 }
 
 impl Row {
-    /// How fast it was in the last cycles before its net ended, at most.
+    /// Maximum speed in the last cycles before its net ended.
     fn speed(&self, sent: &[f64]) -> f64 {
         // Longer than any driver's cycle.
         let last = &sent[sent.len().saturating_sub(200)..];
@@ -287,7 +287,7 @@ impl Row {
         }
     }
 
-    /// What was sent as places of which the last is to be kept.
+    /// The sent values as positions, the last of which must be held.
     fn path(&self, sent: &[f64]) -> Vec<f64> {
         match self.wire {
             Wire::Positions => sent.to_vec(),
@@ -301,10 +301,10 @@ impl Row {
         }
     }
 
-    /// How long and how far it may go on at the speed that it had.
+    /// How long and how far it may continue at its speed.
     fn stopping(&self, sent: &[f64]) -> (usize, f64) {
         let latency = self.latency.as_secs_f64();
-        // It may have been about to go on accelerating when the end came.
+        // It may still have been accelerating at the end.
         let speed = self.speed(sent) + self.acceleration * latency;
         let time = speed / self.acceleration + latency;
         let way = speed * speed / (2.0 * self.acceleration) + speed * latency + self.resolution;
@@ -317,9 +317,9 @@ impl Row {
         (cycles, way)
     }
 
-    /// From this cycle on it brakes within its limit, and rests once it had the time for that.
+    /// From this cycle on it brakes within its limit, and rests after the braking time.
     fn check(&self, sent: &[f64], from: usize, ending: Ending, what: &str) {
-        // What had a fault goes on from where it is then.
+        // After a fault it continues from its present position.
         let has_failed = ending == Ending::DeviceFault && self.wire == Wire::Positions;
         let tolerance = if has_failed {
             self.resolution.max(self.creep)
@@ -337,7 +337,7 @@ impl Row {
         assert!(most <= tolerance, "{what}: moves on by {most}");
     }
 
-    /// The product of endings and periods for a device that `make` makes anew for each period.
+    /// All combinations of endings and periods for a device; `make` creates one for each period.
     pub(super) fn comes_to_rest<P: Plant>(&self, make: impl Fn() -> P) {
         for every in PERIODS {
             let mut bench = Bench::new(self, make());
@@ -358,19 +358,19 @@ impl Row {
         let ends_after = (ending == Ending::Itself).then_some(evaluations);
         let children = &self.children[usize::try_from((id + 1) % 2).unwrap()];
         let text = net(children, every, ends_after);
-        bench.stand.try_start(id, &text, every).unwrap();
+        bench.fixture.try_start(id, &text, every).unwrap();
         if ending == Ending::LostClient {
-            bench.stand.start_after(Some(id), id + NEXT, &text, every);
+            bench.fixture.start_after(Some(id), id + NEXT, &text, every);
         }
-        // Up to its first evaluation, and for some more and a part of a period.
-        let until_due = every - bench.stand.cycle % every;
+        // Up to its first evaluation, then some more periods and a part of one.
+        let until_due = every - bench.fixture.cycle % every;
         bench.steps(usize::try_from(until_due).unwrap());
         bench.steps(self.runs.max(if self.runs < 250 {
             0
         } else {
             period + period / 3
         }));
-        assert_eq!(bench.stand.ended.get(&id), None, "{what}");
+        assert_eq!(bench.fixture.ended.get(&id), None, "{what}");
         let begins = bench.sent.len();
         bench.end(id, ending);
         bench.await_end(id, 3 * period + 500, &what);
@@ -385,7 +385,7 @@ impl Row {
         let (rests, _) = self.stopping(&bench.sent[..from]);
         bench.steps(rests + 300);
         self.check(&bench.sent, from, ending, &what);
-        // Long enough for what it might still have done.
+        // Long enough to see any later motion.
         if ending == Ending::Shutdown {
             bench.end_driver(1_200);
         } else if ending == Ending::DeviceFault {
@@ -393,7 +393,7 @@ impl Row {
             bench.await_operational(&what);
         } else {
             if ending == Ending::EmergencyStop {
-                bench.stand.set_stop(false);
+                bench.fixture.set_stop(false);
             }
             bench.steps(if every > 1 { period + 50 } else { 300 });
         }
@@ -401,6 +401,6 @@ impl Row {
         let places = &bench.places[from + rests + 200..];
         let most = fastest(places, places.len() - 1);
         assert!(most <= self.creep, "{what}: the device moves on by {most}");
-        assert!(!bench.stand.ended.contains_key(&(id + NEXT)), "{what}");
+        assert!(!bench.fixture.ended.contains_key(&(id + NEXT)), "{what}");
     }
 }

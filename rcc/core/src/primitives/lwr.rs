@@ -16,8 +16,8 @@ const UNKNOWN: NullRule = NullRule::Own("Null while the driver does not know the
 /// Outcome of an impedance order.
 const TAKEN: &str = "the arm has accepted the orders of this primitive";
 const REFUSED: &str = "0 none, 1 out of range or no number, 2 no contact to the arm, 4 the strategy in force or the \
-                       robot's program does not take it, 6 not before command mode is entered anew, \
-                       or the addition asked for anew, -1 concurrent access";
+                       robot's program does not take it, 6 not before command mode is entered again, \
+                       or the addition requested again, -1 concurrent access";
 const KEEPS: NullRule = NullRule::Own(
     "A null stiffness or damping keeps the present value; a null addition adds nothing.",
 );

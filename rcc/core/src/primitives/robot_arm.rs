@@ -216,7 +216,7 @@ fn tool_parameters(b: &mut Build<'_, '_>) -> Result<SetTool<Vector>, Fault> {
     let (arm, axis) = joint(b)?;
     let last = arm.limits.len() - 1;
     if axis != last {
-        let why = format!("axis {axis} carries the next one; tools are told for axis {last}");
+        let why = format!("axis {axis} carries the next one; a tool is set for axis {last}");
         return Err(b.parameter_fault("Axis", why));
     }
     let flange = b.constant(Frame::identity());

@@ -332,7 +332,7 @@ fn broken(path: &Path, cycle: u64, error: &mcap::McapError) -> Error {
 
 /// Notes of a recording besides cycles.
 #[derive(Debug)]
-pub(super) enum Told {
+pub(super) enum RecordedNote {
     Device(DeviceEvent),
     Net(NetNote),
 }
@@ -341,7 +341,7 @@ pub(super) enum Told {
 #[derive(Debug, Default)]
 pub(super) struct Recording {
     /// Devices and nets in order.
-    pub(super) notes: Vec<Told>,
+    pub(super) notes: Vec<RecordedNote>,
     pub(super) cycles: Vec<Vec<u64>>,
     /// It was not finished, because of a full disk or a crash; it holds the complete records.
     pub(super) is_cut: bool,
@@ -426,8 +426,8 @@ impl Recording {
 
     fn message(&mut self, topic: &str, data: &[u8]) -> Result<(), String> {
         match topic {
-            DEVICES => self.notes.push(Told::Device(note(data)?)),
-            NETS => self.notes.push(Told::Net(note(data)?)),
+            DEVICES => self.notes.push(RecordedNote::Device(note(data)?)),
+            NETS => self.notes.push(RecordedNote::Net(note(data)?)),
             CYCLES => {
                 let (words, rest) = data.as_chunks();
                 if !rest.is_empty() {

@@ -14,7 +14,7 @@ use crate::error::Error;
 use crate::executor::{Executor, Running};
 use crate::ids::NetId;
 use crate::record::WORDS_A_CYCLE;
-use crate::record::file::{DeviceEvent, NetNote, Recording, Told};
+use crate::record::file::{DeviceEvent, NetNote, RecordedNote, Recording};
 use crate::record::words::{Entry, Reader, Words};
 
 /// The outcome of a replay.
@@ -126,16 +126,16 @@ impl<'r> Stage<'r> {
         let mut devices = DeviceTable::default();
         let registry = crate::registry();
         let mut nets = HashMap::new();
-        for told in &recording.notes {
-            match told {
-                Told::Device(DeviceEvent::Came(device)) => {
+        for note in &recording.notes {
+            match note {
+                RecordedNote::Device(DeviceEvent::Came(device)) => {
                     let (number, place) = (device.number, device.place());
                     devices.add_at(number, place, device.description())?;
                 }
-                Told::Device(DeviceEvent::Went { name }) => {
+                RecordedNote::Device(DeviceEvent::Went { name }) => {
                     devices.remove(name);
                 }
-                Told::Net(net) => {
+                RecordedNote::Net(net) => {
                     let known = Recorded {
                         devices: &devices,
                         nets: &nets,

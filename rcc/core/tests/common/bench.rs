@@ -1,5 +1,5 @@
-//! A test bench: an emulated EtherCAT segment at the end of a cable inside of this process, in a thread of its own, and a
-//! controller that drives it. Each test defines its segment. Also the log of such tests.
+//! A test bench: an emulated EtherCAT segment on a cable inside this process, in a thread of its own, and a
+//! controller that commands it. Each test defines its segment. Also the log of such tests.
 
 #![allow(
     dead_code,
@@ -22,7 +22,7 @@ use takt_rt::thread::{Thread, ThreadConfig, spawn};
 
 use crate::common::Cell;
 
-/// A link whose frames come in so much later than they were sent.
+/// A link that delays received frames by a fixed time.
 #[derive(Debug)]
 struct Delayed<L> {
     link: L,
@@ -52,7 +52,7 @@ struct Served {
 }
 
 impl Served {
-    /// By one cable, or of a ring by two; every answer comes back so much later.
+    /// Connected by one cable, or by two as a ring; every answer is delayed.
     fn start(segment: SharedSegment, ring: bool, latency: Duration) -> (Self, Wires) {
         let ((near, far), (near2, far2)) = (cable(), cable());
         let mut server = Server::new(segment, far);
@@ -93,7 +93,7 @@ impl Drop for Served {
     }
 }
 
-/// A segment, and a controller that leads it; fields are dropped in this order.
+/// A segment, and a controller that commands it; fields are dropped in this order.
 pub struct TestBench {
     cell: Option<Cell>,
     served: Option<Served>,
@@ -102,12 +102,12 @@ pub struct TestBench {
 }
 
 impl TestBench {
-    /// By one cable, or by two if the cell names a second interface. Devices are not waited for.
+    /// By one cable, or by two if the cell names a second interface. Does not wait for devices.
     pub fn start(config: &EthercatConfig, segment: Segment) -> Self {
         Self::start_late(config, segment, Duration::ZERO)
     }
 
-    /// The same with a cable by which every answer comes back so much later.
+    /// The same with a cable that delays every answer.
     pub fn start_late(config: &EthercatConfig, segment: Segment, latency: Duration) -> Self {
         let mut bench = Self {
             cell: None,
@@ -119,7 +119,7 @@ impl TestBench {
         bench
     }
 
-    /// Begins to serve the segment, and a controller that leads it.
+    /// Starts to serve the segment, and a controller that commands it.
     pub fn lead(&mut self, config: &EthercatConfig) {
         let (served, wires) =
             Served::start(self.segment.clone(), config.second.is_some(), self.latency);
@@ -133,13 +133,13 @@ impl TestBench {
         self.served = Some(served);
     }
 
-    /// Ends the controller, then the segment answers no more. What is on it keeps its power.
+    /// Ends the controller, then disconnects the segment. Its slaves stay powered.
     pub fn leave(&mut self) {
         self.cell = None;
         self.served = None;
     }
 
-    /// Ends the controller; the segment goes on.
+    /// Ends the controller; the segment continues.
     pub fn end_controller(&mut self) {
         self.cell = None;
     }
@@ -148,7 +148,7 @@ impl TestBench {
         self.cell.as_ref().unwrap()
     }
 
-    /// The segment; frames wait as long as it is held.
+    /// The segment, locked: frames wait until the guard is dropped.
     pub fn segment(&self) -> MutexGuard<'_, Segment> {
         self.segment.lock()
     }
@@ -163,7 +163,7 @@ impl TestBench {
     }
 }
 
-/// What is logged from [`Log::start`] on, by all tests of the process.
+/// The log of all tests of the process since [`Log::start`].
 #[derive(Clone, Default)]
 pub struct Log(Arc<Mutex<Vec<u8>>>);
 

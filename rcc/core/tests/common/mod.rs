@@ -45,7 +45,7 @@ impl Robot {
             let local = SocketAddr::from(([127, 0, 0, 1], 0));
             let mut link = takt_fri::linux::UdpLink::connect(local, target).unwrap();
             let joints = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
-            // A host without PREEMPT_RT may stall for tens of milliseconds: no reason to stop here.
+            // Tolerates stalls of tens of milliseconds, as of a host without PREEMPT_RT.
             let timing = Timing {
                 misses_max: 100,
                 bad_from: 0.0,
@@ -82,7 +82,7 @@ impl Drop for Robot {
     }
 }
 
-/// How often a net is begun again because the host stalled.
+/// Maximum restarts of a net because of stalls of the host.
 const ATTEMPTS: u32 = 10;
 
 /// A controller with arms of these names and their robots.
@@ -96,7 +96,7 @@ impl Cell {
         Self::recorded(names, None)
     }
 
-    /// The same with a recording under way.
+    /// The same with a recording.
     pub fn recorded(names: &[&str], recording: Option<(Recorder, Tap)>) -> Self {
         let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
         let lwr = |name: &&str| DeviceConfig::Lwr(LwrConfig::new(*name, anywhere));
@@ -185,7 +185,7 @@ impl Cell {
         state.joints[joint].measured_position.unwrap_or(f64::NAN)
     }
 
-    /// Where a joint is once it has not moved for a quarter of a second, rad.
+    /// Position of a joint after it has been at rest for 250 ms, rad.
     pub fn at_rest(&self, arm: &str, joint: usize) -> f64 {
         let mut rest = (self.position(arm, joint), Instant::now());
         let until = rest.1 + Duration::from_secs(5);
@@ -199,14 +199,14 @@ impl Cell {
         rest.0
     }
 
-    /// Lets a net move a joint by half a radian within a second and says how far it came in the end. That begins
-    /// again if the arm was lost meanwhile: a host without `PREEMPT_RT` stalls for longer than a bus forgives.
+    /// Runs a net that moves a joint by half a radian within a second; returns the distance moved. Repeats if the
+    /// arm was lost meanwhile: a host without `PREEMPT_RT` stalls for longer than a bus tolerates.
     pub fn swung(&self, arm: &str, joint: usize) -> f64 {
         let faults = || self.controller.arm_state(arm).unwrap().faults;
         for _ in 0..ATTEMPTS {
             let before = (self.position(arm, joint), faults());
             let net = self.load(&swing_joint(arm, joint, 1.0));
-            // One that cannot start because the arm was lost just now tries again too.
+            // A net that cannot start because the arm was just lost is retried too.
             if self.controller.start_net(net).is_ok() {
                 self.wait_for_end(net);
                 let moved = self.at_rest(arm, joint) - before.0;
@@ -219,7 +219,7 @@ impl Cell {
         panic!("{arm} was lost in each of {ATTEMPTS} attempts");
     }
 
-    /// A net that has begun to move a joint and goes on for twenty seconds.
+    /// A running net that moves a joint for twenty seconds.
     pub fn swinging(&self, arm: &str, joint: usize) -> NetId {
         for _ in 0..ATTEMPTS {
             let before = self.position(arm, joint);

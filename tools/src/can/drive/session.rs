@@ -14,7 +14,7 @@ use takt_can::Frame;
 use takt_can::canopen::{HEARTBEAT, NmtCommand, NmtState, NodeId, heartbeat};
 use takt_cia402::dictionary::Address;
 use takt_cia402::{
-    ControlWord, DriveFault, Goal, Master, Monitor, Patience, RunawayLimits, StatusWord,
+    ControlWord, DriveFault, Goal, Master, MasterOptions, Monitor, RunawayLimits, StatusWord,
 };
 
 use super::diagnosis::{Cause, Diagnosis};
@@ -52,7 +52,7 @@ pub(super) struct Plan {
     pub(super) hold: Duration,
     pub(super) jog: Option<Jog>,
     /// How the drive keeps to its profile.
-    pub(super) profile: Patience,
+    pub(super) profile: MasterOptions,
 }
 
 /// How to turn it.

@@ -24,7 +24,7 @@ fn plan() -> Plan {
         reset: false,
         hold: Duration::from_millis(200),
         jog: None,
-        profile: takt_cia402::Patience::default(),
+        profile: takt_cia402::MasterOptions::default(),
     }
 }
 

@@ -28,7 +28,7 @@ fn order() -> Order {
         hold: Duration::from_millis(500),
         jog: None,
         patience: Duration::from_secs(10),
-        profile: takt_cia402::Patience::default(),
+        profile: takt_cia402::MasterOptions::default(),
         not_mirrored: Objects::default(),
     }
 }
@@ -344,7 +344,8 @@ fn drive_without_bit_12_needs_its_quirk() {
     assert!(why.contains("quirk no_follow_bit"), "{why}");
     let (segment, _) = line(config);
     let quirky = Order {
-        profile: takt_cia402::Patience::default().with_quirks(&[takt_cia402::Quirk::NoFollowBit]),
+        profile: takt_cia402::MasterOptions::default()
+            .with_quirks(&[takt_cia402::Quirk::NoFollowBit]),
         ..order()
     };
     let (outcome, lines) = done(segment, &quirky, None);

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use serde::{Deserialize, Deserializer};
-use takt_can::cia402::{Patience, Quirk, UnknownQuirk};
+use takt_can::cia402::{MasterOptions, Quirk, UnknownQuirk};
 
 use super::{EthercatClocks, EthercatIo, EthercatSlave, YouBotArm, YouBotBase};
 use crate::span;
@@ -266,8 +266,8 @@ impl<D> DriveJoint<D> {
 
     /// Timeouts of its drive, adapted to its quirks.
     #[must_use]
-    pub(crate) fn patience(&self) -> Patience {
-        Patience::default().with_quirks(&self.quirks)
+    pub(crate) fn master_options(&self) -> MasterOptions {
+        MasterOptions::default().with_quirks(&self.quirks)
     }
 }
 

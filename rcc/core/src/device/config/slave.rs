@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use serde::{Deserialize, Deserializer};
-use takt_ethercat::config::Patience;
+use takt_ethercat::config::Timeouts;
 
 use super::OutputsOnEnd;
 use crate::span;
@@ -147,13 +147,13 @@ pub struct SlaveTimeouts {
 
 impl Default for SlaveTimeouts {
     fn default() -> Self {
-        let Patience {
+        let Timeouts {
             pre_op,
             op,
             mailbox,
             sii,
             ..
-        } = Patience::default();
+        } = Timeouts::default();
         Self {
             pre_op,
             op,
@@ -184,19 +184,19 @@ impl SlaveTimeouts {
     }
 
     /// Converts them for the master.
-    pub(crate) fn patience(self) -> Patience {
+    pub(crate) fn for_master(self) -> Timeouts {
         let Self {
             pre_op,
             op,
             mailbox,
             sii,
         } = self;
-        Patience {
+        Timeouts {
             pre_op,
             op,
             mailbox,
             sii,
-            ..Patience::default()
+            ..Timeouts::default()
         }
     }
 }

@@ -1,17 +1,17 @@
-//! A position that stands elsewhere all of a sudden while its device follows commands: what is scheduled is given back, and
-//! what leaves for the wire does not follow the jump.
+//! A position jumps while its device follows commands: scheduled nets are returned, and the sent values do not follow the
+//! jump.
 
 use super::*;
 use crate::device::continuity::JumpPart;
 use crate::executor::rules::{Failure, RuleState};
 
-/// What is to come of a jump.
+/// Expected results of a jump.
 pub(in crate::device) struct Jumps {
-    /// Where it is seen.
+    /// Where it is detected.
     pub(in crate::device) part: JumpPart,
-    /// About by how much.
+    /// Approximate size.
     pub(in crate::device) by: f64,
-    /// Whether the device takes it for a fault and ceases to follow.
+    /// Whether it is a fault of the device, which then stops following.
     pub(in crate::device) is_fault: bool,
 }
 
@@ -25,11 +25,11 @@ impl Jumps {
     ) {
         let mut bench = Bench::new(row, plant);
         let text = net(&row.children[0], 1, None);
-        bench.stand.try_start(1, &text, 1).unwrap();
-        bench.stand.start_after(Some(1), 2, &text, 1);
+        bench.fixture.try_start(1, &text, 1).unwrap();
+        bench.fixture.start_after(Some(1), 2, &text, 1);
         bench.steps(row.runs + 200);
         assert_eq!(bench.state.jumped.count, 0, "{}", row.name);
-        assert_eq!(bench.stand.rules.get(&2), None, "{}", row.name);
+        assert_eq!(bench.fixture.rules.get(&2), None, "{}", row.name);
         let begins = bench.sent.len();
         jump(&mut bench.plant);
         bench.steps(150);
@@ -43,8 +43,13 @@ impl Jumps {
             row.name
         );
         let given_back = (RuleState::FireFailed, Some(Failure::DeviceChanged(0)));
-        assert_eq!(bench.stand.rules.get(&2), Some(&given_back), "{}", row.name);
-        let runs = !bench.stand.ended.contains_key(&1);
+        assert_eq!(
+            bench.fixture.rules.get(&2),
+            Some(&given_back),
+            "{}",
+            row.name
+        );
+        let runs = !bench.fixture.ended.contains_key(&1);
         assert_eq!(runs, !self.is_fault, "{}", row.name);
         if runs {
             // As before, from one frame to the next.

@@ -1,4 +1,4 @@
-//! Outputs when the net that wrote them ends: held, or at the value that the cell states, in each way of ending.
+//! Outputs after the end of the net that wrote them: held, or at the value configured in the cell, for every ending.
 
 use takt_net::device::Layout;
 
@@ -7,7 +7,7 @@ use crate::device::parts;
 
 /// What a net writes.
 const CHILDREN: &str = "b=IO::OutBool(IO='true',DeviceID='x'),r=IO::OutReal(IO='2',DeviceID='x')";
-/// Endings that leave a device with outputs in its place.
+/// Endings after which a device with outputs stays connected.
 const OF_OUTPUTS: [Ending; 9] = [
     Ending::Itself,
     Ending::Cancel,
@@ -52,7 +52,7 @@ pub(in crate::device) fn outputs_follow_their_policy<P: Plant>(
         let what = format!("{}, {ending:?}", description.kind);
         bench.await_operational(&what);
         let text = net(CHILDREN, 10, (ending == Ending::Itself).then_some(5));
-        bench.stand.try_start(id, &text, 10).unwrap();
+        bench.fixture.try_start(id, &text, 10).unwrap();
         bench.steps(25 + latency);
         if ending != Ending::Itself {
             assert_eq!(
@@ -70,7 +70,7 @@ pub(in crate::device) fn outputs_follow_their_policy<P: Plant>(
             bench.step();
         }
         if ending == Ending::EmergencyStop {
-            bench.stand.set_stop(false);
+            bench.fixture.set_stop(false);
             bench.steps(20);
             assert_eq!(shown(&bench.state), expected, "{what}: released");
         }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use std::mem::{Discriminant, discriminant};
 
 use takt_can::cia402::proof::Objects;
-use takt_can::cia402::{DriveFault, Patience};
+use takt_can::cia402::{DriveFault, MasterOptions};
 use takt_ethercat::axis::{Axis, NotMapped, Target};
 use takt_ethercat::master::{Master, Reply};
 use takt_rt::cycle::Tick;
@@ -27,7 +27,7 @@ struct Place {
     /// Objects that are taken on trust.
     not_mirrored: Objects,
     /// Timeouts, with the quirks of its drive.
-    patience: Patience,
+    options: MasterOptions,
     /// The fault reported last, and the one still to be reported.
     hindered: Option<Discriminant<DriveFault>>,
     drive_fault: Option<DriveFault>,
@@ -62,7 +62,7 @@ impl Arm {
             axis: None,
             lack: None,
             not_mirrored: Objects::of(&joint.not_mirrored).unwrap_or_default(),
-            patience: joint.patience(),
+            options: joint.master_options(),
             hindered: None,
             drive_fault: None,
             proven: None,
@@ -193,7 +193,7 @@ impl Place {
             && self.lack.is_none()
             && let Some(slave) = master.slave(self.slave)
         {
-            match Axis::new(self.slave, slave.process(), self.number, self.patience) {
+            match Axis::new(self.slave, slave.process(), self.number, self.options) {
                 Ok(axis) => self.axis = Some(axis.not_mirrored(self.not_mirrored)),
                 Err(lack) => self.lack = Some((lack, true)),
             }

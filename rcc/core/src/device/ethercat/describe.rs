@@ -114,7 +114,7 @@ fn spec(slave: &EthercatSlave, cycle: Duration) -> SlaveSpec {
         complete_access: slave.complete_access,
         startup: slave.startup.iter().map(startup).collect(),
         sync: slave.sync0.then(|| sync(slave, cycle)),
-        patience: (slave.timeouts != SlaveTimeouts::default()).then(|| slave.timeouts.patience()),
+        timeouts: (slave.timeouts != SlaveTimeouts::default()).then(|| slave.timeouts.for_master()),
         ..SlaveSpec::new(slave.name.clone(), location(slave))
     };
     if slave.axes > 0 {

@@ -159,7 +159,7 @@ impl<P: Protocol> Driver<P> {
         self.publish_clock();
         let is_lost = self.session.handle_silence(now);
         self.take_orders(now);
-        self.note_heard();
+        self.note_received();
         if is_lost {
             self.was_commanding = false;
             self.event_sender.send(Event::Lost, now);
@@ -190,7 +190,7 @@ impl<P: Protocol> Driver<P> {
                 return false;
             }
         };
-        self.note_heard();
+        self.note_received();
         if received.is_first {
             self.event_sender.restart();
         }
@@ -267,7 +267,7 @@ impl<P: Protocol> Driver<P> {
     /// Notes that the answer to the measurement of `at` left at `now`.
     pub(super) fn handle_sent(&mut self, at: Nanos, now: Nanos) {
         self.answer_time.record(now - at);
-        self.note_heard();
+        self.note_received();
         let sequence = self.session.sent_sequence();
         self.event_sender.note_answer(now, sequence);
         let mut joints = self.joints.iter().zip(&self.taken.joints);
@@ -279,7 +279,7 @@ impl<P: Protocol> Driver<P> {
     }
 
     /// Evaluates the newest measurement; its answer does not wait for this.
-    fn note_heard(&mut self) {
+    fn note_received(&mut self) {
         if let Some((measurement, quality)) = self.received.take() {
             self.event_sender.note_measurement(measurement, quality);
         }
@@ -287,7 +287,7 @@ impl<P: Protocol> Driver<P> {
 
     /// Publishes the measurement that arrived `at`, after its answer.
     pub(super) fn finish(&mut self, at: Nanos) {
-        self.note_heard();
+        self.note_received();
         self.publish_clock();
         let braked = self.withheld.take();
         let violation = braked.or_else(|| self.session.violation());
@@ -391,7 +391,7 @@ impl<P: Protocol> Driver<P> {
             state, continuity, ..
         } = &mut self.last;
         continuity.check(state, |number| Some(limits.get(number)?.velocity_max));
-        self.tell_torques();
+        self.report_torques();
         self.write_state();
     }
 
@@ -404,7 +404,7 @@ impl<P: Protocol> Driver<P> {
     }
 
     /// Reports torques and forces; null while the robot is silent.
-    fn tell_torques(&mut self) {
+    fn report_torques(&mut self) {
         let silent = self.last.state.status == DeviceStatus::Offline;
         let received = Some(&self.session).filter(|_| !silent);
         let estimated = received.and_then(P::external_torques);

@@ -508,8 +508,8 @@ fn fri_second_controller_is_ignored_until_first_lost() {
     let mut measurement = [0; Msr::LEN];
     let mut intrude = |rig: &mut Rig<Krc, lwr::End>| {
         while other.poll_transmit(rig.now, &mut measurement).is_some() {
-            let is_heard = rig.driver.accept(at_port(2), &measurement, rig.now);
-            if is_heard {
+            let is_accepted = rig.driver.accept(at_port(2), &measurement, rig.now);
+            if is_accepted {
                 rig.driver.finish(rig.now.into());
             }
         }

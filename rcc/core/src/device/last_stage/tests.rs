@@ -220,7 +220,7 @@ fn last_stage_overspeed_joint_stops_at_range_end() {
 fn last_stage_steer_changes_speed_within_limits() {
     let mut stage = LastStage::new(LIMITS);
     let mut last = 0.0;
-    // Measured positions jump about the end of its range, and wishes are wild.
+    // Measured positions jump about the end of its range, and targets vary wildly.
     for i in 0..4000_u32 {
         let at = 2.0 + 0.05 * f64::from(i % 7) - 0.15 - if i < 2000 { 1.0 } else { 0.0 };
         let target = [9.0, -9.0, f64::NAN, 1.0][usize::try_from(i / 500).unwrap() % 4];

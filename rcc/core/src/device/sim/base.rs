@@ -234,7 +234,7 @@ impl Mecanum {
             }
         }
         if let Some(cartesian) = &self.interfaces.cartesian {
-            tell_cartesian(cartesian, signals, pose, in_place, error);
+            report_cartesian(cartesian, signals, pose, in_place, error);
         }
     }
 }
@@ -247,7 +247,7 @@ fn report_base(base: &Base, signals: &mut [u64], pose: Frame, velocity: Twist) {
     base.pose.report(signals, Some(pose));
 }
 
-fn tell_cartesian(
+fn report_cartesian(
     cartesian: &CartesianPosition,
     signals: &mut [u64],
     pose: Frame,
