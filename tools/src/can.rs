@@ -1,7 +1,6 @@
-//! `takt can`: look at a CAN bus, live or from a recording, send to it, set interfaces up, and bring nodes up.
-//! Protocols are decoded in `takt-can`; whether the host is fit is asked by `takt doctor`.
+//! `takt can`: inspect a CAN bus, live or from a recording, send to it, set up interfaces, and bring nodes up.
+//! `takt-can` decodes the protocols; `takt doctor` checks the host.
 
-mod ask;
 mod confirm;
 mod drive;
 mod dump;
@@ -14,6 +13,7 @@ mod replay;
 mod rmp;
 mod scan;
 mod sdo;
+mod sdo_client;
 mod send;
 mod sheet;
 mod stat;
@@ -26,7 +26,7 @@ use takt_can::canopen::NodeId;
 
 use crate::Verdict;
 
-/// Look at CAN buses, send to them, set interfaces up.
+/// Inspect CAN buses, send to them, set up interfaces.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Can {
     Dump(dump::Dump),
@@ -62,7 +62,7 @@ impl Can {
 fn node(text: &str) -> Result<NodeId, String> {
     let raw = text.parse::<u8>().ok();
     raw.and_then(|raw| NodeId::new(raw).ok())
-        .ok_or_else(|| format!("`{text}` is no node number; they are 1 to 127"))
+        .ok_or_else(|| format!("`{text}` is not a node number; they are 1 to 127"))
 }
 
 /// Reads a bit rate of the command line: `500k`, `1M`, or bit/s.
@@ -79,7 +79,7 @@ fn bitrate(text: &str) -> Result<u32, String> {
         .ok()
         .and_then(|rate| rate.checked_mul(unit));
     rate.filter(|rate| (1_000..=20_000_000).contains(rate))
-        .ok_or_else(|| format!("`{text}` is no bit rate: write 500k, 1M, or bit/s"))
+        .ok_or_else(|| format!("`{text}` is not a bit rate\nhint: write 500k, 1M, or bit/s"))
 }
 
 #[cfg(test)]
@@ -87,7 +87,7 @@ mod tests {
     use super::bitrate;
 
     #[test]
-    fn bit_rates_have_units() {
+    fn bit_rate_with_unit_is_parsed() {
         assert_eq!(bitrate("500k"), Ok(500_000));
         assert_eq!(bitrate("1M"), Ok(1_000_000));
         assert_eq!(bitrate("125000"), Ok(125_000));

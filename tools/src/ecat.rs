@@ -1,5 +1,5 @@
-//! `takt ecat`: look at an EtherCAT segment by a master of its own, and at recordings of one. The protocol is that of
-//! `takt-ethercat`; whether the host is fit for it is asked by `takt doctor`.
+//! `takt ecat`: inspects an EtherCAT segment with a master of its own, and recordings of segments. `takt-ethercat` is
+//! the protocol; `takt doctor` checks the host.
 
 mod cell;
 mod dc;
@@ -34,10 +34,10 @@ use crate::Verdict;
 use crate::output::span;
 use session::Session;
 
-/// Look at an EtherCAT segment, ask its slaves for objects, decode recordings.
+/// Inspect an EtherCAT segment, read and write objects of its slaves, decode recordings.
 ///
-/// Commands that send are masters: the controller that owns the segment has to be stopped before
-/// (`systemctl stop takt`); where frames of another master are heard, nothing is sent.
+/// Commands that send are masters: stop the controller that owns the segment first (`systemctl stop takt`). Where frames
+/// of another master are received, nothing is sent.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Ecat {
     Scan(scan::Scan),
@@ -69,16 +69,16 @@ impl Ecat {
     }
 }
 
-/// The segment that is asked, and how patiently.
+/// A segment and the timeout of its start.
 #[derive(Clone, Debug, Args)]
 struct Target {
-    /// The network interface, as `ip link` names it.
+    /// The network interface, as `ip link` lists it.
     #[arg(value_name = "IFACE")]
     interface: String,
     /// The interface at the other end of a ring.
     #[arg(long, value_name = "IFACE")]
     second: Option<String>,
-    /// How long slaves may take to their state.
+    /// How long slaves may take to reach their state.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     patience: Duration,
 }
@@ -86,13 +86,13 @@ struct Target {
 /// A segment that is measured, or a recording of one.
 #[derive(Clone, Debug, Args)]
 struct Source {
-    /// The network interface, as `ip link` names it.
+    /// The network interface, as `ip link` lists it.
     #[arg(value_name = "IFACE", required_unless_present = "from")]
     interface: Option<String>,
     /// The interface at the other end of a ring; with `--config` that of the cell, if it has a link.
     #[arg(long, value_name = "IFACE", conflicts_with = "from")]
     second: Option<String>,
-    /// Judge this recording (pcap, pcapng, ERF) instead, as far as its master asked.
+    /// Evaluate this recording (pcap, pcapng, ERF) instead, as far as its master read the slaves.
     #[arg(long, value_name = "FILE", conflicts_with = "interface")]
     from: Option<PathBuf>,
     /// Expect the slaves that a segment of this cell expects, with their PDOs and SYNC0.
@@ -101,13 +101,13 @@ struct Source {
     /// Which segment of the cell; needed if it has several.
     #[arg(long, value_name = "NAME", requires = "config")]
     segment: Option<String>,
-    /// How long slaves may take to their state.
+    /// How long slaves may take to reach their state.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     patience: Duration,
 }
 
 impl Source {
-    /// Takes the segment and brings it to a state, at a cycle; without one, at the cell's or else at 1 ms.
+    /// Opens the segment and brings it to a state. The default cycle is that of the cell, or else 1 ms.
     fn bring_up(
         &self,
         goal: AlState,
@@ -135,7 +135,7 @@ impl Source {
 }
 
 impl Target {
-    /// Takes the segment and brings it to a state.
+    /// Opens the segment and brings it to a state.
     fn bring_up(&self, goal: AlState, cycle: Duration) -> anyhow::Result<Session<PacketLink>> {
         self.open(MasterConfig {
             goal,
@@ -156,7 +156,7 @@ impl Target {
         if let Some(second) = &self.second {
             anyhow::ensure!(
                 *second != self.interface,
-                "{second} is named as both ends; a ring ends at two interfaces"
+                "{second} is given as both ends of the ring\nhint: a ring ends at two interfaces"
             );
             let link = PacketLink::open_locked(second)?;
             let mac = link.mac();
@@ -173,5 +173,5 @@ impl Target {
     }
 }
 
-/// Cycle of commands that only ask.
-const ASKING: Duration = Duration::from_millis(1);
+/// Cycle of commands that only read and write objects.
+const REQUEST_CYCLE: Duration = Duration::from_millis(1);

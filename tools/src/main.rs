@@ -47,7 +47,7 @@ enum Command {
     /// Move emulated robots with nets and report; needs no hardware and no root.
     Demo(demo::Demo),
     Doctor(doctor::Doctor),
-    /// Look at CAN buses, send to them, set interfaces up.
+    /// Inspect CAN buses, send to them, set up interfaces.
     #[command(subcommand)]
     Can(can::Can),
     #[command(subcommand)]

@@ -1,4 +1,4 @@
-//! `takt can` with recordings, its refusals, and a power base at a pseudo-terminal. What needs an interface is in
+//! `takt can` with recordings, its rejections, and a power base at a pseudo-terminal. Tests on an interface are in
 //! `can_vcan.rs`.
 
 mod common;
@@ -7,8 +7,8 @@ use common::{Process, complaint, expect_status, run};
 use serde_json::Value;
 use takt_tests::steady;
 
-/// A recording beside this test.
-fn kept(name: &str) -> String {
+/// The path of a recording beside this test.
+fn recording(name: &str) -> String {
     format!("{}/tests/can/{name}", env!("CARGO_MANIFEST_DIR"))
 }
 
@@ -19,7 +19,7 @@ fn lines(arguments: &[&str]) -> Vec<String> {
 
 #[test]
 fn dump_decodes_canopen_and_errors() {
-    let shown = lines(&["can", "dump", "--from", &kept("fault.log")]);
+    let shown = lines(&["can", "dump", "--from", &recording("fault.log")]);
     assert_eq!(shown.len(), 18, "a head and 17 frames");
     for (line, words) in [
         (1, "705  [ 1]  00                       node 5 boot-up"),
@@ -40,8 +40,8 @@ fn dump_decodes_canopen_and_errors() {
 }
 
 #[test]
-fn dump_shows_what_the_filters_let_through() {
-    let log = kept("fault.log");
+fn dump_shows_only_filtered_frames() {
+    let log = recording("fault.log");
     let shown = lines(&[
         "can", "dump", "--from", &log, "--filter", "sync", "--time", "delta",
     ]);
@@ -53,23 +53,35 @@ fn dump_shows_what_the_filters_let_through() {
     assert_eq!(shown.len(), 2);
     let refused = run(&["can", "dump", "--from", &log, "--filter", "nodes=5"]);
     expect_status(&refused, 2);
-    assert!(complaint(&refused).contains("is no filter: write an identifier"));
+    assert!(complaint(&refused).contains("is not a filter\nhint: write an identifier"));
 }
 
-/// What goes in as a candump log comes out of it, byte for byte; BLF keeps class and direction too.
+/// A candump log is reproduced byte for byte; BLF also keeps class and direction.
 #[test]
 fn dump_writes_logs_without_loss() {
-    let log = kept("fault.log");
+    let log = recording("fault.log");
     let written = expect_status(&run(&["can", "dump", "--from", &log, "--log"]), 0);
     assert_eq!(written, std::fs::read_to_string(&log).unwrap());
-    let of_blf = lines(&["can", "dump", "--from", &kept("python_can.blf"), "--log"]);
+    let of_blf = lines(&[
+        "can",
+        "dump",
+        "--from",
+        &recording("python_can.blf"),
+        "--log",
+    ]);
     assert_eq!(of_blf[5], "(1700000000.005000) 1 20000044#0030000000008205");
     assert!(of_blf[6].ends_with(" T"));
-    let of_asc = lines(&["can", "dump", "--from", &kept("python_can.asc"), "--log"]);
+    let of_asc = lines(&[
+        "can",
+        "dump",
+        "--from",
+        &recording("python_can.asc"),
+        "--log",
+    ]);
     assert_eq!(of_asc.len(), 7);
 }
 
-/// What a terminal, tcpdump, Wireshark and PEAK's tools leave behind.
+/// Recordings of a terminal, tcpdump, Wireshark and PEAK's tools.
 #[test]
 fn dump_of_every_kind_of_recording_shows_frames() {
     let captures = format!("{}/../can/tests/captures", env!("CARGO_MANIFEST_DIR"));
@@ -92,7 +104,7 @@ fn dump_of_every_kind_of_recording_shows_frames() {
 
 /// The period changes by 1017h, the node is reset by a command, and a fault comes and goes.
 #[test]
-fn stat_of_a_start_by_its_master_explains_it() {
+fn stat_of_commanded_reset_reports_no_reboot() {
     let file = std::env::temp_dir().join(format!("takt-stat-{}.log", std::process::id()));
     let mut log = Vec::new();
     let mut at = 0;
@@ -154,11 +166,11 @@ fn stat_of_a_start_by_its_master_explains_it() {
 }
 
 #[test]
-fn stat_of_requests_without_answer_fails() {
-    let file = std::env::temp_dir().join(format!("takt-mute-{}.txt", std::process::id()));
-    let turn =
+fn stat_of_unanswered_sdo_requests_fails() {
+    let file = std::env::temp_dir().join(format!("takt-silent-{}.txt", std::process::id()));
+    let request_and_abort =
         "  can0  601   [8]  40 00 10 00 00 00 00 00\n  can0  601   [8]  80 00 10 00 00 00 04 05\n";
-    std::fs::write(&file, turn.repeat(8)).unwrap();
+    std::fs::write(&file, request_and_abort.repeat(8)).unwrap();
     let output = run(&["can", "stat", "--from", file.to_str().unwrap(), "--quiet"]);
     std::fs::remove_file(&file).unwrap();
     let shown = expect_status(&output, 1);
@@ -169,8 +181,8 @@ fn stat_of_requests_without_answer_fails() {
 }
 
 #[test]
-fn dump_gives_objects() {
-    let shown = lines(&["can", "dump", "--from", &kept("fault.log"), "--json"]);
+fn dump_json_is_one_object_per_frame() {
+    let shown = lines(&["can", "dump", "--from", &recording("fault.log"), "--json"]);
     let objects: Vec<Value> = shown
         .iter()
         .map(|line| serde_json::from_str(line).unwrap())
@@ -189,7 +201,7 @@ fn dump_gives_objects() {
 }
 
 #[test]
-fn what_a_recording_does_not_hold_is_told() {
+fn dump_of_damaged_recording_reports_left_out_lines() {
     let file = std::env::temp_dir().join(format!("takt-can-{}.log", std::process::id()));
     std::fs::write(
         &file,
@@ -201,22 +213,22 @@ fn what_a_recording_does_not_hold_is_told() {
     let empty = run(&["can", "stat", "--from", file.to_str().unwrap()]);
     std::fs::remove_file(&file).unwrap();
     assert_eq!(expect_status(&output, 0).lines().count(), 2);
-    let told = complaint(&output);
+    let errors = complaint(&output);
     assert!(
-        told.contains("line 2: no time stamp") && told.contains("line 3: a CAN XL frame"),
-        "{told}"
+        errors.contains("line 2: no time stamp") && errors.contains("line 3: a CAN XL frame"),
+        "{errors}"
     );
     expect_status(&empty, 2);
     assert!(complaint(&empty).contains("no recording of a CAN bus: candump log or text, ASC"));
 }
 
 #[test]
-fn stat_of_a_recording_judges() {
+fn stat_of_recording_reports_findings() {
     let arguments = [
         "can",
         "stat",
         "--from",
-        &kept("fault.log"),
+        &recording("fault.log"),
         "--bitrate",
         "1M",
         "--json",
@@ -238,27 +250,27 @@ fn stat_of_a_recording_judges() {
         "can",
         "stat",
         "--from",
-        &kept("fault.log"),
+        &recording("fault.log"),
         "--channel",
         "can1",
         "--quiet",
     ]);
     assert_eq!(expect_status(&other, 0), "can1: ok\n");
-    let nobody = run(&[
+    let absent = run(&[
         "can",
         "stat",
         "--from",
-        &kept("fault.log"),
+        &recording("fault.log"),
         "--channel",
         "can7",
     ]);
-    expect_status(&nobody, 2);
-    assert!(complaint(&nobody).contains("no frame of can7"));
+    expect_status(&absent, 2);
+    assert!(complaint(&absent).contains("no frames of can7"));
 }
 
 #[test]
-fn an_interface_that_is_not_there_is_named_by_every_command() {
-    let log = kept("fault.log");
+fn missing_interface_is_named_by_every_command() {
+    let log = recording("fault.log");
     for arguments in [
         &["can", "dump", "nosuch0"][..],
         &["can", "stat", "nosuch0"],
@@ -274,20 +286,20 @@ fn an_interface_that_is_not_there_is_named_by_every_command() {
     ] {
         let output = run(arguments);
         expect_status(&output, 2);
-        let told = complaint(&output);
+        let error = complaint(&output);
         assert!(
-            told.contains("nosuch0") && !told.contains("panicked"),
-            "{told}"
+            error.contains("nosuch0") && !error.contains("panicked"),
+            "{error}"
         );
     }
 }
 
 #[test]
-fn what_the_command_line_says_wrongly_is_told() {
+fn invalid_arguments_are_rejected_with_the_cause() {
     for (arguments, words) in [
         (
             &["can", "nmt", "can0", "128", "stop"][..],
-            "`128` is no node number; they are 1 to 127, or `all`",
+            "`128` is not a node number; they are 1 to 127, or `all`",
         ),
         (
             &["can", "nmt", "can0", "all", "stop", "--wait", "1s"],
@@ -318,14 +330,14 @@ fn what_the_command_line_says_wrongly_is_told() {
     ] {
         let output = run(arguments);
         expect_status(&output, 2);
-        let told = complaint(&output);
-        assert!(told.contains(words), "{told}");
+        let error = complaint(&output);
+        assert!(error.contains(words), "{error}");
     }
 }
 
 /// The power base at a pseudo-terminal, as at the serial port of its USB chip.
 #[test]
-fn a_power_base_at_a_serial_port_is_seen_and_driven() {
+fn rmp_at_serial_port_is_read_and_driven() {
     steady(|| {
         let mut powerbase = Process::start(&["emulate", "rmp"]);
         let line = powerbase.wait_for("power base at ");
@@ -346,12 +358,12 @@ fn a_power_base_at_a_serial_port_is_seen_and_driven() {
         let driven = run(&[
             "can", "rmp", "--serial", port, "--jog", "0.2", "--for", "1s", "--yes",
         ]);
-        let told = expect_status(&driven, 0);
-        assert!(told.contains("ok, drove and stands"), "{told}");
+        let output = expect_status(&driven, 0);
+        assert!(output.contains("ok, drove and stands"), "{output}");
         powerbase.terminate();
         let (lines, _) = powerbase.end();
         let last = lines.last().unwrap();
-        let way: f64 = last.split([' ', ',']).nth(2).unwrap().parse().unwrap();
-        assert!(way > 0.05, "{last}");
+        let distance: f64 = last.split([' ', ',']).nth(2).unwrap().parse().unwrap();
+        assert!(distance > 0.05, "{last}");
     });
 }

@@ -1,5 +1,5 @@
-//! `takt can` on a virtual interface: `TAKT_VCAN`, or `vcan0` if there is one; else each test notes that it
-//! was skipped.
+//! `takt can` on a virtual interface: `TAKT_VCAN`, or `vcan0` if it exists; otherwise each test reports that it is
+//! skipped.
 
 mod common;
 
@@ -44,7 +44,7 @@ fn replayed_recording_is_seen_by_stat() {
         "--json",
     ]);
     let stat = stat.stdout(Stdio::piped()).spawn().unwrap();
-    // Until it listens, and then some: what it has not seen is sent again.
+    // `stat` may start to listen late: the recording is sent again.
     for _ in 0..10 {
         let sent = run(&[
             "can",
@@ -74,8 +74,8 @@ fn replayed_recording_is_seen_by_stat() {
     );
 }
 
-/// A virtual interface of a test's own, which it may disturb.
-struct Own(&'static str);
+/// A virtual interface used by one test only.
+struct OwnInterface(&'static str);
 
 fn has(program: &str) -> bool {
     let paths = std::env::var_os("PATH").unwrap_or_default();
@@ -91,7 +91,7 @@ fn does(program: &str, arguments: &str) -> bool {
     status.is_ok_and(|status| status.success())
 }
 
-impl Own {
+impl OwnInterface {
     fn create(test: &str, name: &'static str) -> Option<Self> {
         if !does("ip", &format!("link add {name} type vcan")) {
             skip(
@@ -105,7 +105,7 @@ impl Own {
         Some(own)
     }
 
-    /// One that a shaper makes as slow as a bus.
+    /// An interface that a shaper limits to the rate of a bus.
     fn create_slow(test: &str, name: &'static str) -> Option<Self> {
         let own = Self::create(test, name)?;
         let shaper =
@@ -118,24 +118,24 @@ impl Own {
     }
 }
 
-impl Drop for Own {
+impl Drop for OwnInterface {
     fn drop(&mut self) {
         let mut command = Command::new("ip");
         let _ = command.args(["link", "delete", self.0]).status();
     }
 }
 
-/// What a controller would report comes from cansend, which lets error frames through as the kernel does.
+/// cansend sends the error frames that a controller would report; the kernel passes them on alike.
 #[test]
-fn reports_of_a_controller_are_judged_by_stat() {
-    let test = "reports_of_a_controller_are_judged_by_stat";
+fn stat_reports_errors_of_the_controller() {
+    let test = "stat_reports_errors_of_the_controller";
     if vcan(test).is_none() {
         return;
     }
     if !has("cansend") {
         return skip(test, "needs cansend of can-utils");
     }
-    let Some(own) = Own::create(test, "taktvcan3") else {
+    let Some(own) = OwnInterface::create(test, "taktvcan3") else {
         return;
     };
     // No acknowledgement, with both counters; error-passive; bus-off and the restart after it.
@@ -163,14 +163,14 @@ fn reports_of_a_controller_are_judged_by_stat() {
     }
 }
 
-/// Another program's frames are refused; stat sees that from outside.
+/// The kernel drops frames of another program; `stat` reads its counter.
 #[test]
-fn a_send_queue_that_is_full_is_seen_by_stat() {
-    let test = "a_send_queue_that_is_full_is_seen_by_stat";
+fn stat_reports_full_send_queue() {
+    let test = "stat_reports_full_send_queue";
     if vcan(test).is_none() {
         return;
     }
-    let Some(own) = Own::create_slow(test, "taktvcan2") else {
+    let Some(own) = OwnInterface::create_slow(test, "taktvcan2") else {
         return;
     };
     let mut stat = common::takt(&["can", "stat", own.0, "--duration", "3s", "--json"]);
@@ -192,18 +192,18 @@ fn a_send_queue_that_is_full_is_seen_by_stat() {
 }
 
 #[test]
-fn up_tells_how_an_interface_is() {
-    let Some(vcan) = vcan("up_tells_how_an_interface_is") else {
+fn up_prints_the_interface_state() {
+    let Some(vcan) = vcan("up_prints_the_interface_state") else {
         return;
     };
-    let told = expect_status(&run(&["can", "up", &vcan, "--show"]), 0);
+    let output = expect_status(&run(&["can", "up", &vcan, "--show"]), 0);
     assert!(
-        told.starts_with(&format!("{vcan}: up, virtual, queue of ")),
-        "{told}"
+        output.starts_with(&format!("{vcan}: up, virtual, queue of ")),
+        "{output}"
     );
 }
 
-/// A node of its own number in each test: they share the interface.
+/// Starts an emulated drive. Each test uses another number, because the tests share the interface.
 fn drive(vcan: &str, node: &str) -> Process {
     let arguments = [
         "emulate",
@@ -220,8 +220,7 @@ fn drive(vcan: &str, node: &str) -> Process {
     drive
 }
 
-/// Tries until what is tried succeeds: a host that stalls for longer than a tool waits for an answer makes one
-/// attempt fail, not all of half a minute.
+/// Repeats a command for half a minute until it succeeds: a stalled host can exceed the timeout of single attempts.
 fn eventually(arguments: &[&str]) -> String {
     let until = Instant::now() + Duration::from_secs(30);
     loop {
@@ -232,14 +231,14 @@ fn eventually(arguments: &[&str]) -> String {
     }
 }
 
-/// On an interface of its own: whoever else is heard would be asked too, and be found mute.
+/// On an interface of its own: the scan would also query nodes of other tests.
 #[test]
-fn nodes_are_scanned_commanded_and_asked() {
-    let test = "nodes_are_scanned_commanded_and_asked";
+fn scan_nmt_and_sdo_reach_the_node() {
+    let test = "scan_nmt_and_sdo_reach_the_node";
     if vcan(test).is_none() {
         return;
     }
-    let Some(own) = Own::create(test, "taktvcan4") else {
+    let Some(own) = OwnInterface::create(test, "taktvcan4") else {
         return;
     };
     let vcan = own.0;
@@ -259,28 +258,28 @@ fn nodes_are_scanned_commanded_and_asked() {
     let preop = run(&["can", "nmt", vcan, "61", "preop", "--wait", "30s"]);
     assert!(expect_status(&preop, 0).contains("node 61: pre-operational after"));
     let silent = run(&["can", "nmt", vcan, "60", "preop", "--wait", "300ms"]);
-    assert!(expect_status(&silent, 1).contains("says nothing"));
+    assert!(expect_status(&silent, 1).contains("no answer within"));
     // Hosts may be slow.
-    let patience = ["--timeout", "30s"];
-    let asked = |words: &[&str]| run(&[&["can", "sdo", vcan, "61"], words, &patience].concat());
-    let name = asked(&["upload", "1008"]);
+    let timeout = ["--timeout", "30s"];
+    let sdo = |words: &[&str]| run(&[&["can", "sdo", vcan, "61"], words, &timeout].concat());
+    let name = sdo(&["upload", "1008"]);
     assert!(expect_status(&name, 0).contains("\"Takt emulated drive\""));
-    let refused = asked(&["upload", "5FFF"]);
+    let refused = sdo(&["upload", "5FFF"]);
     expect_status(&refused, 1);
     assert!(common::complaint(&refused).contains("there is no such object"));
     let file = std::env::temp_dir().join(format!("takt-vcan-{}.dcf", std::process::id()));
     let file = file.to_str().unwrap();
-    let dumped = asked(&["dump", "--dcf", file]);
+    let dumped = sdo(&["dump", "--dcf", file]);
     expect_status(&dumped, 0);
-    let compared = asked(&["compare", file]);
+    let compared = sdo(&["compare", file]);
     std::fs::remove_file(file).unwrap();
     let compared = String::from_utf8_lossy(&compared.stdout).into_owned();
     assert!(compared.contains("entries compared"), "{compared}");
 }
 
 #[test]
-fn a_drive_comes_up_turns_and_brakes() {
-    let Some(vcan) = vcan("a_drive_comes_up_turns_and_brakes") else {
+fn drive_comes_up_turns_and_brakes() {
+    let Some(vcan) = vcan("drive_comes_up_turns_and_brakes") else {
         return;
     };
     let _drive = drive(&vcan, "63");
@@ -307,8 +306,8 @@ fn a_drive_comes_up_turns_and_brakes() {
 }
 
 #[test]
-fn a_power_base_on_can_is_seen() {
-    let Some(vcan) = vcan("a_power_base_on_can_is_seen") else {
+fn rmp_on_can_is_read() {
+    let Some(vcan) = vcan("rmp_on_can_is_read") else {
         return;
     };
     let mut powerbase = Process::start(&["emulate", "rmp", "--interface", &vcan]);

@@ -1,4 +1,4 @@
-//! `takt can dump`: frames one per line, decoded, live or from a recording. It judges nothing; see `stat`.
+//! `takt can dump`: one decoded frame per line, live or from a recording. `stat` evaluates them.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -10,19 +10,19 @@ use takt_can::AnyFrame;
 use takt_can::canopen::Message;
 
 use super::feed::{Feed, Seen, Stop};
-use super::filter::{Filter, lets_all};
+use super::filter::{Filter, is_shown};
 use crate::Verdict;
 use crate::output::{complain, say, span};
 
-/// Show frames, one per line, with what they mean in CANopen.
+/// Print frames, one per line, with their CANopen meaning.
 ///
 /// Filters: an identifier (181, 18FEF100), identifier and mask (180:780, 180~780 for all others), node=5,
-/// nmt, sync, time, emcy, pdo, sdo, heartbeat, lss, error; a ! before it inverts it. Several add up.
+/// nmt, sync, time, emcy, pdo, sdo, heartbeat, lss, error; a leading ! inverts a filter. Several filters are combined.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can dump can0
   takt can dump any --filter node=5 --filter '!sync' --time delta
-  takt can dump can0 --log > fault.log             as candump -L -x does, for --from and canplayer
+  takt can dump can0 --log > fault.log             in the format of candump -L -x, for --from and canplayer
   takt can dump --from fault.blf --filter error")]
 pub(crate) struct Dump {
     /// CAN interfaces, or any.
@@ -31,10 +31,10 @@ pub(crate) struct Dump {
     /// Read a recording instead: candump log or text, ASC, BLF, TRC, pcap or pcapng.
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
-    /// Show only these frames.
+    /// Print only these frames.
     #[arg(long, value_name = "FILTER")]
     filter: Vec<Filter>,
-    /// What the time counts from.
+    /// Reference of the time stamps.
     #[arg(long, value_name = "KIND", default_value = "zero")]
     time: Time,
     /// Write a candump log.
@@ -43,10 +43,10 @@ pub(crate) struct Dump {
     /// Write one JSON object per frame.
     #[arg(long, conflicts_with = "log")]
     json: bool,
-    /// End after so many frames.
+    /// Stop after this many frames.
     #[arg(long, value_name = "N")]
     count: Option<u64>,
-    /// End after this time; without it, at Ctrl-C.
+    /// Stop after this time; default: at Ctrl-C.
     #[arg(long, value_name = "TIME", value_parser = span, conflicts_with = "from")]
     duration: Option<Duration>,
 }
@@ -55,14 +55,14 @@ pub(crate) struct Dump {
 enum Time {
     /// The first frame.
     Zero,
-    /// The frame before.
+    /// The previous frame.
     Delta,
     /// 1970.
     Absolute,
 }
 
-/// How long to wait before looking whether to end.
-const TURN: Duration = Duration::from_millis(100);
+/// Longest wait before the next check for the end.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 impl Dump {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
@@ -78,8 +78,8 @@ impl Dump {
         if !self.log && !self.json {
             say(HEADER)?;
         }
-        while left > 0 && !stop.is_asked() && until.is_none_or(|until| Instant::now() < until) {
-            let seen = feed.next(TURN)?;
+        while left > 0 && !stop.is_requested() && until.is_none_or(|until| Instant::now() < until) {
+            let seen = feed.next(POLL_INTERVAL)?;
             if feed.dropped() > lost {
                 complain(&format!(
                     "{} frames lost before they were read",
@@ -93,7 +93,7 @@ impl Dump {
                 }
                 break;
             };
-            if lets_all(&self.filter, &seen.received.frame) {
+            if is_shown(&self.filter, &seen.received.frame) {
                 left -= 1;
                 say(&self.line(&mut printer, &seen))?;
             }
@@ -114,10 +114,10 @@ impl Dump {
 
 const HEADER: &str = "     time s  iface           id   len  data";
 
-/// Lines for readers.
+/// Formats frames as text.
 struct Printer {
     time: Time,
-    /// What time counts from.
+    /// Zero of the time stamps.
     reference: Option<Duration>,
 }
 
@@ -137,12 +137,12 @@ impl Printer {
             None => ("-", reference.saturating_sub(at)),
         };
         let time = format!("{sign}{}.{:06}", time.as_secs(), time.subsec_micros());
-        let way = seen
+        let direction = seen
             .direction
-            .map_or_else(String::new, |way| way.to_string());
+            .map_or_else(String::new, |direction| direction.to_string());
         let interface = &seen.interface;
         let content = content(&seen.received.frame);
-        let line = format!("{time:>11}  {interface:<8} {way:1} {content}");
+        let line = format!("{time:>11}  {interface:<8} {direction:1} {content}");
         line.trim_end().to_owned()
     }
 }
@@ -208,7 +208,7 @@ fn object(seen: &Seen) -> serde_json::Value {
         "id": frame.id().map(|id| id.raw()),
         "extended": frame.id().is_some_and(|id| id.is_extended()),
         "frame": frame.to_string(),
-        "direction": seen.direction.map(|way| way.to_string()),
+        "direction": seen.direction.map(|direction| direction.to_string()),
         "meaning": meaning(frame),
     })
 }

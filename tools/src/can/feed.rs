@@ -1,6 +1,6 @@
-//! Where frames come from: interfaces or a recording, so that every command can look at both. It selects and
-//! shows nothing.
+//! Frame sources: interfaces or a recording, so that every command reads both. It neither selects nor shows frames.
 
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,17 +16,17 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::output::complain;
 
-/// Where a frame was seen.
+/// A frame and where it was received.
 #[derive(Clone, Debug)]
 pub(super) struct Seen {
     pub(super) interface: Arc<str>,
     pub(super) received: Received,
-    /// Not every recording tells.
+    /// `None` if the recording does not contain it.
     pub(super) direction: Option<Direction>,
 }
 
 impl Seen {
-    /// As it is written into a log.
+    /// The record for a log.
     pub(super) fn record(&self) -> Record {
         Record {
             at: self.received.at,
@@ -37,30 +37,29 @@ impl Seen {
     }
 }
 
-/// A socket and the name of its interface.
 #[derive(Debug)]
 struct Source {
     interface: Arc<str>,
     link: SocketCan,
 }
 
-/// Frames one after the other.
+/// A sequence of frames.
 #[derive(Debug)]
 pub(super) enum Feed {
     Live(Live),
     File(std::vec::IntoIter<Record>),
 }
 
-/// Frames of interfaces as they come.
+/// Frames as the interfaces receive them.
 #[derive(Debug)]
 pub(super) struct Live {
     sources: Vec<Source>,
-    /// Whose turn it is.
+    /// The source that was read last.
     turn: usize,
 }
 
 impl Feed {
-    /// From a recording, or from interfaces if there is none.
+    /// Opens a recording, or interfaces if `file` is `None`.
     pub(super) fn open(interfaces: &[String], file: Option<&Path>) -> anyhow::Result<Self> {
         match file {
             Some(file) => Self::file(file),
@@ -83,7 +82,7 @@ impl Feed {
                 ..Options::default()
             };
             let link = SocketCan::open(&name, &options);
-            let link = link.with_context(|| cannot_open(&name))?;
+            let link = link.map_err(|error| cannot_open(&name, &error))?;
             anyhow::Ok(Source {
                 interface: name.into(),
                 link,
@@ -97,7 +96,7 @@ impl Feed {
         matches!(self, Self::Live(_))
     }
 
-    /// Waits at most so long; a recording does not wait, and `None` is its end.
+    /// The next frame. Waits at most `timeout` for interfaces; of a recording, `None` is the end.
     pub(super) fn next(&mut self, timeout: Duration) -> anyhow::Result<Option<Seen>> {
         match self {
             Self::Live(live) => live.next(timeout),
@@ -105,7 +104,7 @@ impl Feed {
         }
     }
 
-    /// Frames that were lost because they were not read in time.
+    /// Frames lost because they were not read in time.
     pub(super) fn dropped(&self) -> u64 {
         match self {
             Self::Live(live) => {
@@ -117,18 +116,20 @@ impl Feed {
     }
 }
 
-/// A socket that cannot be opened: with the interfaces that there are.
-pub(super) fn cannot_open(name: &str) -> String {
+/// The error of a socket that cannot be opened, with the CAN interfaces of this host.
+pub(super) fn cannot_open(name: &str, error: &io::Error) -> anyhow::Error {
     let others = interfaces().join(", ");
     let others = if others.is_empty() {
         "none".to_owned()
     } else {
         others
     };
-    format!("cannot open CAN interface {name}; those of this host: {others}")
+    anyhow::anyhow!(
+        "cannot open CAN interface {name}: {error}\nhint: CAN interfaces of this host: {others}"
+    )
 }
 
-/// Reads a recording; what is not understood is told.
+/// Reads a recording and reports what it leaves out.
 pub(super) fn read_log(path: &Path) -> anyhow::Result<Log> {
     let bytes = takt_core::files::read(path, takt_core::files::RECORDING_BYTES_MAX)
         .with_context(|| format!("cannot read {}", path.display()))?;
@@ -139,18 +140,18 @@ pub(super) fn read_log(path: &Path) -> anyhow::Result<Log> {
         path.display(),
         LogError::Unknown
     );
-    let place = format.location_unit();
+    let unit = format.location_unit();
     for left_out in &log.left_out {
         let (path, at) = (path.display(), left_out.location);
-        complain(&format!("{path}: {place} {at}: {}", left_out.why));
+        complain(&format!("{path}: {unit} {at}: {}", left_out.why));
     }
     let more = log.left_out_count - log.left_out.len();
     if more > 0 {
-        complain(&format!("{}: {more} more are left out", path.display()));
+        complain(&format!("{}: {more} more records left out", path.display()));
     }
     anyhow::ensure!(
         !log.records.is_empty(),
-        "{}: no frame in it; it was read as {format}",
+        "{}: no frames; it was read as {format}",
         path.display()
     );
     Ok(log)
@@ -191,7 +192,7 @@ impl Live {
         self.take()
     }
 
-    /// From each in turn, so that a busy one does not hide the others.
+    /// Reads the sources in turn, so that a busy one does not starve the others.
     fn take(&mut self) -> anyhow::Result<Option<Seen>> {
         for _ in 0..self.sources.len() {
             self.turn = (self.turn + 1) % self.sources.len();
@@ -215,12 +216,12 @@ impl Live {
     }
 }
 
-/// Whether somebody asked to end: Ctrl-C or a request to terminate.
+/// A request to stop: SIGINT (Ctrl-C) or SIGTERM.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// Listens from now on.
+    /// Handles both signals from now on.
     pub(super) fn listen() -> anyhow::Result<Self> {
         let stop = Self::default();
         let flag = stop.clone();
@@ -247,7 +248,7 @@ impl Stop {
         Ok(stop)
     }
 
-    pub(super) fn is_asked(&self) -> bool {
+    pub(super) fn is_requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }

@@ -1,5 +1,5 @@
-//! Which frames a command shows, in the words of candump and of CANopen. It looks at identifiers and kinds,
-//! not at content.
+//! Frame filters in the notation of candump and by CANopen message kind. They check identifiers and kinds, not the
+//! content.
 
 use std::str::FromStr;
 
@@ -9,20 +9,20 @@ use takt_can::{AnyFrame, Id};
 /// One condition.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Filter {
-    /// Let everything else through.
+    /// Matches all frames that the condition does not match.
     inverted: bool,
-    what: What,
+    condition: Condition,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum What {
-    /// Identifiers of this length that agree in the bits of the mask.
+enum Condition {
+    /// Identifiers of this length that are equal in the bits of the mask.
     Masked { id: Id, mask: u32 },
-    /// Everything of a node.
+    /// All messages of a node.
     Node(u8),
     /// A kind of CANopen message.
     Kind(Kind),
-    /// Reports of errors.
+    /// Error frames.
     Error,
 }
 
@@ -53,44 +53,51 @@ impl FromStr for Filter {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (inverted, words) = match text.strip_prefix('!') {
+        let (inverted, condition_text) = match text.strip_prefix('!') {
             Some(rest) => (true, rest),
             None => (false, text),
         };
-        if let Some((id, mask)) = words.split_once('~') {
-            let what = masked(id, Some(mask)).ok_or_else(|| unknown(text))?;
+        if let Some((id, mask)) = condition_text.split_once('~') {
+            let condition = masked(id, Some(mask)).ok_or_else(|| unknown(text))?;
             return Ok(Self {
                 inverted: !inverted,
-                what,
+                condition,
             });
         }
-        let kind = KINDS.iter().find(|(name, _)| *name == words);
-        let what = match (kind, words.strip_prefix("node="), words.split_once(':')) {
-            (Some((_, kind)), ..) => Some(What::Kind(*kind)),
+        let kind = KINDS.iter().find(|(name, _)| *name == condition_text);
+        let condition = match (
+            kind,
+            condition_text.strip_prefix("node="),
+            condition_text.split_once(':'),
+        ) {
+            (Some((_, kind)), ..) => Some(Condition::Kind(*kind)),
             (None, Some(node), _) => node
                 .parse()
                 .ok()
                 .filter(|node| (1..=127).contains(node))
-                .map(What::Node),
+                .map(Condition::Node),
             (None, None, Some((id, mask))) => masked(id, Some(mask)),
-            (None, None, None) if words == "error" => Some(What::Error),
-            (None, None, None) => masked(words, None),
+            (None, None, None) if condition_text == "error" => Some(Condition::Error),
+            (None, None, None) => masked(condition_text, None),
         };
-        let what = what.ok_or_else(|| unknown(text))?;
-        Ok(Self { inverted, what })
+        let condition = condition.ok_or_else(|| unknown(text))?;
+        Ok(Self {
+            inverted,
+            condition,
+        })
     }
 }
 
 fn unknown(text: &str) -> String {
     let kinds: Vec<&str> = KINDS.iter().map(|(name, _)| *name).collect();
     format!(
-        "`{text}` is no filter: write an identifier (181, 18FEF100), identifier and mask (180:780, 180~780 for \
-         all others), node=5, {}, or error; a ! before it inverts it",
+        "`{text}` is not a filter\nhint: write an identifier (181, 18FEF100), identifier and mask (180:780, 180~780 for \
+         all others), node=5, {}, or error; a leading ! inverts it",
         kinds.join(", ")
     )
 }
 
-fn masked(id: &str, mask: Option<&str>) -> Option<What> {
+fn masked(id: &str, mask: Option<&str>) -> Option<Condition> {
     let raw = u32::from_str_radix(id, 16).ok()?;
     let id = match id.len() {
         1..=3 => Id::standard(raw.try_into().ok()?).ok()?,
@@ -101,17 +108,17 @@ fn masked(id: &str, mask: Option<&str>) -> Option<What> {
         Some(mask) => u32::from_str_radix(mask, 16).ok()?,
         None => u32::MAX,
     };
-    Some(What::Masked { id, mask })
+    Some(Condition::Masked { id, mask })
 }
 
 impl Filter {
-    fn lets(&self, frame: &AnyFrame) -> bool {
-        self.what.fits(frame) != self.inverted
+    fn matches(&self, frame: &AnyFrame) -> bool {
+        self.condition.matches(frame) != self.inverted
     }
 }
 
-impl What {
-    fn fits(&self, frame: &AnyFrame) -> bool {
+impl Condition {
+    fn matches(&self, frame: &AnyFrame) -> bool {
         match self {
             Self::Masked { id: wanted, mask } => frame.id().is_some_and(|id| {
                 id.is_extended() == wanted.is_extended() && (id.raw() ^ wanted.raw()) & mask == 0
@@ -159,13 +166,13 @@ fn kind_of(message: &Message) -> Option<Kind> {
     })
 }
 
-/// Whether a frame is to be shown: if one of the filters lets it through that say what is wanted, and all of
-/// those do that say what is not.
-pub(super) fn lets_all(filters: &[Filter], frame: &AnyFrame) -> bool {
+/// Whether a frame is shown: at least one of the filters that are not inverted matches it, if there are any, and all
+/// inverted filters do.
+pub(super) fn is_shown(filters: &[Filter], frame: &AnyFrame) -> bool {
     let (unwanted, wanted): (Vec<&Filter>, Vec<&Filter>) =
         filters.iter().partition(|filter| filter.inverted);
-    unwanted.iter().all(|filter| filter.lets(frame))
-        && (wanted.is_empty() || wanted.iter().any(|filter| filter.lets(frame)))
+    unwanted.iter().all(|filter| filter.matches(frame))
+        && (wanted.is_empty() || wanted.iter().any(|filter| filter.matches(frame)))
 }
 
 #[cfg(test)]
@@ -173,13 +180,13 @@ mod tests {
     use super::*;
     use takt_can::log::parse_frame;
 
-    fn lets(filters: &[&str], frame: &str) -> bool {
+    fn shows(filters: &[&str], frame: &str) -> bool {
         let filters: Vec<Filter> = filters.iter().map(|text| text.parse().unwrap()).collect();
-        lets_all(&filters, &parse_frame(frame).unwrap())
+        is_shown(&filters, &parse_frame(frame).unwrap())
     }
 
     #[test]
-    fn each_kind_of_filter() {
+    fn filter_of_each_kind_matches_its_frames() {
         for (filter, yes, no) in [
             ("181", "181#", "182#"),
             ("181", "181#", "00000181#"),
@@ -199,23 +206,23 @@ mod tests {
             ("lss", "7E5#0401000000000000", "705#05"),
             ("error", "20000080#0000000000000000", "705#05"),
         ] {
-            assert!(lets(&[filter], yes), "{filter} {yes}");
-            assert!(!lets(&[filter], no), "{filter} {no}");
+            assert!(shows(&[filter], yes), "{filter} {yes}");
+            assert!(!shows(&[filter], no), "{filter} {no}");
         }
     }
 
     #[test]
-    fn several_filters_add_up_and_exclusions_count() {
-        assert!(lets(&[], "123#"));
-        assert!(lets(&["sync", "nmt"], "080#") && lets(&["sync", "nmt"], "000#0105"));
-        assert!(!lets(&["sync", "nmt"], "705#05"));
-        assert!(lets(&["!sync"], "705#05") && !lets(&["!sync", "pdo"], "705#05"));
-        assert!(lets(&["!sync", "pdo"], "185#00") && !lets(&["pdo", "!185"], "185#00"));
-        assert!(!lets(&["!sync", "!nmt"], "080#"));
+    fn filters_are_combined_and_inverted_filters_exclude() {
+        assert!(shows(&[], "123#"));
+        assert!(shows(&["sync", "nmt"], "080#") && shows(&["sync", "nmt"], "000#0105"));
+        assert!(!shows(&["sync", "nmt"], "705#05"));
+        assert!(shows(&["!sync"], "705#05") && !shows(&["!sync", "pdo"], "705#05"));
+        assert!(shows(&["!sync", "pdo"], "185#00") && !shows(&["pdo", "!185"], "185#00"));
+        assert!(!shows(&["!sync", "!nmt"], "080#"));
     }
 
     #[test]
-    fn what_is_no_filter_is_refused_with_the_ways_to_write_one() {
+    fn invalid_filter_is_rejected_with_the_notation() {
         for text in [
             "", "1234", "800", "180:", "180:x", "node=0", "node=128", "sdos", "123~",
         ] {

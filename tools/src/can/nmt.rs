@@ -1,5 +1,5 @@
-//! `takt can nmt`: commands of network management (CiA 301, clause 7.2.8), and whether a node obeyed. It does
-//! not configure nodes; starting one lets its PDOs run as they are.
+//! `takt can nmt`: network management commands (CiA 301, clause 7.2.8), and whether a node executed them. It does not
+//! configure nodes; starting one enables its PDOs as they are.
 
 use std::fmt;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use crate::output::{say, span};
 
 /// Start, stop or reset nodes.
 ///
-/// Exit status: 0 the command was sent, and with --wait obeyed; 1 the node did not obey; 2 it could not be
+/// Exit status: 0 the command was sent, and with --wait executed; 1 the node did not execute it; 2 it could not be
 /// tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -28,9 +28,9 @@ pub(crate) struct Nmt {
     /// The node, 1 to 127, or `all`.
     #[arg(value_parser = target)]
     node: Target,
-    /// What it shall do.
+    /// The command.
     command: Word,
-    /// Wait so long until its heartbeat, or its answer to node guarding, shows the state.
+    /// Wait at most this long until its heartbeat, or its answer to node guarding, shows the state.
     #[arg(long, value_name = "TIME", value_parser = span)]
     wait: Option<Duration>,
     /// Print one JSON object.
@@ -41,7 +41,7 @@ pub(crate) struct Nmt {
     confirm_motion: bool,
 }
 
-/// Whom a command is for.
+/// Addressee of a command.
 #[derive(Clone, Copy, Debug)]
 enum Target {
     All,
@@ -56,18 +56,18 @@ fn target(text: &str) -> Result<Target, String> {
     Ok(Target::One(node))
 }
 
-/// A command.
+/// An NMT command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Word {
-    /// To Operational: PDOs run.
+    /// Enter Operational: PDOs are active.
     Start,
-    /// To Stopped: only network management runs.
+    /// Enter Stopped: only network management is active.
     Stop,
-    /// To Pre-operational: SDOs run, PDOs do not.
+    /// Enter Pre-operational: SDOs are active, PDOs are not.
     Preop,
-    /// The whole device begins anew.
+    /// Reset the device.
     Reset,
-    /// Its communication begins anew.
+    /// Reset the communication of the device.
     ResetComm,
 }
 
@@ -82,8 +82,8 @@ impl Word {
         }
     }
 
-    /// What a node tells that obeyed.
-    const fn shown(self) -> NmtState {
+    /// The state that a node reports after the command.
+    const fn target_state(self) -> NmtState {
         match self {
             Self::Start => NmtState::Operational,
             Self::Stop => NmtState::Stopped,
@@ -93,17 +93,17 @@ impl Word {
     }
 }
 
-/// How often a node without heartbeat is asked.
-const ASK_EVERY: Duration = Duration::from_millis(100);
+/// Period of node guarding requests to a node without heartbeat.
+const GUARD_PERIOD: Duration = Duration::from_millis(100);
 
-/// What became of it.
+/// Result of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Outcome {
     node: NodeId,
     wanted: NmtState,
-    /// The last state that was told.
+    /// The last state that the node reported.
     shown: Option<NmtState>,
-    /// Until it was as wanted, or how long was waited.
+    /// Time until the node reached the state, or the time waited.
     after: Duration,
 }
 
@@ -126,13 +126,13 @@ impl fmt::Display for Outcome {
             Some(shown) if shown == wanted => write!(f, "node {node}: {shown} after {ms} ms"),
             Some(shown) => write!(
                 f,
-                "node {node}: {shown}, not {wanted}, after {ms} ms: does another master command it, or an error keep \
-                 it there (1029h, takt can sdo IFACE {node} upload 1001)?"
+                "node {node}: {shown} instead of {wanted} after {ms} ms\nhint: another master may command it, or an error may \
+                 keep it there (1029h, takt can sdo IFACE {node} upload 1001)"
             ),
             None => write!(
                 f,
-                "node {node}: says nothing within {ms} ms: is it there (takt can scan)? It may have neither heartbeat \
-                 (1017h) nor node guarding"
+                "node {node}: no answer within {ms} ms\nhint: look for it with takt can scan; it may have neither \
+                 heartbeat (1017h) nor node guarding"
             ),
         }
     }
@@ -146,17 +146,17 @@ impl Nmt {
         };
         anyhow::ensure!(
             node.is_some() || self.wait.is_none(),
-            "--wait needs one node; `takt can scan` shows the states of all"
+            "--wait needs one node\nhint: `takt can scan` shows the states of all"
         );
         let frame = self.command.command().frame(node);
         let mut wire = Live::open(&self.interface)?;
         confirm::motion(&self.interface, &[frame.into()], self.confirm_motion)?;
         let (Some(node), Some(wait)) = (node, self.wait) else {
             wire.send(&frame)?;
-            let told = Message::decode(&frame);
+            let sent = Message::decode(&frame);
             say(&match self.json {
-                true => json!({"version": 1, "sent": told.to_string()}).to_string(),
-                false => format!("{}: sent {told}", self.interface),
+                true => json!({"version": 1, "sent": sent.to_string()}).to_string(),
+                false => format!("{}: sent {sent}", self.interface),
             })?;
             return Ok(Verdict::Good);
         };
@@ -181,7 +181,7 @@ fn to_json(outcome: Outcome) -> Value {
     })
 }
 
-/// Commands a node and waits for what it tells.
+/// Commands a node and waits for the state.
 fn command<W: Wire>(
     wire: &mut W,
     node: NodeId,
@@ -190,20 +190,20 @@ fn command<W: Wire>(
 ) -> anyhow::Result<Outcome> {
     let begun = wire.now();
     wire.send(&word.command().frame(Some(node)))?;
-    let (end, mut ask) = (begun + wait, begun + ASK_EVERY);
+    let (end, mut next_request) = (begun + wait, begun + GUARD_PERIOD);
     let mut outcome = Outcome {
         node,
-        wanted: word.shown(),
+        wanted: word.target_state(),
         shown: None,
         after: wait,
     };
     while wire.now() < end {
-        // A reset is told by the boot-up alone.
-        if wire.now() >= ask && outcome.wanted != NmtState::BootUp {
+        // Only the boot-up message confirms a reset.
+        if wire.now() >= next_request && outcome.wanted != NmtState::BootUp {
             wire.send(&Frame::remote(node.cob(HEARTBEAT), 1)?)?;
-            ask = wire.now() + ASK_EVERY;
+            next_request = wire.now() + GUARD_PERIOD;
         }
-        let until = ask.max(wire.now()).min(end);
+        let until = next_request.max(wire.now()).min(end);
         let until = if until > wire.now() { until } else { end };
         let Some(frame) = wire.receive_until(until)? else {
             continue;
@@ -231,7 +231,7 @@ mod tests {
     const WAIT: Duration = Duration::from_secs(1);
 
     #[test]
-    fn every_command_is_obeyed_with_and_without_heartbeat() {
+    fn nmt_command_with_and_without_heartbeat_is_confirmed() {
         let mut lab = Lab::of_drives(&[5]);
         lab.add_drive(DriveNodeConfig {
             heartbeat_ms: 50,
@@ -248,17 +248,17 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_is_not_there_is_told() {
+    fn nmt_command_to_absent_node_fails() {
         let outcome = command(&mut Lab::new(), node(5), Word::Start, WAIT).unwrap();
         assert_eq!((outcome.shown, outcome.is_good()), (None, false));
-        assert!(outcome.to_string().contains("says nothing within 1000 ms"));
+        assert!(outcome.to_string().contains("no answer within 1000 ms"));
         let outcome = command(&mut Lab::new(), node(5), Word::Reset, WAIT).unwrap();
         assert!(!outcome.is_good());
     }
 
-    /// Another master takes it back at once.
+    /// Another master stops the node again at once.
     #[test]
-    fn a_node_that_does_not_stay_is_told_with_its_state() {
+    fn nmt_command_overridden_by_another_master_fails() {
         let mut lab = Lab::of_drives(&[5]);
         lab.run(10);
         let stop = NmtCommand::Stop.frame(None);

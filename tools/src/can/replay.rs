@@ -1,5 +1,5 @@
-//! `takt can replay`: a recording onto an interface, in its time. It answers nothing that comes back; for
-//! protocols against a recording, diagnoses read it by `--from`.
+//! `takt can replay`: sends a recording to an interface, with the recorded timing. It ignores received frames; the
+//! diagnostic commands read a recording with `--from`.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use takt_can::log::Record;
 
 use super::confirm;
 use super::feed::{Stop, cannot_open, read_log};
-use super::filter::{Filter, lets_all};
+use super::filter::{Filter, is_shown};
 use super::send::sleep_until;
 use crate::Verdict;
 use crate::output::{complain, say, span};
@@ -31,7 +31,7 @@ pub(crate) struct Replay {
     /// Only frames of this interface or channel of the recording.
     #[arg(long, value_name = "NAME")]
     channel: Option<String>,
-    /// Only these frames; as with dump.
+    /// Only these frames; filters as in `dump`.
     #[arg(long, value_name = "FILTER")]
     filter: Vec<Filter>,
     /// How many times faster than recorded, 0.001 to 1000.
@@ -49,7 +49,9 @@ pub(crate) struct Replay {
 }
 
 fn speed(text: &str) -> Result<f64, String> {
-    let speed: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
+    let speed: f64 = text
+        .parse()
+        .map_err(|_| format!("`{text}` is not a number"))?;
     if (0.001..=1000.0).contains(&speed) {
         Ok(speed)
     } else {
@@ -60,36 +62,36 @@ fn speed(text: &str) -> Result<f64, String> {
 impl Replay {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let log = read_log(&self.file)?;
-        let (frames, reports): (Vec<Record>, Vec<Record>) = log
+        let (frames, error_frames): (Vec<Record>, Vec<Record>) = log
             .records
             .into_iter()
-            .filter(|record| self.wants(record))
+            .filter(|record| self.selects(record))
             .partition(|record| record.frame.id().is_some());
-        if !reports.is_empty() {
-            let count = reports.len();
+        if !error_frames.is_empty() {
+            let count = error_frames.len();
             complain(&format!(
-                "{count} error frames are left out: they never were on the wire"
+                "{count} error frames left out: they were never on the bus"
             ));
         }
         anyhow::ensure!(
             !frames.is_empty(),
-            "no frame of the recording is left to send"
+            "no frame of the recording matches --channel and --filter"
         );
         let options = Options {
             queue: QueuePolicy::Wait(self.wait),
             ..Options::default()
         };
         let link = SocketCan::open(&self.interface, &options);
-        let mut link = link.with_context(|| cannot_open(&self.interface))?;
+        let mut link = link.map_err(|error| cannot_open(&self.interface, &error))?;
         let all = frames.iter().map(|record| &record.frame);
         confirm::motion(&self.interface, all, self.confirm_motion)?;
         self.send(&frames, &mut link)
     }
 
-    fn wants(&self, record: &Record) -> bool {
+    fn selects(&self, record: &Record) -> bool {
         let channel = self.channel.as_ref();
         channel.is_none_or(|channel| *channel == record.interface)
-            && lets_all(&self.filter, &record.frame)
+            && is_shown(&self.filter, &record.frame)
     }
 
     fn send(&self, frames: &[Record], link: &mut SocketCan) -> anyhow::Result<Verdict> {
@@ -102,13 +104,16 @@ impl Replay {
                 let offset = record.at.saturating_sub(begin).div_f64(self.speed);
                 sleep_until(start + offset, &stop);
             }
-            if stop.is_asked() {
+            if stop.is_requested() {
                 break;
             }
             let done = link.send(&record.frame);
             done.with_context(|| {
                 let frame = record.frame;
-                format!("{}: {frame} is not sent, {sent} were", self.interface)
+                format!(
+                    "{}: cannot send {frame}, {sent} frames sent",
+                    self.interface
+                )
             })?;
             sent += 1;
         }

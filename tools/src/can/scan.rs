@@ -1,5 +1,5 @@
-//! `takt can scan`: which nodes are on a CANopen bus, by what they tell of themselves and what they answer.
-//! It changes no state of any node; with `--lss` slaves without a number are asked, and left as they were.
+//! `takt can scan`: finds the nodes of a CANopen bus by their heartbeats and their SDO answers. It changes the state
+//! of no node; `--lss` identifies slaves without a number and leaves them as they were.
 
 mod survey;
 mod text;
@@ -18,8 +18,8 @@ use crate::output::{say, span};
 
 /// Find the nodes of a CANopen bus: numbers, states, device types, identities.
 ///
-/// It listens for heartbeats, then asks every number for 1000h, and what answers for 1018h and 1008h. Exit
-/// status: 0 nodes were found and nothing is wrong with them; 1 none, or something is; 2 it could not be tried.
+/// It listens for heartbeats, then reads 1000h of every number, and 1018h and 1008h of each node that answers. Exit
+/// status: 0 nodes found, no findings; 1 no nodes, or findings; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can scan can0
@@ -28,19 +28,19 @@ use crate::output::{say, span};
 pub(crate) struct Scan {
     /// The CAN interface.
     interface: String,
-    /// The numbers to ask: 1-127, or 5,8-10.
+    /// The node numbers to query: 1-127, or 5,8-10.
     #[arg(long, value_name = "NUMBERS", default_value = "1-127", value_parser = numbers)]
     nodes: Numbers,
-    /// How long to listen for heartbeats before asking.
+    /// How long to listen for heartbeats before the queries.
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = span)]
     listen: Duration,
     /// How long to wait for answers.
     #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = span)]
     wait: Duration,
-    /// Look for devices without a number too (LSS fast scan, CiA 305).
+    /// Also find devices without a number (LSS fast scan, CiA 305).
     #[arg(long)]
     lss: bool,
-    /// Data sheets, for the names of vendors and products.
+    /// Data sheets (EDS) for the names of vendors and products.
     #[arg(long, value_name = "FILE")]
     eds: Vec<PathBuf>,
     /// Print one JSON object instead of the table.
@@ -53,7 +53,7 @@ pub(crate) struct Scan {
 struct Numbers(Vec<NodeId>);
 
 fn numbers(text: &str) -> Result<Numbers, String> {
-    let wrong = || format!("`{text}` are no node numbers: write 1-127, or 5,8-10");
+    let wrong = || format!("`{text}` is not a list of node numbers\nhint: write 1-127, or 5,8-10");
     let number = |text: &str| text.trim().parse::<u8>().map_err(|_| wrong());
     let mut nodes = Vec::new();
     for part in text.split(',') {
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn node_numbers_are_read_and_checked() {
+    fn node_number_list_is_parsed_and_checked() {
         let raw = |text| numbers(text).map(|n| n.0.iter().map(|n| n.raw()).collect::<Vec<_>>());
         assert_eq!(raw("5,8-10,9"), Ok(vec![5, 8, 9, 10]));
         assert_eq!(raw("1-127").map(|all| all.len()), Ok(127));

@@ -1,5 +1,5 @@
-//! `takt can sdo`: the objects of one node, read, written, dumped and compared, with their names. Transfers are
-//! those of `takt-can`; nothing here runs beside a cycle.
+//! `takt can sdo`: reads, writes, dumps and compares the objects of one node, with their names. `takt-can` makes the
+//! transfers; nothing here is real-time.
 
 mod stored;
 mod whole;
@@ -15,8 +15,8 @@ use takt_can::canopen::store::Group;
 use takt_can::linux::Interface;
 use takt_cia402::dictionary::{Address, DataType};
 
-use super::ask::{Asker, Refusal};
 use super::confirm;
+use super::sdo_client::{SdoClient, SdoError};
 use super::sheet::Sheet;
 use super::wire::{Live, Wire};
 use crate::Verdict;
@@ -24,9 +24,8 @@ use crate::output::{complain, save, say, span};
 
 /// Read, write, dump and compare the objects of a node.
 ///
-/// Objects of CiA 301 and CiA 402 are known by name; a data sheet (--eds) makes those of the device known. Exit
-/// status: 0 done, and what was compared is equal; 1 the node refuses, does not answer, or differs; 2 it could not
-/// be tried.
+/// Objects of CiA 301 and CiA 402 can be named; a data sheet (--eds) adds those of the device. Exit status: 0 done, and
+/// compared values are equal; 1 the node refuses, does not answer, or differs; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can sdo can0 5 upload 6041
@@ -43,10 +42,10 @@ pub(crate) struct Sdo {
     #[arg(value_parser = super::node)]
     node: NodeId,
     #[command(subcommand)]
-    what: What,
+    action: Action,
 }
 
-/// How a transfer is made.
+/// Options of a transfer.
 #[derive(Clone, Debug, Args)]
 pub(super) struct Transfer {
     /// The data sheet of the device, or a configuration (DCF).
@@ -55,21 +54,21 @@ pub(super) struct Transfer {
     /// Transfer in blocks, with a checksum: for long values.
     #[arg(long)]
     block: bool,
-    /// How long the node may take for an answer.
+    /// Timeout of an answer.
     #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = span)]
     timeout: Duration,
 }
 
 #[derive(Debug, Subcommand)]
-pub(super) enum What {
+pub(super) enum Action {
     /// Read an entry.
     Upload {
         /// Index and sub-index, hexadecimal (6041, 1018:01), or the name.
         object: String,
-        /// Its data type (u8, i32, f32, string, bytes, ..), if no sheet knows it.
+        /// Its data type (u8, i32, f32, string, bytes, ..), if no data sheet has it.
         #[arg(long = "type", value_name = "TYPE", value_parser = data_type)]
         data_type: Option<DataType>,
-        /// Write its bytes into a file.
+        /// Write its bytes to a file.
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
         /// Print one JSON object.
@@ -82,17 +81,17 @@ pub(super) enum What {
     Download {
         /// Index and sub-index, hexadecimal (6041, 1018:01), or the name.
         object: String,
-        /// The value, as its type is written: 5, -5, 0x1F, 1.5, text, `0A 1B`.
+        /// The value in the notation of its type: 5, -5, 0x1F, 1.5, text, `0A 1B`.
         #[arg(
             allow_hyphen_values = true,
             required_unless_present = "file",
             conflicts_with = "file"
         )]
         value: Option<String>,
-        /// The bytes of this file instead.
+        /// Write the bytes of this file.
         #[arg(long, value_name = "FILE")]
         file: Option<PathBuf>,
-        /// Its data type (u8, i32, f32, string, bytes, ..), if no sheet knows it.
+        /// Its data type (u8, i32, f32, string, bytes, ..), if no data sheet has it.
         #[arg(long = "type", value_name = "TYPE", value_parser = data_type)]
         data_type: Option<DataType>,
         /// It is safe that a machine moves.
@@ -101,12 +100,12 @@ pub(super) enum What {
         #[command(flatten)]
         transfer: Transfer,
     },
-    /// Read all entries that the data sheet knows.
+    /// Read all entries of the data sheet.
     Dump {
-        /// Write them as configuration (DCF, CiA 306).
+        /// Write them to a configuration file (DCF, CiA 306).
         #[arg(long, value_name = "FILE")]
         dcf: Option<PathBuf>,
-        /// Read domains too, which can be long.
+        /// Also read domains, which can be long.
         #[arg(long)]
         domains: bool,
         /// Print one JSON object.
@@ -115,45 +114,45 @@ pub(super) enum What {
         #[command(flatten)]
         transfer: Transfer,
     },
-    /// Read the data sheet that the node holds itself (1021h), if it holds one.
+    /// Read the data sheet stored in the node (1021h), if there is one.
     Eds {
-        /// Where to; then it is one for --eds.
+        /// The file to write, for --eds.
         #[arg(value_name = "FILE")]
         out: PathBuf,
-        /// How long the node may take for an answer.
+        /// Timeout of an answer.
         #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = span)]
         timeout: Duration,
     },
-    /// Have the node keep its settings (1010h).
+    /// Store the settings in the node (1010h).
     Store {
         /// all, communication, application or manufacturer.
         #[arg(default_value = "all")]
         group: Group,
-        /// How long the node may take: its memory is slow.
+        /// Timeout: the memory of the node is slow.
         #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
         timeout: Duration,
     },
-    /// Have the node take its defaults again, after its next reset (1011h).
+    /// Restore the defaults of the node at its next reset (1011h).
     Restore {
         /// all, communication, application or manufacturer.
         #[arg(default_value = "all")]
         group: Group,
-        /// How long the node may take: its memory is slow.
+        /// Timeout: the memory of the node is slow.
         #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
         timeout: Duration,
     },
     /// Compare the settings of the node with those of a file.
     Compare {
-        /// A configuration (DCF), or a data sheet, whose defaults are compared with.
+        /// A configuration (DCF), or a data sheet, whose defaults are compared.
         #[arg(value_name = "FILE")]
         with: PathBuf,
-        /// Compare what can only be read too: measured values, states.
+        /// Also compare read-only entries: measured values, states.
         #[arg(long)]
         all: bool,
         /// Print one JSON object.
         #[arg(long)]
         json: bool,
-        /// How long the node may take for an answer.
+        /// Timeout of an answer.
         #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = span)]
         timeout: Duration,
     },
@@ -163,26 +162,26 @@ fn data_type(text: &str) -> Result<DataType, String> {
     DataType::named(text).map_err(|error| error.to_string())
 }
 
-/// What there is to say, and whether it is good.
+/// The text to print, and the verdict.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Told {
+pub(super) struct Report {
     pub(super) text: String,
     pub(super) good: bool,
 }
 
 impl Sdo {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        if let What::Download {
+        if let Action::Download {
             object,
             transfer,
             confirm_motion,
             ..
-        } = &self.what
+        } = &self.action
         {
             let address = Sheet::open(transfer.eds.as_deref())?.find(object)?;
             if can_move(address) {
-                let what = format!("writing {address} of node {}", self.node);
-                confirm::deed(&self.interface, &what, *confirm_motion)?;
+                let action = format!("writing {address} of node {}", self.node);
+                confirm::deed(&self.interface, &action, *confirm_motion)?;
             }
         }
         let mut wire = Live::open(&self.interface)?;
@@ -191,37 +190,37 @@ impl Sdo {
             .ok()
             .and_then(|details| details.bitrate)
             .map(|rate| rate / 1000);
-        let told = match perform(&mut wire, self.node, &self.what, kbit)? {
-            Ok(told) => told,
-            Err(refusal) => {
-                complain(&format!("takt: {refusal}"));
+        let report = match perform(&mut wire, self.node, &self.action, kbit)? {
+            Ok(report) => report,
+            Err(error) => {
+                complain(&format!("takt: {error}"));
                 return Ok(Verdict::Failed);
             }
         };
-        if !told.text.is_empty() {
-            say(told.text.trim_end())?;
+        if !report.text.is_empty() {
+            say(report.text.trim_end())?;
         }
-        Ok(match told.good {
+        Ok(match report.good {
             true => Verdict::Good,
             false => Verdict::Failed,
         })
     }
 }
 
-/// Communication parameters (1000h to 1FFFh) only store something; control words and outputs are beyond.
+/// Communication parameters (1000h to 1FFFh) cannot start a motion; control words and outputs are other objects.
 const fn can_move(address: Address) -> bool {
     !matches!(address.index, 0x1000..=0x1FFF)
 }
 
-/// Does it; what the node refuses is no failure of the asking. `kbit` is the bit rate, for a configuration.
+/// Performs an action. `kbit` is the bit rate for a configuration file.
 pub(super) fn perform<W: Wire>(
     wire: &mut W,
     node: NodeId,
-    what: &What,
+    action: &Action,
     kbit: Option<u32>,
-) -> anyhow::Result<Result<Told, Refusal>> {
-    match what {
-        What::Upload {
+) -> anyhow::Result<Result<Report, SdoError>> {
+    match action {
+        Action::Upload {
             object,
             data_type,
             out,
@@ -236,7 +235,7 @@ pub(super) fn perform<W: Wire>(
             *json,
             transfer,
         ),
-        What::Download {
+        Action::Download {
             object,
             value,
             file,
@@ -250,54 +249,56 @@ pub(super) fn perform<W: Wire>(
             };
             download(wire, node, object, value, *data_type, transfer)
         }
-        What::Dump {
+        Action::Dump {
             dcf,
             domains,
             json,
             transfer,
         } => dump(wire, node, dcf.as_deref(), *domains, *json, transfer, kbit),
-        What::Eds { out, timeout } => stored::fetch(wire, &mut Asker::new(node, *timeout), out),
-        What::Store { group, timeout } => {
+        Action::Eds { out, timeout } => {
+            stored::fetch(wire, &mut SdoClient::new(node, *timeout), out)
+        }
+        Action::Store { group, timeout } => {
             let text = format!("node {node}: stored");
             keep(wire, node, group.store(), text, *timeout)
         }
-        What::Restore { group, timeout } => {
-            let text = format!("node {node}: has its defaults after its next reset (takt can nmt)");
+        Action::Restore { group, timeout } => {
+            let text = format!("node {node}: defaults apply after its next reset (takt can nmt)");
             keep(wire, node, group.restore(), text, *timeout)
         }
-        What::Compare {
+        Action::Compare {
             with,
             all,
             json,
             timeout,
         } => {
             let sheet = Sheet::open(Some(with))?;
-            let mut asker = Asker::new(node, *timeout);
-            let compared = match whole::compare(wire, &mut asker, &sheet, *all)? {
+            let mut client = SdoClient::new(node, *timeout);
+            let compared = match whole::compare(wire, &mut client, &sheet, *all)? {
                 Ok(compared) => compared,
-                Err(refusal) => return Ok(Err(refusal)),
+                Err(error) => return Ok(Err(error)),
             };
             let text = match json {
                 true => compared.json(&sheet, node).to_string(),
                 false => compared.text(&sheet, node),
             };
             let good = compared.is_equal();
-            Ok(Ok(Told { text, good }))
+            Ok(Ok(Report { text, good }))
         }
     }
 }
 
-/// Writes the signature that stores or restores.
+/// Writes the signature to 1010h or 1011h.
 fn keep<W: Wire>(
     wire: &mut W,
     node: NodeId,
     (address, signature): (Address, [u8; 4]),
     text: String,
     timeout: Duration,
-) -> anyhow::Result<Result<Told, Refusal>> {
-    let mut asker = Asker::new(node, timeout);
-    let answer = asker.write(wire, address, &signature, false)?;
-    Ok(answer.map(|()| Told { text, good: true }))
+) -> anyhow::Result<Result<Report, SdoError>> {
+    let mut client = SdoClient::new(node, timeout);
+    let answer = client.write(wire, address, &signature, false)?;
+    Ok(answer.map(|()| Report { text, good: true }))
 }
 
 fn dump<W: Wire>(
@@ -308,12 +309,12 @@ fn dump<W: Wire>(
     json: bool,
     transfer: &Transfer,
     kbit: Option<u32>,
-) -> anyhow::Result<Result<Told, Refusal>> {
+) -> anyhow::Result<Result<Report, SdoError>> {
     let mut sheet = Sheet::open(transfer.eds.as_deref())?;
-    let mut asker = Asker::new(node, transfer.timeout);
-    let dump = match whole::dump(wire, &mut asker, &sheet, domains)? {
+    let mut client = SdoClient::new(node, transfer.timeout);
+    let dump = match whole::dump(wire, &mut client, &sheet, domains)? {
         Ok(dump) => dump,
-        Err(refusal) => return Ok(Err(refusal)),
+        Err(error) => return Ok(Err(error)),
     };
     if let Some(path) = dcf {
         let text = dump.configuration(&mut sheet.eds, node, kbit);
@@ -324,7 +325,7 @@ fn dump<W: Wire>(
         (false, Some(_)) => dump.summary(node),
         (false, None) => dump.text(&sheet, node),
     };
-    Ok(Ok(Told { text, good: true }))
+    Ok(Ok(Report { text, good: true }))
 }
 
 fn upload<W: Wire>(
@@ -335,13 +336,13 @@ fn upload<W: Wire>(
     out: Option<&Path>,
     json: bool,
     transfer: &Transfer,
-) -> anyhow::Result<Result<Told, Refusal>> {
+) -> anyhow::Result<Result<Report, SdoError>> {
     let sheet = Sheet::open(transfer.eds.as_deref())?;
     let address = sheet.find(object)?;
-    let mut asker = Asker::new(node, transfer.timeout);
-    let bytes = match asker.read(wire, address, transfer.block)? {
+    let mut client = SdoClient::new(node, transfer.timeout);
+    let bytes = match client.read(wire, address, transfer.block)? {
         Ok(bytes) => bytes,
-        Err(refusal) => return Ok(Err(refusal)),
+        Err(error) => return Ok(Err(error)),
     };
     if let Some(path) = out {
         save(path, &bytes)?;
@@ -363,7 +364,7 @@ fn upload<W: Wire>(
     } else {
         line(address, &name, &shown)
     };
-    Ok(Ok(Told { text, good: true }))
+    Ok(Ok(Report { text, good: true }))
 }
 
 /// `6041h:00 statusword = 592 (0250h)`
@@ -372,7 +373,7 @@ fn line(address: Address, name: &str, shown: &str) -> String {
     format!("{address}{gap}{name} = {shown}")
 }
 
-/// Where a value is from.
+/// Source of a value.
 #[derive(Clone, Copy, Debug)]
 enum Source<'a> {
     Text(&'a str),
@@ -386,7 +387,7 @@ fn download<W: Wire>(
     value: Source<'_>,
     data_type: Option<DataType>,
     transfer: &Transfer,
-) -> anyhow::Result<Result<Told, Refusal>> {
+) -> anyhow::Result<Result<Report, SdoError>> {
     let sheet = Sheet::open(transfer.eds.as_deref())?;
     let address = sheet.find(object)?;
     let kind = data_type.or_else(|| sheet.data_type(address));
@@ -395,18 +396,18 @@ fn download<W: Wire>(
             .with_context(|| format!("cannot read {}", path.display()))?,
         Source::Text(text) => {
             let kind = kind.with_context(|| {
-                format!("the type of {address} is not known: give it by --type, or the data sheet by --eds")
+                format!("the data type of {address} is unknown\nhint: give --type, or the data sheet with --eds")
             })?;
             kind.read(text).with_context(|| address.to_string())?
         }
     };
-    let mut asker = Asker::new(node, transfer.timeout);
-    let answer = asker.write(wire, address, &bytes, transfer.block)?;
+    let mut client = SdoClient::new(node, transfer.timeout);
+    let answer = client.write(wire, address, &bytes, transfer.block)?;
     let shown = match value {
         Source::Text(_) => sheet.show(address, kind, &bytes),
         Source::File(path) => format!("{} bytes of {}", bytes.len(), path.display()),
     };
-    Ok(answer.map(|()| Told {
+    Ok(answer.map(|()| Report {
         text: line(address, &sheet.name(address), &shown),
         good: true,
     }))

@@ -1,5 +1,5 @@
-//! `takt can send`: frames written as candump and cansend write them. It knows nothing about their meaning
-//! but whether they can set something in motion.
+//! `takt can send`: frames in the notation of candump and cansend. Of their meaning it only checks whether they can
+//! start a motion.
 
 use std::time::{Duration, Instant};
 
@@ -19,8 +19,8 @@ use crate::output::{say, span};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can send can0 000#8205                     NMT: node 5, reset communication
-  takt can send can0 605#4041600000000000         SDO: ask node 5 for its statusword
-  takt can send can0 705#R                        ask node 5 for its state
+  takt can send can0 605#4041600000000000         SDO: read the statusword of node 5
+  takt can send can0 705#R                        request the state of node 5
   takt can send vcan0 123##1AABBCC 18FEF100#01    CAN FD, and 29 bits
   takt can send can0 080# --period 10ms --count 100 --confirm-motion")]
 pub(crate) struct Send {
@@ -29,10 +29,10 @@ pub(crate) struct Send {
     /// Frames: ID#DATA, ID#R for a remote one, ID##FLAGS-DATA for CAN FD.
     #[arg(required = true, value_parser = frame)]
     frames: Vec<AnyFrame>,
-    /// How often to send them all.
+    /// How many times to send all frames.
     #[arg(long, value_name = "N", default_value_t = 1)]
     count: u32,
-    /// Time from one turn to the next.
+    /// Time from one repetition to the next.
     #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = span)]
     period: Duration,
     /// How long to wait for room in the send queue.
@@ -54,7 +54,7 @@ impl Send {
             ..Options::default()
         };
         let link = SocketCan::open(&self.interface, &options);
-        let mut link = link.with_context(|| cannot_open(&self.interface))?;
+        let mut link = link.map_err(|error| cannot_open(&self.interface, &error))?;
         confirm::motion(&self.interface, &self.frames, self.confirm_motion)?;
         let stop = Stop::listen()?;
         let start = Instant::now();
@@ -63,13 +63,16 @@ impl Send {
             if turn > 0 {
                 sleep_until(start + self.period * turn, &stop);
             }
-            if stop.is_asked() {
+            if stop.is_requested() {
                 break;
             }
             for frame in &self.frames {
                 let done = link.send(frame);
                 done.with_context(|| {
-                    format!("{}: {frame} is not sent, {sent} were", self.interface)
+                    format!(
+                        "{}: cannot send {frame}, {sent} frames sent",
+                        self.interface
+                    )
                 })?;
                 sent += 1;
             }
@@ -79,11 +82,11 @@ impl Send {
     }
 }
 
-/// Sleeps, but not much longer than until somebody asks to end.
+/// Sleeps until `at`, or until shortly after a stop request.
 pub(super) fn sleep_until(at: Instant, stop: &Stop) {
     loop {
         let left = at.saturating_duration_since(Instant::now());
-        if left.is_zero() || stop.is_asked() {
+        if left.is_zero() || stop.is_requested() {
             return;
         }
         std::thread::sleep(left.min(Duration::from_millis(50)));

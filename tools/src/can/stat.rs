@@ -1,5 +1,5 @@
-//! `takt can stat`: what a bus is like, what is wrong with it and what to do, live or from a recording. The
-//! figures and the judgement are those of `takt_can::stat`.
+//! `takt can stat`: figures and findings of a bus, live or from a recording, with remedies. `takt_can::stat` computes
+//! both.
 
 mod text;
 
@@ -16,10 +16,10 @@ use super::feed::{Feed, Stop};
 use crate::Verdict;
 use crate::output::{say, share, span};
 
-/// Measure a bus: load, rates and jitter, errors, heartbeats, losses; and say what is wrong.
+/// Measure a bus: load, rates and jitter, errors, heartbeats, losses; and report findings.
 ///
-/// Exit status: 0 nothing fails; 1 something does; 2 it could not be tried. It only listens. Ctrl-C ends it
-/// early and keeps what was measured.
+/// Exit status: 0 no failure found; 1 failures found; 2 it could not be tried. It only listens. Ctrl-C ends the
+/// measurement early; the report covers the time until then.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can stat can0
@@ -32,13 +32,13 @@ pub(crate) struct Stat {
     /// Read a recording instead: candump log or text, ASC, BLF, TRC, pcap or pcapng.
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
-    /// Only this interface or channel of the recording; without it the first frame's.
+    /// Only this interface or channel of the recording; default: that of the first frame.
     #[arg(long, value_name = "NAME", requires = "from")]
     channel: Option<String>,
     /// How long to listen.
     #[arg(long, value_name = "TIME", default_value = "5s", value_parser = span, conflicts_with = "from")]
     duration: Duration,
-    /// Bit rate for the load, where the interface does not tell: 500k, 1M, or bit/s.
+    /// Bit rate for the load, if the interface does not report it: 500k, 1M, or bit/s.
     #[arg(long, value_name = "RATE", value_parser = bitrate)]
     bitrate: Option<u32>,
     /// Mean load that is a warning, 0 to 1.
@@ -55,15 +55,15 @@ pub(crate) struct Stat {
     quiet: bool,
 }
 
-/// How long to wait before looking whether to end.
-const TURN: Duration = Duration::from_millis(100);
+/// Longest wait before the next check for the end.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 impl Stat {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let (name, report) = match (&self.from, &self.interface) {
             (Some(file), _) => self.of_file(file)?,
             (None, Some(interface)) => (interface.clone(), self.of_interface(interface)?),
-            (None, None) => anyhow::bail!("name an interface, or a recording by --from"),
+            (None, None) => anyhow::bail!("neither an interface nor a recording (--from) given"),
         };
         let limits = Limits {
             load_warning: self.load_warning,
@@ -89,12 +89,12 @@ impl Stat {
         })
     }
 
-    /// Only one channel: load and heartbeats of two buses must not be mixed.
+    /// Reads one channel only: load and heartbeats of two buses must not be mixed.
     fn of_file(&self, file: &Path) -> anyhow::Result<(String, Report)> {
         let mut feed = Feed::open(&[], Some(file))?;
         let mut meter = Meter::new(self.bitrate.map(Rates::classic));
         let mut channel = self.channel.clone();
-        while let Some(seen) = feed.next(TURN)? {
+        while let Some(seen) = feed.next(POLL_INTERVAL)? {
             let channel = channel.get_or_insert_with(|| seen.interface.to_string());
             if **channel == *seen.interface {
                 meter.handle_frame(&seen.received);
@@ -104,7 +104,7 @@ impl Stat {
         let channel = channel.unwrap_or_default();
         anyhow::ensure!(
             report.frames + report.errors.frames > 0,
-            "{}: no frame of {channel}",
+            "{}: no frames of {channel}",
             file.display()
         );
         Ok((channel, report))
@@ -119,15 +119,15 @@ impl Stat {
         let mut meter = Meter::new(rates);
         let until = Instant::now() + self.duration;
         meter.handle_time(wall());
-        while Instant::now() < until && !stop.is_asked() {
-            if let Some(seen) = feed.next(TURN)? {
+        while Instant::now() < until && !stop.is_requested() {
+            if let Some(seen) = feed.next(POLL_INTERVAL)? {
                 meter.handle_frame(&seen.received);
             }
         }
         let details = interface.details()?;
         meter.handle_time(wall());
         meter.handle_state(details.state, details.counters);
-        // Counted for all programs of this host. A counter that went back was reset.
+        // The counters cover all programs of this host. A counter that decreased was reset.
         let counted = |after: u64, before: u64| after.saturating_sub(before);
         meter.handle_refused(counted(details.send_dropped, before.send_dropped));
         meter.handle_lost(counted(details.receive_dropped, before.receive_dropped));

@@ -1,4 +1,5 @@
-//! `takt can up`: sets an interface up and brings it up, or says why not and how it is. It creates none.
+//! `takt can up`: configures an interface, brings it up, and prints its state or the cause of a failure. It creates no
+//! interface.
 
 use std::time::Duration;
 
@@ -9,34 +10,34 @@ use super::bitrate;
 use crate::Verdict;
 use crate::output::{say, span};
 
-/// Set a CAN interface up, bring it up, and tell how it is.
+/// Configure a CAN interface, bring it up, and print its state.
 ///
-/// Without options a controller is brought up as it is set. Needs root or CAP_NET_ADMIN.
+/// Without options the interface is brought up with its present settings. Needs root or CAP_NET_ADMIN.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sudo takt can up can0 --bitrate 1M
   sudo takt can up can0 --bitrate 500k --sample-point 0.875 --restart 100ms --queue 1000
   sudo takt can up can1 --bitrate 1M --fd 5M
-  takt can up can0 --show                         tell only")]
+  takt can up can0 --show                         print only")]
 pub(crate) struct Up {
     /// The CAN interface.
     interface: String,
     /// Bit rate: 500k, 1M, or bit/s.
     #[arg(long, value_name = "RATE", value_parser = bitrate)]
     bitrate: Option<u32>,
-    /// Sample point, 0.5 to 0.95; without it the kernel takes what CiA recommends.
+    /// Sample point, 0.5 to 0.95; default: the kernel's, as CiA recommends.
     #[arg(long, value_name = "SHARE", value_parser = sample_point, requires = "bitrate")]
     sample_point: Option<u32>,
-    /// Switch CAN FD on, with this bit rate of data.
+    /// Enable CAN FD with this data bit rate.
     #[arg(long, value_name = "RATE", value_parser = bitrate)]
     fd: Option<u32>,
-    /// After this time a controller that went off the bus tries again; 0ms: never.
+    /// Restart the controller this long after bus-off; 0ms: never.
     #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = span)]
     restart: Duration,
-    /// Frames that may wait for being sent.
+    /// Length of the send queue, frames.
     #[arg(long, value_name = "N", default_value_t = 1000)]
     queue: u32,
-    /// Do not report each error on the bus, only changes of state.
+    /// Do not report each bus error, only state changes.
     #[arg(long)]
     no_reports: bool,
     /// Only listen: neither send nor acknowledge.
@@ -49,7 +50,9 @@ pub(crate) struct Up {
 
 /// In tenths of a percent.
 fn sample_point(text: &str) -> Result<u32, String> {
-    let point: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
+    let point: f64 = text
+        .parse()
+        .map_err(|_| format!("`{text}` is not a number"))?;
     if !(0.5..=0.95).contains(&point) {
         return Err("must be 0.5 to 0.95".to_owned());
     }
@@ -71,7 +74,7 @@ impl Up {
             }
         }
         let details = interface.details()?;
-        say(&format!("{}: {}", self.interface, told(&details)))?;
+        say(&format!("{}: {}", self.interface, description(&details)))?;
         Ok(if details.up {
             Verdict::Good
         } else {
@@ -79,7 +82,7 @@ impl Up {
         })
     }
 
-    /// A virtual interface has a queue and nothing else to set.
+    /// Of a virtual interface only the queue can be set.
     fn setup(&self, details: &Details) -> Setup {
         let queue = Some(self.queue);
         if details.is_virtual() && self.bitrate.is_none() && self.fd.is_none() {
@@ -100,7 +103,7 @@ impl Up {
     }
 }
 
-fn told(details: &Details) -> String {
+fn description(details: &Details) -> String {
     let mut words = vec![if details.up { "up" } else { "down" }.to_owned()];
     if details.is_virtual() {
         words.push("virtual".to_owned());
@@ -144,7 +147,7 @@ mod tests {
     use takt_can::BusState;
 
     #[test]
-    fn an_interface_is_told_in_one_line() {
+    fn interface_state_is_one_line() {
         let details = Details {
             up: true,
             bitrate: Some(1_000_000),
@@ -156,15 +159,15 @@ mod tests {
             ..Details::default()
         };
         assert_eq!(
-            told(&details),
+            description(&details),
             "up, error-active, 1000 kbit/s, sample point 75.0 %, errors 0 sending, 3 receiving, restart after \
              100 ms, queue of 10"
         );
-        assert_eq!(told(&Details::default()), "down, virtual");
+        assert_eq!(description(&Details::default()), "down, virtual");
     }
 
     #[test]
-    fn sample_points_are_shares() {
+    fn sample_point_is_parsed_and_checked() {
         assert_eq!(sample_point("0.875"), Ok(875));
         for wrong in ["87.5", "0.4", "x", "NaN"] {
             assert!(sample_point(wrong).is_err(), "{wrong}");

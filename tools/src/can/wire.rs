@@ -1,5 +1,5 @@
-//! A CAN bus as the commands use it that ask nodes: frames both ways, and the time. Commands are written
-//! against it, so that their tests run on a bus within the process, in virtual time. It decodes nothing.
+//! The CAN bus for commands that send requests: frames in both directions, and the time. Tests replace it by a bus
+//! within the process, in virtual time. It decodes nothing.
 
 use std::time::Duration;
 
@@ -12,25 +12,25 @@ use super::feed::{Stop, cannot_open};
 
 /// A bus.
 pub(super) trait Wire {
-    /// On a clock that does not go back.
+    /// Monotonic time.
     fn now(&self) -> Duration;
 
-    /// Sends a frame; waits for room if there is none.
+    /// Sends a frame; waits while the send queue is full.
     ///
     /// # Errors
     /// If the interface fails.
     fn send(&mut self, frame: &Frame) -> anyhow::Result<()>;
 
-    /// Waits at most so long for a frame.
+    /// Waits for a frame, at most `timeout`.
     ///
     /// # Errors
     /// If the interface fails.
     fn receive(&mut self, timeout: Duration) -> anyhow::Result<Option<Frame>>;
 
-    /// Whether somebody asked to end.
+    /// Whether a stop was requested (Ctrl-C).
     fn is_stopped(&self) -> bool;
 
-    /// Waits until then, for a frame. None has come when it gives none.
+    /// Waits for a frame until `at`; `None` if none was received.
     ///
     /// # Errors
     /// If the interface fails.
@@ -39,8 +39,8 @@ pub(super) trait Wire {
     }
 }
 
-/// How long there may be no room for a frame: at 10 kbit/s that of a full queue is over by then.
-const ROOM: Duration = Duration::from_secs(1);
+/// Longest wait for a full send queue: at 10 kbit/s it drains within this time.
+const QUEUE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// An interface of this host.
 #[derive(Debug)]
@@ -51,14 +51,14 @@ pub(super) struct Live {
 }
 
 impl Live {
-    /// Opens it; Ctrl-C then ends the program.
+    /// Opens the interface; Ctrl-C terminates the program.
     pub(super) fn open(name: &str) -> anyhow::Result<Self> {
         let options = Options {
-            queue: QueuePolicy::Wait(ROOM),
+            queue: QueuePolicy::Wait(QUEUE_TIMEOUT),
             errors: false,
             ..Options::default()
         };
-        let socket = SocketCan::open(name, &options).with_context(|| cannot_open(name))?;
+        let socket = SocketCan::open(name, &options).map_err(|error| cannot_open(name, &error))?;
         Ok(Self {
             name: name.to_owned(),
             socket,
@@ -66,7 +66,7 @@ impl Live {
         })
     }
 
-    /// Opens it; Ctrl-C is told by [`Wire::is_stopped`], for who has something to bring to rest before.
+    /// Opens the interface for a command that has to stop a machine before it ends: [`Wire::is_stopped`] reports Ctrl-C.
     pub(super) fn open_to_stop(name: &str) -> anyhow::Result<Self> {
         let mut live = Self::open(name)?;
         live.stop = Some(Stop::listen()?);
@@ -81,7 +81,7 @@ impl Wire for Live {
 
     fn send(&mut self, frame: &Frame) -> anyhow::Result<()> {
         let sent = self.socket.send(&(*frame).into());
-        sent.with_context(|| format!("{}: {frame} is not sent", self.name))
+        sent.with_context(|| format!("{}: cannot send {frame}", self.name))
     }
 
     fn receive(&mut self, timeout: Duration) -> anyhow::Result<Option<Frame>> {
@@ -91,6 +91,6 @@ impl Wire for Live {
     }
 
     fn is_stopped(&self) -> bool {
-        self.stop.as_ref().is_some_and(Stop::is_asked)
+        self.stop.as_ref().is_some_and(Stop::is_requested)
     }
 }

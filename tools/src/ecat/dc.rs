@@ -1,5 +1,5 @@
-//! `takt ecat dc`: the clocks of a segment: who is the reference, how far the others are from it, how it runs against
-//! the host's clock, and with a cell whose slaves have SYNC0, where between two of them frames come.
+//! `takt ecat dc`: the distributed clocks of a segment: the reference clock, the differences of the others from it, its
+//! drift against the host's clock, and, with a cell whose slaves have SYNC0, the phase of the frames to SYNC0.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -11,6 +11,7 @@ use takt_ethercat::dc::{PhaseFigures, Sample};
 use takt_ethercat::master::{Master, SlaveView};
 
 use super::session::{Session, Wire, phase_error};
+use super::stat::indented;
 use super::{Source, recording, scan};
 use crate::Verdict;
 use crate::output::{say, span, time};
@@ -18,7 +19,7 @@ use crate::output::{say, span, time};
 /// Watch the distributed clocks: reference, delays, differences, drift.
 ///
 /// All slaves are brought to SAFE-OP, where outputs stay safe, and left in INIT. Exit status: 0 all clocks stay
-/// inside of the window; 1 one does not, or there is none; 2 it could not be tried.
+/// within the window; 1 one does not, or there is none; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat dc enp2s0
@@ -33,14 +34,13 @@ pub(crate) struct Dc {
     /// How long to watch.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     duration: Duration,
-    /// How long clocks may take to settle before.
+    /// Settling time of the clocks before the measurement.
     #[arg(long, value_name = "TIME", default_value = "5s", value_parser = span)]
     settle: Duration,
-    /// Period of the frames, without it that of the cell, or else 1ms; clocks follow the better the more often the
-    /// time is told.
+    /// Period of the frames; default: that of the cell, or else 1ms. A shorter period distributes the time more often.
     #[arg(long, value_name = "TIME", value_parser = span)]
     cycle: Option<Duration>,
-    /// Largest difference that is good.
+    /// Largest difference that is no finding.
     #[arg(long, value_name = "TIME", default_value = "1us", value_parser = span)]
     window: Duration,
     /// Print one JSON object instead of the report.
@@ -52,7 +52,7 @@ impl Dc {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         if let Some(path) = &self.source.from {
             let read = recording::Recording::read(path)?;
-            return recording::dc(&read, self.window).say(self.json, false);
+            return recording::dc(&read, self.window).print(self.json, false);
         }
         let mut session = self.source.bring_up(AlState::SafeOp, self.cycle)?;
         session.run_for(self.settle)?;
@@ -80,15 +80,15 @@ pub(super) struct Range {
     pub(super) last: i32,
 }
 
-/// What the clocks did.
+/// Figures of the clocks.
 #[derive(Debug)]
 pub(super) struct Watched {
     pub(super) duration: Duration,
-    /// By slave; `None` where nothing was read.
+    /// By slave; `None` where no difference was read.
     pub(super) ranges: Vec<Option<Range>>,
-    /// How much faster the reference runs than the host, in millionths; `None` without samples enough.
+    /// Drift of the reference against the host, ppm, positive if the reference is faster; `None` with too few samples.
     pub(super) drift_ppm: Option<f64>,
-    /// How far from the middle between two SYNC0 frames passed; of none without SYNC0.
+    /// Distance of the frames from the middle between two SYNC0; empty without SYNC0.
     pub(super) phase: PhaseFigures,
 }
 
@@ -127,7 +127,7 @@ impl Watched {
         })
     }
 
-    /// What is wrong.
+    /// Differences from the cell, faults, and clocks outside the window.
     pub(super) fn findings(&self, master: &Master, window: Duration) -> Vec<String> {
         let mut findings: Vec<String> = master
             .differences()
@@ -136,7 +136,8 @@ impl Watched {
             .collect();
         if master.reference().is_none() && findings.is_empty() {
             findings.push(
-                "no slave has a distributed clock; SYNC0 cannot be had on this segment".to_owned(),
+                "no slave has a distributed clock: SYNC0 is not available on this segment"
+                    .to_owned(),
             );
         }
         for (number, range) in self.ranges.iter().enumerate() {
@@ -151,8 +152,8 @@ impl Watched {
             });
             if u128::from(furthest) > window.as_nanos() {
                 findings.push(format!(
-                    "slave {number}: its clock was up to {furthest} ns from the reference, {} ns are allowed; frames \
-                     that are late or lost (`takt ecat stat`), or a delay that changed with the cabling",
+                    "slave {number}: its clock was up to {furthest} ns from the reference, {} ns are allowed\nhint: \
+                     frames may be late or lost (`takt ecat stat`), or the cabling and its delay have changed",
                     window.as_nanos()
                 ));
             }
@@ -174,7 +175,7 @@ fn widened(range: Option<Range>, difference: i32) -> Range {
     }
 }
 
-/// Between two samples, each taken to be halfway between sending and receiving.
+/// Drift between two samples, each at the middle between sending and receiving, ppm.
 #[expect(
     clippy::cast_precision_loss,
     reason = "spans of minutes, shown with one digit"
@@ -248,7 +249,7 @@ pub(super) fn text<W: Wire>(
         text.push('\n');
     }
     for finding in findings {
-        let _ = writeln!(text, "FAIL  {finding}");
+        let _ = writeln!(text, "FAIL  {}", indented(finding));
     }
     let _ = match findings.len() {
         0 => writeln!(text, "{name}: good"),
@@ -257,7 +258,7 @@ pub(super) fn text<W: Wire>(
     text
 }
 
-/// What a program reads.
+/// The report as JSON.
 pub(super) fn object<W: Wire>(
     session: &Session<W>,
     watched: &Watched,

@@ -89,7 +89,7 @@ impl Drive {
         let what = format!("enabling axis {} of slave {}", self.axis, self.slave);
         confirm::motion(&what, self.confirm_motion)?;
         let stop = until_signal()?;
-        let mut session = self.target.bring_up(AlState::PreOp, super::ASKING)?;
+        let mut session = self.target.bring_up(AlState::PreOp, super::REQUEST_CYCLE)?;
         let slave = session.find(&self.slave)?;
         let order = Order {
             slave,

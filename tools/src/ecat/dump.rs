@@ -1,5 +1,5 @@
-//! `takt ecat dump`: a recording of a segment as text, one line for each datagram, with what registers, states and
-//! mailboxes in it mean. It judges nothing; and it reads only what was recorded.
+//! `takt ecat dump`: a recording of a segment as text, one line per datagram, with decoded registers, states and
+//! mailboxes. `stat` evaluates recordings.
 
 mod meaning;
 
@@ -15,36 +15,37 @@ use crate::Verdict;
 use crate::output::{complain, say};
 use meaning::Meanings;
 
-/// Show a recording as text, one line for each datagram, with what it means.
+/// Print a recording as text, one line per datagram, with its meaning.
 ///
 /// Reads pcap and pcapng files as `tcpdump -w` and Wireshark write them, and those of capture probes (ERF, ET2000). Frames
-/// of other protocols are left out. A file that is cut off is shown up to the cut. Exit status: 0 read to its end; 1 a frame
-/// in it is broken; 2 it is no such file.
+/// of other protocols are left out. A truncated file is printed up to the cut. Exit status: 0 read to the end; 1 it contains
+/// broken frames; 2 it could not be read.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   tcpdump -i enp2s0 -w fault.pcap ether proto 0x88a4
   takt ecat dump --from fault.pcap
   takt ecat dump --from fault.pcap --returned --station 1003
 
-> goes to the slaves, < comes back from them with working counters (wkc).")]
+> is sent to the slaves, < returns from them with working counters (wkc).")]
 pub(crate) struct Dump {
     /// The recording.
     #[arg(long, value_name = "FILE")]
     from: PathBuf,
-    /// Show only frames that came back.
+    /// Print only frames that returned.
     #[arg(long)]
     returned: bool,
-    /// Show only datagrams to this station address, hexadecimal.
+    /// Print only datagrams to this station address, hexadecimal.
     #[arg(long, value_name = "ADDRESS", value_parser = station)]
     station: Option<u16>,
-    /// End after so many lines.
+    /// Stop after this many lines.
     #[arg(long, value_name = "N", default_value_t = u64::MAX, hide_default_value = true)]
     count: u64,
 }
 
 fn station(text: &str) -> Result<u16, String> {
-    u16::from_str_radix(text.trim_start_matches("0x"), 16)
-        .map_err(|_| format!("`{text}` is no station address: write up to four hexadecimal digits"))
+    u16::from_str_radix(text.trim_start_matches("0x"), 16).map_err(|_| {
+        format!("`{text}` is not a station address\nhint: write up to four hexadecimal digits")
+    })
 }
 
 impl Dump {
@@ -53,7 +54,7 @@ impl Dump {
         let capture = Capture::read(&self.from)?;
         ensure!(
             !capture.frames.is_empty() || capture.cut.is_some(),
-            "{name}: no EtherCAT frame in it ({} others); was it recorded at the right interface?",
+            "{name}: no EtherCAT frames, {} others\nhint: record at the interface of the segment",
             capture.others
         );
         let mut decoder = Decoder::default();
@@ -84,24 +85,24 @@ impl Dump {
 
 const HEADER: &str = "     time s    command  idx   address  len  wkc";
 
-/// Which lines are shown.
+/// Selects the lines to print.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Filter {
     pub(super) returned: bool,
     pub(super) station: Option<u16>,
 }
 
-/// Turns frames into lines.
+/// Formats frames as lines.
 #[derive(Debug, Default)]
 pub(super) struct Decoder {
     meanings: Meanings,
-    /// What time counts from.
+    /// Zero of the time stamps.
     begin: Option<Duration>,
     broken: u64,
 }
 
 impl Decoder {
-    /// Whether all frames could be read.
+    /// Fails if a frame could not be decoded.
     pub(super) const fn verdict(&self) -> Verdict {
         if self.broken == 0 {
             Verdict::Good
@@ -128,7 +129,7 @@ impl Decoder {
                 Ok(datagram) => {
                     let back = way == Way::Back;
                     let meaning = self.meanings.of(&datagram, back);
-                    if (filter.returned && !back) || !filter.lets(&datagram) {
+                    if (filter.returned && !back) || !filter.matches(&datagram) {
                         continue;
                     }
                     lines.push(format!("{time} {}", line(way, &datagram, &meaning)));
@@ -144,7 +145,7 @@ impl Decoder {
 }
 
 impl Filter {
-    fn lets(self, datagram: &takt_ethercat::Datagram<'_>) -> bool {
+    fn matches(self, datagram: &takt_ethercat::Datagram<'_>) -> bool {
         self.station
             .is_none_or(|station| meaning::station(datagram) == Some(station))
     }

@@ -1,5 +1,5 @@
-//! The EtherCAT frames of a recording, without what else is in it: other protocols, frames that were recorded twice, other
-//! lines of a probe. What is in frames is not looked at here.
+//! The EtherCAT frames of a recording, without other protocols, frames that were recorded twice, and other lines of a
+//! probe. The content of frames is not decoded here.
 
 use std::io::Read;
 use std::path::Path;
@@ -10,33 +10,33 @@ use takt_ethercat::link::{ETHER_TYPE, HEADER_LEN};
 use takt_ethercat::{Datagram, DecodeError, Frame};
 use takt_link::capture::{Cut, EthernetFrame, Frames};
 
-/// The same frame again within this was recorded twice; on the wire none follows itself so soon.
+/// Equal frames within this time were recorded twice; on the wire none is repeated that soon.
 const TWICE: Duration = Duration::from_micros(5);
-/// Fewer bytes behind the last datagram than any datagram has: the length in the frame's header was rounded up.
+/// Bytes after the last datagram that are too few for another: the length in the frame header was rounded up.
 const PADDING_MAX: usize = 11;
 
 /// An EtherCAT frame of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Taken {
     pub(super) at: Duration,
-    /// From its destination on.
+    /// The frame from its destination address on.
     bytes: Vec<u8>,
 }
 
 impl Taken {
-    /// Who sent it; the first slave marks what it passes.
+    /// The source address; the first slave marks it.
     pub(super) fn source(&self) -> [u8; 6] {
         let six = self.bytes.get(6..).and_then(|rest| rest.first_chunk());
         six.copied().unwrap_or_default()
     }
 
-    /// What is behind its Ethernet header.
+    /// The EtherCAT frame after the Ethernet header.
     pub(super) fn frame(&self) -> Result<Frame<'_>, DecodeError> {
         Frame::decode(self.bytes.get(HEADER_LEN..).unwrap_or_default())
     }
 }
 
-/// The datagrams of a frame. Bytes behind the last that are too few for another are padding.
+/// The datagrams of a frame. Bytes after the last that are too few for another are padding.
 pub(super) fn datagrams<'a>(
     frame: &Frame<'a>,
 ) -> impl Iterator<Item = Result<Datagram<'a>, DecodeError>> {
@@ -46,17 +46,17 @@ pub(super) fn datagrams<'a>(
         .filter(move |datagram| !datagram.as_ref().is_err_and(is_padding))
 }
 
-/// What a recording holds of EtherCAT.
+/// The EtherCAT frames of a recording.
 #[derive(Debug, Default)]
 pub(super) struct Capture {
     pub(super) frames: Vec<Taken>,
     /// Frames of other protocols.
     pub(super) others: u64,
-    /// Frames whose check sum the probe found wrong.
+    /// Frames with a wrong checksum at the probe.
     pub(super) corrupt: u64,
-    /// Each frame was recorded twice; the second ones are left out.
+    /// Each frame was recorded twice; the copies are left out.
     pub(super) is_doubled: bool,
-    /// Lines of the probe that are left out.
+    /// Number of probe lines that are left out.
     pub(super) other_lines: u64,
     pub(super) cut: Option<Cut>,
 }
@@ -69,7 +69,7 @@ impl Capture {
         Self::of(file).context(name)
     }
 
-    /// Goes through a recording.
+    /// Reads a recording.
     pub(super) fn of(from: impl Read) -> anyhow::Result<Self> {
         let mut all = Self::default();
         let mut frames = Frames::new(from)?;
@@ -90,7 +90,7 @@ impl Capture {
             lined.push((port.map(|port| port / 2), Taken { at, bytes }));
         }
         all.cut = frames.cut();
-        // Each line of a probe is another place of a segment, or another segment.
+        // Each line of a probe is at another position of a segment, or at another segment.
         let first = lined.iter().find_map(|(line, _)| *line);
         let of_first = |line: &Option<u8>| line.is_none() || *line == first;
         let mut other_lines: Vec<u8> = lined.iter().filter_map(|(line, _)| *line).collect();
@@ -103,8 +103,8 @@ impl Capture {
         Ok(all)
     }
 
-    /// Leaves out the second of each pair if the whole recording is made of pairs, as one of a bridge or of `any` is. Pairs
-    /// among others are frames that a master sent again.
+    /// Removes the second of each pair if the whole recording consists of pairs, as at a bridge or at `any`. Single pairs
+    /// are frames that a master repeated.
     fn undouble(&mut self) {
         let is_pair =
             |one: &Taken, next: &Taken| one.bytes == next.bytes && next.at.abs_diff(one.at) < TWICE;
@@ -117,7 +117,7 @@ impl Capture {
             }
             at += 1;
         }
-        // Of 2 frames nothing is known.
+        // Two frames are too few to decide.
         self.is_doubled = self.frames.len() > 2 && seconds.len() * 20 >= self.frames.len() * 9;
         if self.is_doubled {
             let mut number = 0;
@@ -129,16 +129,16 @@ impl Capture {
         }
     }
 
-    /// What is to be known of how it was made, each a sentence.
+    /// Notes on how the recording was made.
     pub(super) fn notes(&self) -> Vec<String> {
         let mut notes: Vec<String> = self.cut.iter().map(ToString::to_string).collect();
         if self.is_doubled {
-            notes.push("each frame was recorded twice; one of each is judged".to_owned());
+            notes.push("each frame was recorded twice; the copies are left out".to_owned());
         }
         if self.other_lines > 0 {
             let lines = self.other_lines;
             notes.push(format!(
-                "the probe recorded {lines} other lines; the first one is judged\n  hint: `tshark -Y esl.port==N` keeps another"
+                "the probe recorded {lines} other lines; only the first is evaluated\nhint: `tshark -Y esl.port==N` selects another"
             ));
         }
         notes

@@ -1,5 +1,5 @@
-//! `takt ecat pdos`: what each slave exchanges: SyncManagers, PDOs, entries, as they are assigned now. It changes no
-//! assignment; that is the configuration's.
+//! `takt ecat pdos`: the process data of each slave: SyncManagers, PDOs and entries as they are assigned. It changes no
+//! assignment.
 
 use std::fmt::Write as _;
 
@@ -9,20 +9,20 @@ use takt_ethercat::AlState;
 use takt_ethercat::master::{Channel, Pdo, SlaveView};
 
 use super::session::{Session, Wire};
-use super::{ASKING, Target, scan};
+use super::{REQUEST_CYCLE, Target, scan};
 use crate::Verdict;
 use crate::output::say;
 
-/// Show what the slaves exchange: SyncManagers, PDOs, and where each entry lies.
+/// Print the process data of the slaves: SyncManagers, PDOs, and the position of each entry.
 ///
-/// Read in PRE-OP: from 1C1xh where a slave has CoE, else from its SII. Exit status: 0 all are known; 1 a slave
-/// does not get there; 2 it could not be tried.
+/// Read in PRE-OP: from 1C1xh if a slave has CoE, else from its SII. Exit status: 0 all slaves were read; 1 a slave does
+/// not reach PRE-OP; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat pdos enp2s0
   takt ecat pdos enp2s0 --slave 2 --json
 
-Places are byte.bit from the beginning of a slave's outputs or inputs.")]
+Positions are byte.bit from the start of a slave's outputs or inputs.")]
 pub(crate) struct Pdos {
     #[command(flatten)]
     target: Target,
@@ -36,7 +36,7 @@ pub(crate) struct Pdos {
 
 impl Pdos {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let session = self.target.bring_up(AlState::PreOp, ASKING)?;
+        let session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
         let only = self.slave.map(|slave| session.find(&slave)).transpose()?;
         if self.json {
             say(&object(&session, only).to_string())?;
@@ -57,7 +57,7 @@ fn slaves<W: Wire>(
         .filter_map(|number| master.slave(number))
 }
 
-/// Slave by slave, an entry a line.
+/// The process data as text, one line per entry.
 pub(super) fn text<W: Wire>(session: &Session<W>, only: Option<usize>) -> String {
     let mut text = String::new();
     for slave in slaves(session, only) {
@@ -99,27 +99,30 @@ fn channel_text(text: &mut String, channel: &Channel, begin: usize) {
     let mut bit = begin;
     for pdo in &channel.pdos {
         let _ = writeln!(text, "    PDO {:04X}h, {} bits", pdo.index, pdo.bits());
-        for (place, entry) in places(pdo, &mut bit) {
-            let (byte, rest) = (place / 8, place % 8);
-            let what = if entry.address.index == 0 {
+        for (position, entry) in positions(pdo, &mut bit) {
+            let (byte, rest) = (position / 8, position % 8);
+            let object = if entry.address.index == 0 {
                 "gap".to_owned()
             } else {
                 entry.address.to_string()
             };
             let _ = writeln!(
                 text,
-                "      {byte:>4}.{rest}  {what:<9} {:>3} bits",
+                "      {byte:>4}.{rest}  {object:<9} {:>3} bits",
                 entry.bits
             );
         }
     }
     if channel.pdos.is_empty() && !channel.is_empty() {
-        text.push_str("    no PDOs are named for it\n");
+        text.push_str("    no PDOs are assigned\n");
     }
 }
 
-/// The entries of a PDO and where each begins; `bit` goes on behind the last.
-fn places<'a>(pdo: &'a Pdo, bit: &mut usize) -> Vec<(usize, &'a takt_cia402::dictionary::Mapped)> {
+/// The entries of a PDO with their first bits; advances `bit` behind the last.
+fn positions<'a>(
+    pdo: &'a Pdo,
+    bit: &mut usize,
+) -> Vec<(usize, &'a takt_cia402::dictionary::Mapped)> {
     let mut all = Vec::new();
     for entry in &pdo.entries {
         all.push((*bit, entry));
@@ -128,7 +131,7 @@ fn places<'a>(pdo: &'a Pdo, bit: &mut usize) -> Vec<(usize, &'a takt_cia402::dic
     all
 }
 
-/// What a program reads.
+/// The process data as JSON.
 pub(super) fn object<W: Wire>(session: &Session<W>, only: Option<usize>) -> Value {
     let slaves: Vec<Value> = slaves(session, only).map(slave_object).collect();
     json!({ "version": 1, "interface": session.interface(), "slaves": slaves })
@@ -163,14 +166,14 @@ fn slave_object(slave: SlaveView<'_>) -> Value {
 }
 
 fn pdo_object(pdo: &Pdo, bit: &mut usize) -> Value {
-    let entries: Vec<Value> = places(pdo, bit)
+    let entries: Vec<Value> = positions(pdo, bit)
         .into_iter()
-        .map(|(place, entry)| {
+        .map(|(position, entry)| {
             json!({
                 "index": entry.address.index,
                 "sub": entry.address.sub,
                 "bits": entry.bits,
-                "bit": place,
+                "bit": position,
             })
         })
         .collect();

@@ -1,5 +1,5 @@
-//! What a recording tells of a segment: frames that did not come back, working counters, states, error counters,
-//! clocks, as far as its master asked for them. What that means together is judged by `stat` and `dc`.
+//! The contents of a recording: frames that did not return, working counters, states, error counters and clocks, as far
+//! as its master read them. `stat` and `dc` derive the findings.
 
 mod clocks;
 mod cycle;
@@ -22,7 +22,7 @@ use super::frames::{Capture, Taken, datagrams};
 use super::trips::{Trip, Trips};
 use super::ways::{Sender, UNDER_WAY, Way, sender, shape, ways};
 use cycle::Cycle;
-use slave::Seen;
+use slave::RecordedSlave;
 
 pub(super) use clocks::dc;
 pub(super) use report::stat;
@@ -32,26 +32,25 @@ type Group = (u8, u32, u16);
 
 /// The working counters of a group over time.
 #[derive(Clone, Debug, Default)]
-struct Counted {
-    /// When each came.
+struct CounterSeries {
+    /// Each with the time of its frame.
     counters: Vec<(Duration, u16)>,
 }
 
-impl Counted {
-    /// The most frequent one; that of steady operation.
+impl CounterSeries {
+    /// The most frequent counter: that of steady operation.
     fn expected(&self) -> u16 {
-        let mut often: BTreeMap<u16, usize> = BTreeMap::new();
+        let mut counts: BTreeMap<u16, usize> = BTreeMap::new();
         for (_, counter) in &self.counters {
-            *often.entry(*counter).or_default() += 1;
+            *counts.entry(*counter).or_default() += 1;
         }
-        let most = often
+        let most = counts
             .into_iter()
             .max_by_key(|(counter, count)| (*count, *counter));
         most.map_or(0, |(counter, _)| counter)
     }
 
-    /// When another than the expected one came, from the first expected one on and up to when the segment was
-    /// brought down, if it was.
+    /// Times of unexpected counters, from the first expected one until the segment was brought down, if it was.
     fn misses(&self, down: Option<Duration>) -> Vec<Duration> {
         let expected = self.expected();
         let good = |(_, counter): &&(Duration, u16)| *counter == expected;
@@ -68,50 +67,50 @@ impl Counted {
     }
 }
 
-/// Answers to frames that were not recorded going out.
+/// Answers to frames that were not recorded.
 #[derive(Clone, Copy, Debug, Default)]
-struct Unseen {
-    /// Broadcasts of senders of which nothing else is there: their search for slaves.
+struct Unmatched {
+    /// Broadcasts of senders without other recorded frames: their search for slaves.
     searches: u64,
-    /// Of senders of which nothing that went out is there.
+    /// Of senders without outgoing frames in the recording.
     answers: u64,
-    /// At the beginning: sent before.
+    /// At the start: their frames were sent before.
     early: u64,
 }
 
-/// What was seen.
+/// The evaluated contents of a recording.
 #[derive(Debug, Default)]
 pub(super) struct Recording {
     name: String,
     begin: Duration,
     end: Duration,
     frames: FrameCounters,
-    /// Frames that had gone out when the recording ended.
+    /// Frames under way at the end of the recording.
     open: u64,
-    unseen: Unseen,
+    unmatched: Unmatched,
     broken: u64,
-    /// What is to be known of how it was made.
+    /// Notes on how the recording was made.
     notes: Vec<String>,
-    /// Frames whose check sum a probe found wrong.
+    /// Frames with a wrong checksum at the probe.
     corrupt: u64,
     /// The usual time from one cyclic frame to the next.
     cycle: Option<Duration>,
     trips: Vec<Trip>,
-    groups: BTreeMap<Group, Counted>,
-    slaves: BTreeMap<u16, Seen>,
-    /// When all slaves were last asked for another state at once.
+    groups: BTreeMap<Group, CounterSeries>,
+    slaves: BTreeMap<u16, RecordedSlave>,
+    /// Time of the last broadcast state request.
     down: Option<Duration>,
-    /// Most slaves that answered a broadcast.
+    /// Largest number of slaves that answered a broadcast.
     answering: u16,
     clock: clocks::Reference,
 }
 
-/// What is known only while a recording is gone through.
+/// State while a recording is read.
 #[derive(Debug, Default)]
 struct Pass {
     trips: Trips,
     cycle: Cycle,
-    /// Those of whom something that went out is there.
+    /// Senders with outgoing frames in the recording.
     senders: BTreeSet<Sender>,
 }
 
@@ -121,17 +120,17 @@ impl Recording {
         Self::of(&path.display().to_string(), &Capture::read(path)?)
     }
 
-    /// Goes through a recording.
+    /// Evaluates a recording.
     pub(super) fn of(name: &str, capture: &Capture) -> anyhow::Result<Self> {
         let frames = &capture.frames;
         let (Some(first), Some(last)) = (frames.first(), frames.iter().map(|it| it.at).max())
         else {
             ensure!(
                 capture.cut.is_none(),
-                "{name}: no EtherCAT frame in it: it is cut off before the first\nhint: a full disk? record it again"
+                "{name}: no EtherCAT frames: the recording is cut off before the first\nhint: check for a full disk and record again"
             );
             anyhow::bail!(
-                "{name}: no EtherCAT frame in it ({} others); was it recorded at the right interface?",
+                "{name}: no EtherCAT frames, {} others\nhint: record at the interface of the segment",
                 capture.others
             );
         };
@@ -181,7 +180,7 @@ impl Recording {
         }
     }
 
-    /// An answer to nothing that went out.
+    /// An answer without a recorded outgoing frame.
     fn unmatched(&mut self, at: Duration, is_known: bool, frame: &Frame<'_>) {
         let is_broadcast = |datagram: Datagram<'_>| {
             matches!(
@@ -191,11 +190,11 @@ impl Recording {
         };
         let is_early = at.saturating_sub(self.begin) < UNDER_WAY;
         if !is_known && datagrams(frame).flatten().all(is_broadcast) {
-            self.unseen.searches += 1;
+            self.unmatched.searches += 1;
         } else if !is_known {
-            self.unseen.answers += 1;
+            self.unmatched.answers += 1;
         } else if is_early {
-            self.unseen.early += 1;
+            self.unmatched.early += 1;
         } else {
             self.frames.foreign += 1;
         }
@@ -212,8 +211,8 @@ impl Recording {
             ) = (datagram.header.command, datagram.header.address)
             {
                 self.down = Some(at);
-                for seen in self.slaves.values_mut() {
-                    seen.take_control(datagram.data);
+                for slave in self.slaves.values_mut() {
+                    slave.take_control(datagram.data);
                 }
             }
         }
@@ -227,8 +226,8 @@ impl Recording {
             match (header.command, header.address) {
                 (Command::Lrw | Command::Lrd | Command::Lwr, Address::Logical(address)) => {
                     let group = (u8::from(header.command), address, header.len);
-                    let counted = self.groups.entry(group).or_default();
-                    counted.counters.push((at, counter));
+                    let series = self.groups.entry(group).or_default();
+                    series.counters.push((at, counter));
                 }
                 (Command::Brd, Address::Device { .. }) => {
                     self.answering = self.answering.max(counter);
@@ -249,79 +248,79 @@ impl Recording {
                         ado: register::DC_SYSTEM_TIME,
                     },
                 ) => {
-                    // Counted up by each slave, the address is back at the number of slaves less the position.
+                    // Each slave increments the address, which returns as the number of slaves less the position.
                     let position = (self.answering > 0).then(|| self.answering.wrapping_sub(adp));
-                    let who = clocks::Who::Position(position);
-                    self.clock.take(at, who, counter, datagram.data);
+                    let source = clocks::Source::Position(position);
+                    self.clock.take(at, source, counter, datagram.data);
                 }
                 (Command::Fprd | Command::Fpwr | Command::Frmw, Address::Device { adp, ado }) => {
                     if header.command == Command::Frmw && ado == register::DC_SYSTEM_TIME {
-                        let who = clocks::Who::Station(adp);
-                        self.clock.take(at, who, counter, datagram.data);
+                        let source = clocks::Source::Station(adp);
+                        self.clock.take(at, source, counter, datagram.data);
                     }
-                    let seen = self.slaves.entry(adp).or_default();
-                    seen.take(at, header.command, ado, counter, datagram.data);
+                    let slave = self.slaves.entry(adp).or_default();
+                    slave.take(at, header.command, ado, counter, datagram.data);
                 }
                 _ => {}
             }
         }
     }
 
-    /// A slave got its station address: the position is counted up by each that the frame passes.
+    /// A slave got its station address. Each slave that the frame passes increments the position.
     fn addressed(&mut self, adp: u16, counter: u16, data: &[u8]) {
         let Some(station) = data.first_chunk().map(|two| u16::from_le_bytes(*two)) else {
             return;
         };
         if counter == 1 {
             let passed = self.answering.max(1);
-            let seen = self.slaves.entry(station).or_default();
-            seen.position = Some(passed.wrapping_sub(adp));
+            let slave = self.slaves.entry(station).or_default();
+            slave.position = Some(passed.wrapping_sub(adp));
         }
     }
 
-    /// What is still under way when the recording ends is none of its losses, but for what is long over.
+    /// Completes the figures. Frames under way at the end are not lost, unless they are overdue.
     fn finish(&mut self, pass: Pass) {
         let outcome = pass.trips.finish(self.end);
         (self.frames.lost, self.open) = (outcome.lost, outcome.open);
         self.trips = outcome.trips;
-        self.cycle = pass.cycle.judged(&self.trips);
+        self.cycle = pass.cycle.finish(&self.trips);
         if let Some(cycle) = self.cycle {
             let is_late = |trip: &&Trip| trip.is_cyclic && trip.took > cycle;
             let late = self.trips.iter().filter(is_late).count();
             self.frames.stale = u64::try_from(late).unwrap_or(u64::MAX);
         }
-        // Slaves that never answered are addresses that somebody tried.
+        // Addresses that never answered are no slaves.
         self.slaves
-            .retain(|_, seen| seen.answered > 0 || seen.position.is_some());
-        for seen in self.slaves.values_mut() {
-            seen.finish();
+            .retain(|_, slave| slave.answered > 0 || slave.position.is_some());
+        for slave in self.slaves.values_mut() {
+            slave.finish();
         }
     }
 
-    /// Answers that are of no frame of this master, though both directions were recorded.
+    /// Answers to frames of other senders, if both directions were recorded.
     const fn foreign(&self) -> u64 {
-        let unseen = if self.frames.sent == 0 {
+        let unmatched = if self.frames.sent == 0 {
             0
         } else {
-            self.unseen.answers
+            self.unmatched.answers
         };
-        self.frames.foreign + unseen
+        self.frames.foreign + unmatched
     }
 
-    /// How many slaves there are, as far as the recording tells.
+    /// The number of slaves, as far as the recording shows.
     fn slave_count(&self) -> usize {
         self.slaves.len().max(self.answering.into())
     }
 
-    /// Stations in the order of the ring, as far as the recording tells; else in the order of their addresses.
-    fn ring(&self) -> Vec<(u16, &Seen)> {
-        let mut all: Vec<(u16, &Seen)> = self
+    /// Stations in the order of their positions, if the recording shows them, else in the order of their addresses.
+    fn ring(&self) -> Vec<(u16, &RecordedSlave)> {
+        let mut all: Vec<(u16, &RecordedSlave)> = self
             .slaves
             .iter()
-            .map(|(station, seen)| (*station, seen))
+            .map(|(station, slave)| (*station, slave))
             .collect();
-        if all.iter().all(|(_, seen)| seen.position.is_some()) {
-            all.sort_by_key(|(_, seen)| seen.position);
+        if all.iter().all(|(_, slave)| slave.position.is_some()) {
+            all.sort_by_key(|(_, slave)| slave.position);
         }
         all
     }

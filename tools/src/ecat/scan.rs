@@ -1,5 +1,5 @@
-//! `takt ecat scan`: who is on a segment, how they hang on each other, and in which state they are. Nothing is
-//! exchanged and nothing moves; what they exchange is not shown.
+//! `takt ecat scan`: the slaves of a segment, their topology and their states. It exchanges no process data, and nothing
+//! moves.
 
 use std::fmt::Write as _;
 
@@ -10,20 +10,20 @@ use takt_ethercat::master::{Event, Master, SlaveView};
 use takt_ethercat::topology::Topology;
 
 use super::session::{Session, Wire};
-use super::{ASKING, Target};
+use super::{REQUEST_CYCLE, Target};
 use crate::Verdict;
 use crate::output::say;
 
 /// Find the slaves of a segment: tree, names, identities, states, ports.
 ///
-/// Brings all slaves to PRE-OP, where no outputs are taken. Exit status: 0 all are there; 1 one does not get there;
-/// 2 nothing answers, or it could not be tried.
+/// Brings all slaves to PRE-OP, where outputs are inactive. Exit status: 0 all slaves reach it; 1 one does not; 2 no slave
+/// answers, or it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat scan enp2s0
   takt ecat scan enp2s0 --json
 
-Ports: its number where a port is in use, - without a link, ! where there is a signal and the port stays closed.")]
+Ports: the number of a port in use, - without a link, ! with a link while the port is closed.")]
 pub(crate) struct Scan {
     #[command(flatten)]
     target: Target,
@@ -34,7 +34,7 @@ pub(crate) struct Scan {
 
 impl Scan {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let session = self.target.bring_up(AlState::PreOp, ASKING)?;
+        let session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
         if self.json {
             say(&object(&session).to_string())?;
         } else {
@@ -44,7 +44,7 @@ impl Scan {
     }
 }
 
-/// Whether all slaves are where they are wanted.
+/// Whether all slaves are in the requested state.
 pub(super) fn verdict(master: &Master) -> Verdict {
     if master.is_operational() && master.differences().is_empty() && master.ring_gap().is_none() {
         Verdict::Good
@@ -56,7 +56,7 @@ pub(super) fn verdict(master: &Master) -> Verdict {
 const HEADER: &str =
     " pos  slave                           at   state       ports  vendor    product   revision";
 
-/// The tree, one line for each slave, and under it what is wrong with it.
+/// The tree, one line per slave, with its notes below.
 pub(super) fn text<W: Wire>(session: &Session<W>) -> String {
     let master = session.master();
     let mut text = format!(
@@ -69,6 +69,7 @@ pub(super) fn text<W: Wire>(session: &Session<W>) -> String {
         let depth = depths.get(position).copied().unwrap_or(0);
         let _ = writeln!(text, "{}", line(master, position, depth, slave).trim_end());
         for note in notes(slave) {
+            let note = note.replace('\n', "\n          ");
             let _ = writeln!(text, "        ! {note}");
         }
     }
@@ -96,14 +97,14 @@ fn ring(master: &Master) -> impl Iterator<Item = (usize, SlaveView<'_>)> {
     all.into_iter()
 }
 
-/// How many branches each slave is away from the line that begins at the master. The last cable of a slave goes on in
-/// its own line, so that a long line is not indented.
+/// The number of branches between each slave and the trunk line. The last cable of a slave continues its line, so that a
+/// long line is not indented.
 fn depths(topology: &Topology) -> Vec<usize> {
     let last = |number: usize| {
-        let behind = number + 1..topology.len();
+        let following = number + 1..topology.len();
         let parent = topology.parent(number).map(|(parent, _)| parent);
         let is_child = |other: usize| topology.parent(other).map(|(parent, _)| parent) == parent;
-        !behind.into_iter().any(is_child)
+        !following.into_iter().any(is_child)
     };
     let mut depths: Vec<usize> = Vec::new();
     for number in 0..topology.len() {
@@ -126,7 +127,7 @@ fn line(master: &Master, position: usize, depth: usize, slave: SlaveView<'_>) ->
     let id = info.identity;
     format!(
         "{position:>4}  {:<30}  {at:<5}{:<12}{}   {:08X}  {:08X}  {:08X}",
-        cut(&name, 30),
+        truncated(&name, 30),
         state(slave),
         ports(slave),
         id.vendor,
@@ -135,13 +136,13 @@ fn line(master: &Master, position: usize, depth: usize, slave: SlaveView<'_>) ->
     )
 }
 
-/// Its state, short: `SAFE-OP+ERR`.
+/// The state, such as `SAFE-OP+ERR`.
 pub(super) fn state(slave: SlaveView<'_>) -> String {
     let (al, _) = slave.al();
     format!("{}{}", al.state, if al.error { "+ERR" } else { "" })
 }
 
-/// What to call a slave: its name, or else its order code.
+/// The name of a slave, or else its order code.
 pub(super) fn title(slave: SlaveView<'_>) -> &str {
     let info = slave.info();
     match (info.name.as_str(), info.order.as_str()) {
@@ -151,12 +152,12 @@ pub(super) fn title(slave: SlaveView<'_>) -> &str {
     }
 }
 
-/// At most so many characters.
-fn cut(text: &str, most: usize) -> String {
-    if text.chars().count() <= most {
+/// The text, truncated to a number of characters.
+fn truncated(text: &str, max: usize) -> String {
+    if text.chars().count() <= max {
         return text.to_owned();
     }
-    let begin: String = text.chars().take(most - 2).collect();
+    let begin: String = text.chars().take(max - 2).collect();
     format!("{begin}..")
 }
 
@@ -172,7 +173,7 @@ fn ports(slave: SlaveView<'_>) -> String {
         .collect()
 }
 
-/// What is remarkable about a slave.
+/// Faults and errors of a slave.
 fn notes(slave: SlaveView<'_>) -> Vec<String> {
     let (al, code) = slave.al();
     let mut notes = Vec::new();
@@ -182,12 +183,12 @@ fn notes(slave: SlaveView<'_>) -> Vec<String> {
         notes.push(format!("{al}: {code}"));
     }
     if slave.position().is_some() && !slave.info().sii_checked {
-        notes.push("the checksum of its SII is wrong; its EEPROM may be half written".to_owned());
+        notes.push("the checksum of its SII is wrong; its EEPROM may be partly written".to_owned());
     }
     notes
 }
 
-/// What a program reads.
+/// The scan as JSON.
 pub(super) fn object<W: Wire>(session: &Session<W>) -> Value {
     let master = session.master();
     let slaves: Vec<Value> = ring(master)

@@ -1,4 +1,4 @@
-//! `takt ecat sdo`: the objects of one slave, by CoE in PRE-OP: listed, read, written. PDOs are shown by `pdos`.
+//! `takt ecat sdo`: lists, reads and writes the objects of one slave, by CoE in PRE-OP. `pdos` prints process data.
 
 use std::fmt::Write as _;
 
@@ -11,13 +11,13 @@ use takt_ethercat::coe::Whole;
 use takt_ethercat::master::{EntryDescription, JobError, JobKind, ObjectDescription};
 
 use super::session::{Session, Wire};
-use super::{ASKING, Target};
+use super::{REQUEST_CYCLE, Target};
 use crate::output::{complain, say};
 use crate::{Verdict, confirm};
 
 /// List, read and write objects of a slave (CoE).
 ///
-/// The segment is brought to PRE-OP for it. Exit status: 0 done; 1 the slave refuses or does not answer; 2 it
+/// The segment is brought to PRE-OP. Exit status: 0 done; 1 the slave refuses or does not answer; 2 it
 /// could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -27,17 +27,17 @@ use crate::{Verdict, confirm};
 pub(crate) struct Sdo {
     #[command(flatten)]
     target: Target,
-    /// The slave: its position from 0, or its name or order code if no other has it.
+    /// The slave: its position from 0, or its name or order code if it is unique.
     slave: String,
     #[command(subcommand)]
-    what: What,
+    action: Action,
 }
 
 #[derive(Debug, Subcommand)]
-pub(super) enum What {
+pub(super) enum Action {
     /// List all objects with their names (SDO information service).
     List {
-        /// With each of their entries.
+        /// List their entries too.
         #[arg(long)]
         entries: bool,
     },
@@ -45,7 +45,7 @@ pub(super) enum What {
     Upload {
         /// Index and sub-index, hexadecimal: 6041, 1018:01.
         address: Address,
-        /// Its data type (u8, i32, f32, string, bytes, ..); without it the slave is asked.
+        /// Its data type (u8, i32, f32, string, bytes, ..); default: read from the slave.
         #[arg(long = "type", value_name = "TYPE", value_parser = DataType::named)]
         data_type: Option<DataType>,
         /// Read the whole object from the sub-index on (complete access).
@@ -59,40 +59,40 @@ pub(super) enum What {
     Download {
         /// Index and sub-index, hexadecimal: 6041, 1018:01.
         address: Address,
-        /// The value, as its type is written: 5, -5, 0x1F, 1.5, text, `0A 1B`.
+        /// The value in the notation of its type: 5, -5, 0x1F, 1.5, text, `0A 1B`.
         #[arg(allow_hyphen_values = true)]
         value: String,
-        /// Its data type (u8, i32, f32, string, bytes, ..); without it the slave is asked.
+        /// Its data type (u8, i32, f32, string, bytes, ..); default: read from the slave.
         #[arg(long = "type", value_name = "TYPE", value_parser = DataType::named)]
         data_type: Option<DataType>,
         /// Write the whole object from the sub-index on (complete access), as bytes.
         #[arg(long)]
         complete: bool,
-        /// Do not ask whether what moves is safe.
+        /// It is safe that a machine moves.
         #[arg(long)]
         confirm_motion: bool,
     },
 }
 
-/// Room for an answer: what a domain may have.
-const ROOM: usize = 1 << 20;
-/// Room for a description, whose name is at most a mailbox long.
-const DESCRIPTION: usize = 1500;
+/// Buffer for a value, bytes: the largest domain.
+const VALUE_MAX: usize = 1 << 20;
+/// Buffer for a description, bytes: its name fits a mailbox.
+const DESCRIPTION_MAX: usize = 1500;
 
 impl Sdo {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        if let What::Download {
+        if let Action::Download {
             address,
             confirm_motion,
             ..
-        } = &self.what
+        } = &self.action
             && can_move(*address)
         {
             confirm::motion(&format!("writing {address}"), *confirm_motion)?;
         }
-        let mut session = self.target.bring_up(AlState::PreOp, ASKING)?;
+        let mut session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
         let slave = session.find(&self.slave)?;
-        match perform(&mut session, slave, &self.what)? {
+        match perform(&mut session, slave, &self.action)? {
             Ok(text) => {
                 say(text.trim_end())?;
                 Ok(Verdict::Good)
@@ -105,20 +105,20 @@ impl Sdo {
     }
 }
 
-/// Communication parameters (1000h to 1FFFh) only store something; control words and outputs are beyond.
+/// Communication parameters (1000h to 1FFFh) cannot start a motion; control words and outputs are other objects.
 const fn can_move(address: Address) -> bool {
     !matches!(address.index, 0x1000..=0x1FFF)
 }
 
-/// Does it; what the slave refuses is no failure of the asking.
+/// Performs an action.
 pub(super) fn perform<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
-    what: &What,
+    action: &Action,
 ) -> anyhow::Result<Result<String, JobError>> {
-    match what {
-        What::List { entries } => list(session, slave, *entries),
-        What::Upload {
+    match action {
+        Action::List { entries } => list(session, slave, *entries),
+        Action::Upload {
             address,
             data_type,
             complete,
@@ -128,7 +128,7 @@ pub(super) fn perform<W: Wire>(
                 address: *address,
                 whole: whole(*complete),
             };
-            let bytes = match session.ask(slave, kind, Vec::with_capacity(ROOM))? {
+            let bytes = match session.ask(slave, kind, Vec::with_capacity(VALUE_MAX))? {
                 Ok(bytes) => bytes,
                 Err(error) => return Ok(Err(error)),
             };
@@ -151,7 +151,7 @@ pub(super) fn perform<W: Wire>(
             });
             Ok(Ok(object.to_string()))
         }
-        What::Download {
+        Action::Download {
             address,
             value,
             data_type,
@@ -181,7 +181,7 @@ fn download<W: Wire>(
         (true, _) => DataType::OctetString,
         (false, Some(data_type)) => data_type,
         (false, None) => type_of(session, slave, address)?.with_context(|| {
-            format!("slave {slave} does not tell the type of {address}; give it by --type")
+            format!("slave {slave} does not report the data type of {address}\nhint: give it with --type")
         })?,
     };
     let bytes = data_type.read(value).with_context(|| address.to_string())?;
@@ -193,14 +193,14 @@ fn download<W: Wire>(
     Ok(session.ask(slave, kind, bytes)?.map(|_| text))
 }
 
-/// The type of an entry, if the slave tells.
+/// The type of an entry, if the slave reports it.
 fn type_of<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
     address: Address,
 ) -> anyhow::Result<Option<DataType>> {
     let kind = JobKind::DescribeEntry(address);
-    let answer = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION))?;
+    let answer = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))?;
     let Ok(bytes) = answer else {
         return Ok(None);
     };
@@ -213,7 +213,7 @@ fn list<W: Wire>(
     slave: usize,
     entries: bool,
 ) -> anyhow::Result<Result<String, JobError>> {
-    let all = session.ask(slave, JobKind::List(1), Vec::with_capacity(ROOM))?;
+    let all = session.ask(slave, JobKind::List(1), Vec::with_capacity(VALUE_MAX))?;
     let all = match all {
         Ok(all) => all,
         Err(error) => return Ok(Err(error)),
@@ -224,7 +224,7 @@ fn list<W: Wire>(
             .first_chunk()
             .map_or(0, |two| u16::from_le_bytes(*two));
         let kind = JobKind::DescribeObject(index);
-        let bytes = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION))?;
+        let bytes = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))?;
         let object = match &bytes {
             Ok(bytes) => ObjectDescription::decode(bytes),
             Err(error) => {
@@ -233,7 +233,7 @@ fn list<W: Wire>(
             }
         };
         let Some(object) = object else {
-            let _ = writeln!(text, "{index:04X}h     its description is cut off");
+            let _ = writeln!(text, "{index:04X}h     its description is truncated");
             continue;
         };
         let _ = writeln!(text, "{}", object_line(&object));
@@ -261,14 +261,14 @@ fn object_line(object: &ObjectDescription<'_>) -> String {
     )
 }
 
-/// One entry; nothing for a gap in the sub-indices.
+/// One entry; empty for a gap in the sub-indices.
 fn entry_line<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
     address: Address,
 ) -> anyhow::Result<String> {
     let kind = JobKind::DescribeEntry(address);
-    let Ok(bytes) = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION))? else {
+    let Ok(bytes) = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))? else {
         return Ok(String::new());
     };
     let Some(entry) = EntryDescription::decode(&bytes) else {

@@ -1,5 +1,5 @@
-//! `takt ecat sii`: the EEPROM of one slave: read and decoded, kept in a file, written back, given an alias. What a
-//! slave makes of it at its next power-on is its own affair.
+//! `takt ecat sii`: the EEPROM of one slave: reads and decodes it, saves it to a file, writes it back, sets the alias.
+//! The slave loads it at its next power-on.
 
 mod decode;
 
@@ -14,17 +14,17 @@ use takt_ethercat::master::{JobError, JobKind};
 use takt_ethercat::sii::{self, Identity};
 
 use super::session::{Session, Wire};
-use super::{ASKING, Target};
+use super::{REQUEST_CYCLE, Target};
 use crate::output::{complain, say, span};
 use crate::{Verdict, confirm};
 
 pub(super) use decode::text;
 
-/// Read, decode and write what a slave says of itself: its SII, the EEPROM.
+/// Read, decode and write the slave information (SII) in the EEPROM of a slave.
 ///
-/// Slaves are brought to PRE-OP if they can; one with an empty or broken EEPROM is reached all the same. A file that
-/// is written must fit the slave: right checksum, same vendor and product, not larger than its EEPROM. Exit
-/// status: 0 done; 1 the slave refuses, or what was read back differs; 2 it could not be tried.
+/// Slaves are brought to PRE-OP if possible; a slave with an empty or invalid EEPROM is accessible too. A file to write
+/// must fit the slave: correct checksum, same vendor and product, not larger than its EEPROM. Exit status: 0 done; 1 the
+/// slave refuses, or the value read back differs; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat sii enp2s0 3
@@ -33,28 +33,28 @@ pub(super) use decode::text;
   takt ecat sii enp2s0 3 --write slave3.bin --yes
   takt ecat sii enp2s0 3 --alias 12 --yes")]
 pub(crate) struct Sii {
-    /// The network interface, as `ip link` names it.
+    /// The network interface, as `ip link` lists it.
     #[arg(value_name = "IFACE", required_unless_present = "from")]
     interface: Option<String>,
-    /// The slave: its position from 0, or its name or order code if no other has it.
+    /// The slave: its position from 0, or its name or order code if it is unique.
     #[arg(value_name = "SLAVE", required_unless_present = "from")]
     slave: Option<String>,
     /// Decode this file instead of a slave.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["interface", "slave", "write", "alias", "raw"])]
     from: Option<PathBuf>,
-    /// Give the bytes as they are, all of the EEPROM, on standard output.
+    /// Write the bytes of the EEPROM to standard output.
     #[arg(long, conflicts_with_all = ["write", "alias"])]
     raw: bool,
-    /// Write this file into the EEPROM, and read it back.
+    /// Write this file to the EEPROM, and read it back.
     #[arg(long, value_name = "FILE", conflicts_with = "alias")]
     write: Option<PathBuf>,
-    /// Set the station alias, 0 to 65535, and the checksum with it.
+    /// Set the station alias, 0 to 65535, and the checksum.
     #[arg(long, value_name = "N")]
     alias: Option<u16>,
-    /// Do not ask whether the EEPROM may be changed.
+    /// Change the EEPROM without asking.
     #[arg(long)]
     yes: bool,
-    /// How long slaves may take to their state.
+    /// How long slaves may take to reach their state.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     patience: Duration,
 }
@@ -65,7 +65,7 @@ impl Sii {
             let name = path.display().to_string();
             let bytes = file(path)?;
             say(text(&name, &bytes).trim_end())?;
-            return Ok(judged(&bytes));
+            return Ok(verdict(&bytes));
         }
         let target = Target {
             interface: self.interface.unwrap_or_default(),
@@ -77,7 +77,7 @@ impl Sii {
             (None, Some(alias)) => Some(Change::Alias(alias)),
             (None, None) => None,
         };
-        let mut session = target.bring_up(AlState::PreOp, ASKING)?;
+        let mut session = target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
         let slave = session.find(&self.slave.unwrap_or_default())?;
         let Some(change) = change else {
             return show(&mut session, slave, self.raw);
@@ -86,14 +86,16 @@ impl Sii {
             Ok(present) => {
                 let changes = change.words(&present)?;
                 if changes.is_empty() {
-                    say(&format!("slave {slave} has that already"))?;
+                    say(&format!("slave {slave} has these values already"))?;
                     return Ok(Verdict::Good);
                 }
-                let what = format!("{} words of the EEPROM of slave {slave}", changes.len());
-                confirm::change(&format!("this overwrites {what}"), self.yes)?;
-                told(slave, write(&mut session, slave, &changes)?)
+                let count = changes.len();
+                let change =
+                    format!("this overwrites {count} words of the EEPROM of slave {slave}");
+                confirm::change(&change, self.yes)?;
+                print(slave, write(&mut session, slave, &changes)?)
             }
-            Err(error) => told(slave, Err(error.to_string())),
+            Err(error) => print(slave, Err(error.to_string())),
         }
     }
 }
@@ -103,8 +105,8 @@ fn file(path: &Path) -> anyhow::Result<Vec<u8>> {
         .with_context(|| format!("cannot read {}", path.display()))
 }
 
-/// A checksum that is wrong is a fault of the slave.
-fn judged(bytes: &[u8]) -> Verdict {
+/// A wrong checksum is a fault of the slave.
+fn verdict(bytes: &[u8]) -> Verdict {
     if sii::Sii::new(bytes).is_checked() {
         Verdict::Good
     } else {
@@ -115,7 +117,7 @@ fn judged(bytes: &[u8]) -> Verdict {
 fn show<W: Wire>(session: &mut Session<W>, slave: usize, raw: bool) -> anyhow::Result<Verdict> {
     let bytes = match read(session, slave)? {
         Ok(bytes) => bytes,
-        Err(error) => return told(slave, Err(error.to_string())),
+        Err(error) => return print(slave, Err(error.to_string())),
     };
     if raw {
         let mut out = std::io::stdout().lock();
@@ -125,11 +127,11 @@ fn show<W: Wire>(session: &mut Session<W>, slave: usize, raw: bool) -> anyhow::R
         let name = format!("{} slave {slave}", session.interface());
         say(text(&name, &bytes).trim_end())?;
     }
-    Ok(judged(&bytes))
+    Ok(verdict(&bytes))
 }
 
-fn told(slave: usize, what: Result<String, String>) -> anyhow::Result<Verdict> {
-    match what {
+fn print(slave: usize, result: Result<String, String>) -> anyhow::Result<Verdict> {
+    match result {
         Ok(text) => {
             say(&text)?;
             Ok(Verdict::Good)
@@ -141,10 +143,10 @@ fn told(slave: usize, what: Result<String, String>) -> anyhow::Result<Verdict> {
     }
 }
 
-/// Words that are read by one job.
-const CHUNK: u16 = 64;
+/// Words that one job reads.
+const WORDS_PER_JOB: u16 = 64;
 
-/// The whole EEPROM, as far as word 3Eh says that it goes; 2 KiB where that cannot be.
+/// The whole EEPROM: its size is in word 3Eh, or 2 KiB if that is invalid.
 pub(super) fn read<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
@@ -158,8 +160,11 @@ pub(super) fn read<W: Wire>(
         if bytes.len() >= size.max(128) {
             return Ok(Ok(bytes));
         }
-        let words = JobKind::ReadSii { word, words: CHUNK };
-        match asked(session, slave, words, &[])? {
+        let words = JobKind::ReadSii {
+            word,
+            words: WORDS_PER_JOB,
+        };
+        match submit(session, slave, words, &[])? {
             Ok(more) if !more.is_empty() => bytes.extend(more),
             Ok(_) => return Ok(Ok(bytes)),
             Err(error) => return Ok(Err(error)),
@@ -167,31 +172,31 @@ pub(super) fn read<W: Wire>(
     }
 }
 
-fn asked<W: Wire>(
+fn submit<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
     kind: JobKind,
     data: &[u8],
 ) -> anyhow::Result<Result<Vec<u8>, JobError>> {
-    let mut memory = Vec::with_capacity(2 * usize::from(CHUNK));
+    let mut memory = Vec::with_capacity(2 * usize::from(WORDS_PER_JOB));
     memory.extend_from_slice(data);
     session.ask(slave, kind, memory)
 }
 
-/// What is to become of an EEPROM.
+/// A change of an EEPROM.
 #[derive(Clone, Debug)]
 pub(super) enum Change {
-    /// These bytes from its beginning.
+    /// These bytes from its start.
     Image(Vec<u8>),
-    /// Another alias.
+    /// The alias.
     Alias(u16),
 }
 
-/// A word and what it is to be.
+/// A word address and its new value.
 pub(super) type Word = (u16, [u8; 2]);
 
 impl Change {
-    /// The words that differ from what is there.
+    /// The words that differ from the present content.
     pub(super) fn words(&self, present: &[u8]) -> anyhow::Result<Vec<Word>> {
         let image = match self {
             Self::Image(image) => {
@@ -205,62 +210,62 @@ impl Change {
             .zip(image.chunks(2).zip(present.chunks(2)))
             .filter(|(_, (new, old))| pair(new) != pair(old))
             .map(|(word, (new, _))| (word, pair(new)));
-        // What the controller loads comes last, its checksum at the very end: a slave that loses its power meanwhile
-        // keeps a configuration that it either knows or refuses.
+        // The words that the slave controller loads are written last, the checksum at the end: a slave that loses power
+        // during the write has either the old configuration or one with a wrong checksum.
         let mut words: Vec<Word> = differ.collect();
         words.sort_by_key(|(word, _)| (*word < 8, *word));
         Ok(words)
     }
 }
 
-/// Whether an image is one that this slave can take.
+/// Checks that an image fits the slave.
 fn check(image: &[u8], present: &[u8]) -> anyhow::Result<()> {
     let new = sii::Sii::new(image);
     ensure!(
         image.len() >= 128 && image.len().is_multiple_of(2),
-        "the file has {} bytes; an SII has 128 or more, in words of two",
+        "the file has {} bytes; an SII has at least 128 bytes, in 16-bit words",
         image.len()
     );
     ensure!(
         image.len() <= present.len(),
-        "the file has {} bytes, the EEPROM {}",
+        "the file has {} bytes, the EEPROM only {}",
         image.len(),
         present.len()
     );
-    let right = image.get(..14).map_or(0, sii::checksum);
+    let expected = image.get(..14).map_or(0, sii::checksum);
     ensure!(
         new.is_checked(),
-        "the checksum in word 7 of the file is {:02X}h, {right:02X}h is right; the slave would not load it",
+        "the checksum in word 7 of the file is {:02X}h instead of {expected:02X}h; the slave would not load it",
         image.get(14).copied().unwrap_or(0)
     );
     let (Some(new), Some(old)) = (new.identity(), sii::Sii::new(present).identity()) else {
-        bail!("the slave tells no identity");
+        bail!("the slave has no identity");
     };
     ensure!(
         is_blank(old) || (new.vendor, new.product) == (old.vendor, old.product),
-        "the file is of {new}, the slave has {old}; another slave's EEPROM would make it useless"
+        "the file is of {new}, the slave is {old}; the EEPROM of another slave would make it unusable"
     );
     Ok(())
 }
 
-/// An EEPROM that was never written, or erased.
+/// The identity of an erased EEPROM, or of one that was never written.
 const fn is_blank(identity: Identity) -> bool {
     matches!(identity.vendor, 0 | 0xFFFF_FFFF)
 }
 
-/// The same image with another alias.
+/// The image with another alias.
 fn aliased(present: &[u8], alias: u16) -> anyhow::Result<Vec<u8>> {
     ensure!(
         sii::Sii::new(present).is_checked(),
-        "the checksum of its SII is wrong; write a whole image first (--write)"
+        "the checksum of its SII is wrong\nhint: write a whole image first (--write)"
     );
     let mut image = present.to_vec();
-    if let Some(place) = image.get_mut(8..10) {
-        place.copy_from_slice(&alias.to_le_bytes());
+    if let Some(bytes) = image.get_mut(8..10) {
+        bytes.copy_from_slice(&alias.to_le_bytes());
     }
     let sum = image.get(..14).map_or(0, sii::checksum);
-    if let Some(place) = image.get_mut(14) {
-        *place = sum;
+    if let Some(checksum) = image.get_mut(14) {
+        *checksum = sum;
     }
     Ok(image)
 }
@@ -273,10 +278,10 @@ pub(super) fn write<W: Wire>(
 ) -> anyhow::Result<Result<String, String>> {
     for (done, (word, bytes)) in words.iter().enumerate() {
         let kind = JobKind::WriteSii { word: *word };
-        if let Err(error) = asked(session, slave, kind, bytes)? {
+        if let Err(error) = submit(session, slave, kind, bytes)? {
             return Ok(Err(format!(
-                "word {word:04X}h cannot be written after {done} of {} words: {error}; write again before its power \
-                 goes off",
+                "cannot write word {word:04X}h after {done} of {} words: {error}\nhint: write again before the slave is \
+                 switched off",
                 words.len()
             )));
         }
@@ -286,24 +291,22 @@ pub(super) fn write<W: Wire>(
             word: *word,
             words: 1,
         };
-        match asked(session, slave, kind, &[])? {
+        match submit(session, slave, kind, &[])? {
             Ok(found) if found == bytes => {}
             Ok(found) => {
                 return Ok(Err(format!(
-                    "word {word:04X}h was written as {:02X}{:02X}h and reads as {found:02X?}; the EEPROM is \
-                     protected or worn out",
+                    "word {word:04X}h was written as {:02X}{:02X}h but reads as {found:02X?}; the EEPROM is \
+                     write-protected or worn out",
                     bytes[1], bytes[0]
                 )));
             }
             Err(error) => {
-                return Ok(Err(format!(
-                    "word {word:04X}h cannot be read back: {error}"
-                )));
+                return Ok(Err(format!("cannot read word {word:04X}h back: {error}")));
             }
         }
     }
     Ok(Ok(format!(
-        "slave {slave}: {} words written and read back; it takes them at its next power-on",
+        "slave {slave}: {} words written and verified; it loads them at its next power-on",
         words.len()
     )))
 }

@@ -1,5 +1,5 @@
-//! `takt ecat sim`: an emulated segment at an interface, for any master at the other end of its cable, and faults put
-//! into it by lines of text. What its slaves are made of is in `takt-ethercat`'s emulator.
+//! `takt ecat sim`: an emulated segment at an interface, for any master at the other end of its cable, and faults
+//! injected by lines of text. The slaves are those of the emulator in `takt-ethercat`.
 
 mod fault;
 mod plan;
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, anyhow};
 use clap::Args;
 use takt_core::CellConfig;
 use takt_ethercat::emulator::{ServoDrive, SharedSegment, YouBot, YouBotConfig};
@@ -19,11 +19,11 @@ use crate::Verdict;
 use crate::emulate::segment;
 use crate::output::{complain, say, span};
 use fault::Fault;
-use plan::{Plan, Stand};
+use plan::{Emulation, Plan};
 
-/// Emulate a segment at an interface: slaves that any EtherCAT master accepts, and faults on command.
+/// Emulate a segment at an interface: slaves for any EtherCAT master, and faults on command.
 ///
-/// Lines on standard input put faults in; `help` lists them. Exit status: 0 ended as asked; 2 it could not be tried.
+/// Lines on standard input inject faults; `help` lists them. Exit status: 0 ended on request; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ip link add near type veth peer name far && ip link set near up && ip link set far up
@@ -36,69 +36,75 @@ use plan::{Plan, Stand};
 A file has one [[slave]] for each slave: kind = coupler, digital, analogue, drive, tx90 or a device; outputs, inputs,
 looped (terminals); axes (drive); behind = [slave, port]; alias, vendor, product, name, drift_ppm.
 
-Devices answer on the wire as real ones were recorded to do, with their registers, EEPROMs and times: ek1100, el1004,
+Devices reproduce recorded real ones, with their registers, EEPROMs and times: ek1100, el1004,
 el2004, el2828, el2889, el3004, ek1914, lan9252, akd.")]
 pub(crate) struct Sim {
-    /// The network interface; the master is at the other end of its cable. Or `tap:NAME`: an interface of that name is
-    /// made, and the master works on it.
+    /// The network interface; the master is at the other end of its cable. Or `tap:NAME`: creates an interface of that
+    /// name for the master.
     #[arg(value_name = "IFACE")]
     interface: String,
-    /// What is on it: tx90, youbot, devices in their order, or a file.
+    /// The segment: tx90, youbot, devices in their order, or a file.
     #[arg(
         long,
         value_name = "FILE|tx90|youbot|DEVICE,...",
         required_unless_present = "cell"
     )]
     segment: Option<String>,
-    /// The slaves that a segment of this cell expects, each as its part of the cell uses it.
+    /// Emulate the slaves that a segment of this cell expects, with the channels that the cell uses.
     #[arg(long, value_name = "FILE", conflicts_with = "segment")]
     cell: Option<PathBuf>,
     /// Which segment of the cell; needed if it has several.
     #[arg(long, value_name = "NAME", requires = "cell")]
     name: Option<String>,
-    /// Devices take so many times as long for states, mailboxes and EEPROMs as the real ones, 1 to 100.
+    /// Factor on the times that devices take for states, mailboxes and EEPROMs, 1 to 100.
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u64).range(1..=100))]
     slower: u64,
-    /// Axes fault after three cycles without a set-point, as real ones do; for masters on real-time hosts.
+    /// Axes fault after three cycles without a set-point, as real axes do; for masters on real-time hosts.
     #[arg(long)]
     strict: bool,
-    /// End after this time; without it, at Ctrl-C.
+    /// Stop after this time; default: at Ctrl-C.
     #[arg(long, value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
 }
 
 impl Sim {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let Stand {
+        let Emulation {
             segment,
             drives,
             loops,
-        } = self.stand()?;
+        } = self.emulation()?;
         let shared = SharedSegment::new(segment);
-        let orders = lines();
-        let between = move || {
+        let commands = lines();
+        let between_cycles = move || {
             for io in &loops {
                 io.set_inputs(&io.outputs());
             }
         };
-        segment::serve(&shared, &self.interface, self.duration, between, || {
-            while let Ok(line) = orders.try_recv() {
-                obey(&line, &shared, &drives)?;
-            }
-            Ok(())
-        })
+        segment::serve(
+            &shared,
+            &self.interface,
+            self.duration,
+            between_cycles,
+            || {
+                while let Ok(line) = commands.try_recv() {
+                    execute(&line, &shared, &drives)?;
+                }
+                Ok(())
+            },
+        )
     }
 
-    fn stand(&self) -> anyhow::Result<Stand> {
+    fn emulation(&self) -> anyhow::Result<Emulation> {
         if let Some(path) = &self.cell {
             let cell = CellConfig::read(path)?;
             return plan::of_cell(&cell, self.name.as_deref(), self.strict);
         }
         match self.segment.as_deref().unwrap_or_default() {
-            "tx90" => Ok(Stand::plain(segment::tx90(self.strict)?)),
+            "tx90" => Ok(Emulation::plain(segment::tx90(self.strict)?)),
             "youbot" => {
                 let (segment, _) = YouBot::segment(&YouBotConfig::default());
-                Ok(Stand::plain(segment))
+                Ok(Emulation::plain(segment))
             }
             path => {
                 if let Some(devices) = Plan::of_devices(path) {
@@ -106,12 +112,14 @@ impl Sim {
                 }
                 let text =
                     takt_core::files::read_text(Path::new(path), takt_core::files::TEXT_BYTES_MAX)
-                        .with_context(|| {
-                            format!("cannot read {path}; known without a file: tx90, youbot, and devices by name")
+                        .map_err(|error| {
+                            anyhow!(
+                                "cannot read {path}: {error}\nhint: segments without a file: tx90, youbot, devices by name"
+                            )
                         })?;
                 let plan: Plan = toml::from_str(&text).with_context(|| path.to_owned())?;
                 plan.build(self.strict, self.slower)
-                    .with_context(|| format!("{path} makes no segment"))
+                    .with_context(|| format!("{path} describes no valid segment"))
             }
         }
     }
@@ -130,17 +138,17 @@ fn lines() -> Receiver<String> {
     from
 }
 
-fn obey(line: &str, segment: &SharedSegment, drives: &[ServoDrive]) -> anyhow::Result<()> {
+fn execute(line: &str, segment: &SharedSegment, drives: &[ServoDrive]) -> anyhow::Result<()> {
     let line = line.trim();
     let now = u64::try_from(monotonic()?.as_nanos()).unwrap_or(u64::MAX);
-    let put_in = |fault: Fault| fault.put_in(segment, drives, now);
+    let inject = |fault: Fault| fault.inject(segment, drives, now);
     match line {
         "" => Ok(()),
         "help" => say(fault::HELP),
-        _ => match line.parse().and_then(put_in) {
-            Ok(told) => say(&told),
-            Err(why) => {
-                complain(&format!("{why}; `help` lists what there is"));
+        _ => match line.parse().and_then(inject) {
+            Ok(text) => say(&text),
+            Err(error) => {
+                complain(&format!("{error}\nhint: `help` lists the commands"));
                 Ok(())
             }
         },

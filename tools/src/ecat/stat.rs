@@ -1,5 +1,5 @@
-//! `takt ecat stat`: how well frames go through a segment: what is lost, where it is broken, which cable to look at.
-//! The counters are those of the master and of the slaves' ports; what they mean together is judged here.
+//! `takt ecat stat`: frame losses of a segment, broken frames by port, and the cable to check. The findings follow from
+//! the counters of the master and of the slaves' ports.
 
 use std::fmt::{self, Write as _};
 use std::time::Duration;
@@ -16,10 +16,10 @@ use super::{Source, recording, scan};
 use crate::output::{say, span, time};
 use crate::{Verdict, confirm};
 
-/// Measure a segment: lost and late frames, working counters, errors by port; and say what is wrong.
+/// Measure a segment: lost and late frames, working counters, errors by port; and report findings.
 ///
-/// Exit status: 0 nothing fails; 1 something does; 2 it could not be tried. Counters of the slaves' ports are taken
-/// from when this began; afterwards all slaves are left in INIT.
+/// Exit status: 0 no failure found; 1 failures found; 2 it could not be tried. Counters of the slaves' ports count from
+/// the start of the measurement; afterwards all slaves are left in INIT.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat stat enp2s0
@@ -33,13 +33,13 @@ pub(crate) struct Stat {
     /// How long to measure.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     duration: Duration,
-    /// Period of the frames; without it that of the cell, or else 1ms.
+    /// Period of the frames; default: that of the cell, or else 1ms.
     #[arg(long, value_name = "TIME", value_parser = span)]
     cycle: Option<Duration>,
-    /// State to measure in. Working counters of process data are known in OP alone.
+    /// State of the slaves during the measurement. Working counters of process data are known only in OP.
     #[arg(long, value_name = "STATE", default_value = "safe-op")]
     state: State,
-    /// Do not ask whether OP is safe.
+    /// It is safe that a machine moves (OP).
     #[arg(long)]
     confirm_motion: bool,
     /// Print one JSON object instead of the report.
@@ -56,7 +56,7 @@ enum State {
     PreOp,
     /// Inputs are exchanged, slaves keep their outputs safe.
     SafeOp,
-    /// Outputs are taken by the slaves; they are zero.
+    /// Slaves apply their outputs, which are zero.
     Op,
 }
 
@@ -64,7 +64,7 @@ impl Stat {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         if let Some(path) = &self.source.from {
             let report = recording::stat(&recording::Recording::read(path)?);
-            return report.say(self.json, self.quiet);
+            return report.print(self.json, self.quiet);
         }
         let goal = match self.state {
             State::PreOp => AlState::PreOp,
@@ -86,12 +86,12 @@ impl Stat {
             }
             say(verdict(session.interface(), &findings).trim_end())?;
         }
-        Ok(judged(&findings))
+        Ok(verdict_of(&findings))
     }
 }
 
-/// Failures fail.
-pub(super) fn judged(findings: &[Finding]) -> Verdict {
+/// Fails if there are failures.
+pub(super) fn verdict_of(findings: &[Finding]) -> Verdict {
     if findings.iter().any(Finding::is_failure) {
         Verdict::Failed
     } else {
@@ -99,20 +99,20 @@ pub(super) fn judged(findings: &[Finding]) -> Verdict {
     }
 }
 
-/// What was measured over a time.
+/// Figures of a measurement.
 #[derive(Debug)]
 pub(super) struct Measured {
     duration: Duration,
     frames: FrameCounters,
-    /// Cycles in which a group's working counter was another than expected, by group.
+    /// Cycles with an unexpected working counter, by group.
     misses: Vec<u64>,
-    /// Half of the frames were faster, 99 of 100, all; `None` if none came back.
+    /// Round trip times: median, 99th percentile, maximum; `None` if no frame returned.
     round_trip: Option<[Duration; 3]>,
     cables: Vec<String>,
 }
 
 impl Measured {
-    /// Measures for a time.
+    /// Measures for `duration`.
     pub(super) fn take<W: Wire>(
         session: &mut Session<W>,
         duration: Duration,
@@ -144,19 +144,21 @@ impl Measured {
             frames,
             misses,
             round_trip,
-            cables: cuts(session),
+            cables: cut_cables(session),
         })
     }
 
-    /// Frames that never came back.
+    /// Frames that never returned.
     const fn lost(&self) -> u64 {
         self.frames.lost.saturating_sub(self.frames.stale)
     }
 
-    /// What is to be said about it, the worst first.
+    /// The findings, the worst first.
     pub(super) fn findings(&self, master: &Master) -> Vec<Finding> {
         let differences = master.differences().iter();
-        let mut all: Vec<Finding> = differences.map(|d| Finding::Seen(d.to_string())).collect();
+        let mut all: Vec<Finding> = differences
+            .map(|d| Finding::Failure(d.to_string()))
+            .collect();
         all.extend(self.cables.iter().cloned().map(Finding::Cut));
         let gap = master.ring_gap().map(|cable| Event::RingOpen { cable });
         let gap = gap.map(|event| event.to_string());
@@ -194,8 +196,8 @@ impl Measured {
     }
 }
 
-/// Goes on until the master has read the counters of each slave: what was counted before it began is none of its
-/// errors, and what happened last is to be seen. It reads those of one slave at least each 16 cycles.
+/// Runs cycles until the master has read the counters of each slave: earlier errors must not count, the latest ones
+/// must. It reads the counters of a slave at least every 16 cycles.
 fn read_counters<W: Wire>(session: &mut Session<W>) -> anyhow::Result<()> {
     let cycles = 16 * (session.master().len() + 4);
     for _ in 0..cycles {
@@ -204,45 +206,45 @@ fn read_counters<W: Wire>(session: &mut Session<W>) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Something that is not as it should be.
+/// A failure, warning or note of a measurement or a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Finding {
-    /// A cable was cut meanwhile.
+    /// A cable was cut during the measurement.
     Cut(String),
     /// Errors point to a cable.
     Suspect(Suspect),
-    /// A slave is not where it is wanted.
+    /// A slave is not in the requested state.
     Slave(usize, Fault),
-    /// The firmware of a slave reaches into its controller wrongly.
+    /// Errors between the firmware of a slave and its controller.
     Controller(usize, u64),
-    /// Frames never came back.
+    /// Frames did not return.
     Lost {
         lost: u64,
         sent: u64,
-        /// There are errors at ports that explain it.
+        /// Whether port errors explain the losses.
         broken: bool,
     },
-    /// Working counters were other than expected though the frames came back.
+    /// Working counters were unexpected although the frames returned.
     Misses(u64),
-    /// Frames came back behind the end of their cycle.
+    /// Frames returned after the end of their cycle.
     Late(u64),
-    /// Frames that nobody sent here.
+    /// Frames that this master did not send.
     Foreign(u64),
-    /// What a recording shows, or how the segment differs from its cell.
-    Seen(String),
-    /// What a recording leaves open, to be known beside the verdict.
+    /// A fault in a recording, or a difference of the segment from its cell.
+    Failure(String),
+    /// What a recording does not show.
     Note(String),
 }
 
 impl Finding {
-    /// Late frames are the host's, which a tool without real time does not judge.
+    /// Late frames are only a warning: their cause is the host, and this tool is not real-time.
     pub(super) const fn is_failure(&self) -> bool {
         !matches!(self, Self::Late(_) | Self::Note(_))
     }
 }
 
 impl Finding {
-    /// What a program reads.
+    /// The finding as JSON.
     pub(super) fn object(&self) -> Value {
         let grade = self.grade().to_lowercase();
         json!({ "failure": self.is_failure(), "grade": grade, "text": self.to_string() })
@@ -267,7 +269,7 @@ impl fmt::Display for Finding {
             Self::Slave(slave, fault) => write!(f, "slave {slave}: {fault}"),
             Self::Controller(slave, errors) => write!(
                 f,
-                "slave {slave}: {errors} errors between its firmware and its controller (030Dh); a fault of the device"
+                "slave {slave}: {errors} errors between its firmware and its controller (030Dh): a fault of the device"
             ),
             Self::Lost {
                 lost,
@@ -275,7 +277,7 @@ impl fmt::Display for Finding {
                 broken: true,
             } => write!(
                 f,
-                "{lost} of {sent} frames lost; the cable above is where they go"
+                "{lost} of {sent} frames lost\nhint: check the cable above"
             ),
             Self::Lost {
                 lost,
@@ -283,23 +285,23 @@ impl fmt::Display for Finding {
                 broken: false,
             } => write!(
                 f,
-                "{lost} of {sent} frames lost, and no port has counted an error; see the cable from the master to \
-                 slave 0 and what the host drops (`ip -s link`, `takt doctor --interface`)"
+                "{lost} of {sent} frames lost, without errors at any port\nhint: check the cable from the master to \
+                 slave 0 and the frames that the host drops (`ip -s link`, `takt doctor --interface`)"
             ),
             Self::Misses(misses) => write!(
                 f,
-                "{misses} cycles with another working counter than expected; a slave left OP or dropped process \
-                 data: see its watchdog and the states above"
+                "{misses} cycles with an unexpected working counter: a slave left OP or dropped process data\nhint: \
+                 check its watchdog and the states above"
             ),
             Self::Late(late) => write!(
                 f,
-                "{late} frames came back after the end of their cycle; the host is late: see `takt jitter`, \
-                 `ethtool -c` (rx-usecs 0), or take a longer --cycle"
+                "{late} frames returned after the end of their cycle: the host is late\nhint: see `takt jitter` and \
+                 `ethtool -c` (rx-usecs 0), or use a longer --cycle"
             ),
-            Self::Seen(text) | Self::Note(text) => f.write_str(text),
+            Self::Failure(text) | Self::Note(text) => f.write_str(text),
             Self::Foreign(foreign) => write!(
                 f,
-                "{foreign} frames that were not sent here; another master on this segment, or a switch in it"
+                "{foreign} frames of another sender: another master on this segment, or a switch in it"
             ),
         }
     }
@@ -313,9 +315,9 @@ fn misses(master: &Master) -> Vec<u64> {
     master.groups().iter().map(|group| group.misses).collect()
 }
 
-/// Cables that were cut meanwhile, each once. Where the slave behind is there and no port lost its link, frames were
-/// lost and nothing was cut.
-fn cuts<W: Wire>(session: &Session<W>) -> Vec<String> {
+/// Cables that were cut during the measurement, each once. If the slave behind a cable is present and no port lost its
+/// link, frames were lost but the cable was not cut.
+fn cut_cables<W: Wire>(session: &Session<W>) -> Vec<String> {
     let mut cuts = Vec::new();
     for (_, event) in session.events() {
         let (Event::CableCut { cable } | Event::RingOpen { cable }) = event else {
@@ -329,7 +331,7 @@ fn cuts<W: Wire>(session: &Session<W>) -> Vec<String> {
     cuts
 }
 
-/// Whether a port at an end of a cable lost its link, or what is behind is gone.
+/// Whether a port at an end of a cable lost its link, or the slave behind it is offline.
 fn lost_link(master: &Master, cable: Cable) -> bool {
     let links = |slave: SlaveView<'_>, port: usize| at_port(slave.counters(), port)[3] > 0;
     let far = cable.to.and_then(|to| master.slave(to));
@@ -373,7 +375,10 @@ pub(super) fn table<W: Wire>(session: &Session<W>, measured: &Measured) -> Strin
     }
     if master.config().goal == AlState::Op {
         let misses: u64 = measured.misses.iter().sum();
-        let _ = writeln!(text, "counters    {misses} cycles other than expected");
+        let _ = writeln!(
+            text,
+            "counters    {misses} cycles with an unexpected working counter"
+        );
     }
     text.push_str(
         "\n slave                      state        port  invalid  receive  forwarded  lost links\n",
@@ -414,15 +419,21 @@ fn at_port(counters: &PortCounters, port: usize) -> [u64; 4] {
     .map(|counts| counts.get(port).copied().unwrap_or(0))
 }
 
-/// What it means and what to do.
+/// Aligns the lines after the first with the text of a finding.
+pub(super) fn indented(finding: &str) -> String {
+    finding.replace('\n', "\n      ")
+}
+
+/// The findings with their hints, and the verdict.
 pub(super) fn verdict(name: &str, findings: &[Finding]) -> String {
     let mut text = String::new();
     for finding in findings {
-        let _ = writeln!(text, "{:<4}  {finding}", finding.grade());
+        let lines = indented(&finding.to_string());
+        let _ = writeln!(text, "{:<4}  {lines}", finding.grade());
     }
     let graded = |grade: &str| {
-        let of = findings.iter().filter(|finding| finding.grade() == grade);
-        of.count()
+        let graded = findings.iter().filter(|finding| finding.grade() == grade);
+        graded.count()
     };
     let _ = match (graded("FAIL"), graded("WARN")) {
         (0, 0) => writeln!(text, "{name}: good"),
@@ -432,7 +443,7 @@ pub(super) fn verdict(name: &str, findings: &[Finding]) -> String {
     text
 }
 
-/// What a program reads.
+/// The report as JSON.
 pub(super) fn object<W: Wire>(
     session: &Session<W>,
     measured: &Measured,

@@ -1,4 +1,4 @@
-//! The commands on an emulated segment, in virtual time. What is shown is compared as text.
+//! The commands on an emulated segment, in virtual time. Tests compare the printed text.
 
 use std::collections::VecDeque;
 use std::io;
@@ -18,15 +18,15 @@ use crate::Verdict;
 
 mod ring;
 
-/// A cable with a segment at its end; time passes when somebody waits.
+/// A cable with a segment at its end; virtual time advances with each wait.
 #[derive(Debug)]
 pub(super) struct Emulated {
     pub(super) segment: Segment,
     now: Duration,
     returned: VecDeque<(Duration, Vec<u8>)>,
-    /// Faults that are put in at a time.
+    /// Faults to inject, and when.
     later: Option<(Duration, Faults)>,
-    /// All frames, both ways.
+    /// All frames in both directions.
     pub(super) seen: Vec<(Duration, Vec<u8>)>,
 }
 
@@ -41,8 +41,8 @@ impl Emulated {
         }
     }
 
-    /// Puts faults in after a time.
-    pub(super) fn put_in(&mut self, after: Duration, faults: Faults) {
+    /// Injects faults after a time.
+    pub(super) fn inject(&mut self, after: Duration, faults: Faults) {
         self.later = Some((self.now + after, faults));
     }
 
@@ -128,7 +128,7 @@ pub(super) fn session(segment: Segment, goal: AlState) -> Session<Emulated> {
     .unwrap()
 }
 
-/// Brought up.
+/// A session that is brought up.
 pub(super) fn up(segment: Segment, goal: AlState) -> Session<Emulated> {
     let mut session = session(segment, goal);
     session.listen().unwrap();
@@ -137,7 +137,7 @@ pub(super) fn up(segment: Segment, goal: AlState) -> Session<Emulated> {
 }
 
 #[test]
-fn a_tree_is_drawn_with_names_states_and_ports() {
+fn scan_prints_tree_names_states_and_ports() {
     let session = up(tree(), AlState::PreOp);
     let text = scan::text(&session);
     let lines: Vec<&str> = text.lines().collect();
@@ -157,18 +157,18 @@ fn a_tree_is_drawn_with_names_states_and_ports() {
 }
 
 #[test]
-fn a_segment_that_does_not_answer_is_told_with_what_to_look_at() {
+fn scan_of_silent_segment_fails_with_hint() {
     let mut segment = tree();
     segment.set_power(0, false);
     let mut session = session(segment, AlState::PreOp);
-    let told = session.bring_up(Duration::from_secs(10)).unwrap_err();
-    let told = format!("{told:#}");
-    assert!(told.contains("none came back; see the link"), "{told}");
-    assert!(told.contains("IN port"), "{told}");
+    let error = session.bring_up(Duration::from_secs(10)).unwrap_err();
+    let error = format!("{error:#}");
+    assert!(error.contains("none came back; see the link"), "{error}");
+    assert!(error.contains("IN port"), "{error}");
 }
 
 #[test]
-fn where_another_master_is_heard_nothing_is_sent() {
+fn session_with_another_master_sends_nothing() {
     let mut session = session(tree(), AlState::PreOp);
     let mut frame = vec![0xFF; 60];
     frame[12..14].copy_from_slice(&[0x88, 0xA4]);
@@ -176,13 +176,13 @@ fn where_another_master_is_heard_nothing_is_sent() {
         .wire()
         .returned
         .push_back((Duration::from_secs(1), frame));
-    let told = session.listen().unwrap_err().to_string();
-    assert!(told.contains("another master"), "{told}");
+    let error = session.listen().unwrap_err().to_string();
+    assert!(error.contains("another master"), "{error}");
     assert!(session.wire().seen.is_empty());
 }
 
 #[test]
-fn slaves_are_found_by_number_and_by_a_name_that_only_one_has() {
+fn slave_is_found_by_number_or_unique_name() {
     let (terminals, handles): (Vec<_>, Vec<_>) = (0..2).map(|_| Io::digital(8, 8)).unzip();
     let mut slaves = vec![Coupler::slave()];
     slaves.extend(terminals);
@@ -190,23 +190,23 @@ fn slaves_are_found_by_number_and_by_a_name_that_only_one_has() {
     assert_eq!(handles.len(), 2);
     assert_eq!(session.find("2").unwrap(), 2);
     assert_eq!(session.find("TK1100").unwrap(), 0);
-    for (text, why) in [
+    for (text, cause) in [
         ("3", "there is no slave 3: emulated0 has 3"),
         ("TK0808", "2 slaves are called"),
         ("EK1100", "no slave is called"),
     ] {
-        let told = session.find(text).unwrap_err().to_string();
-        assert!(told.contains(why), "{told}");
+        let error = session.find(text).unwrap_err().to_string();
+        assert!(error.contains(cause), "{error}");
     }
 }
 
-fn asked(session: &mut Session<Emulated>, what: &sdo::What) -> Result<String, String> {
-    let done = sdo::perform(session, 1, what).map_err(|error| format!("{error:#}"))?;
+fn perform(session: &mut Session<Emulated>, action: &sdo::Action) -> Result<String, String> {
+    let done = sdo::perform(session, 1, action).map_err(|error| format!("{error:#}"))?;
     done.map_err(|error| error.to_string())
 }
 
-fn upload(address: &str, json: bool) -> sdo::What {
-    sdo::What::Upload {
+fn upload(address: &str, json: bool) -> sdo::Action {
+    sdo::Action::Upload {
         address: address.parse().unwrap(),
         data_type: None,
         complete: false,
@@ -214,8 +214,8 @@ fn upload(address: &str, json: bool) -> sdo::What {
     }
 }
 
-fn download(address: &str, value: &str) -> sdo::What {
-    sdo::What::Download {
+fn download(address: &str, value: &str) -> sdo::Action {
+    sdo::Action::Download {
         address: address.parse().unwrap(),
         value: value.to_owned(),
         data_type: None,
@@ -225,9 +225,9 @@ fn download(address: &str, value: &str) -> sdo::What {
 }
 
 #[test]
-fn objects_are_listed_read_and_written() {
+fn sdo_objects_are_listed_read_and_written() {
     let mut session = up(tree(), AlState::PreOp);
-    let text = asked(&mut session, &sdo::What::List { entries: true }).unwrap();
+    let text = perform(&mut session, &sdo::Action::List { entries: true }).unwrap();
     for line in [
         "60FFh     VAR    INTEGER32        target velocity",
         "60FDh:00   32 bit UNSIGNED32       rrr---  -T  digital inputs",
@@ -235,11 +235,11 @@ fn objects_are_listed_read_and_written() {
     ] {
         assert!(text.lines().any(|other| other == line), "{line}\n{text}");
     }
-    let vendor = asked(&mut session, &upload("1018:01", false)).unwrap();
+    let vendor = perform(&mut session, &upload("1018:01", false)).unwrap();
     assert_eq!(vendor, "31367 (00007A87h)");
-    let written = asked(&mut session, &download("60F2", "0x12")).unwrap();
+    let written = perform(&mut session, &download("60F2", "0x12")).unwrap();
     assert_eq!(written, "60F2h:00 <- 18 (0012h)");
-    let object = asked(&mut session, &upload("60F2", true)).unwrap();
+    let object = perform(&mut session, &upload("60F2", true)).unwrap();
     let object: serde_json::Value = serde_json::from_str(&object).unwrap();
     assert_eq!(
         (&object["type"], &object["value"]),
@@ -248,13 +248,13 @@ fn objects_are_listed_read_and_written() {
 }
 
 #[test]
-fn what_a_slave_refuses_is_told_in_its_words() {
+fn sdo_rejection_reports_cause() {
     let mut session = up(tree(), AlState::PreOp);
-    let read_only = asked(&mut session, &download("6502", "1")).unwrap_err();
+    let read_only = perform(&mut session, &download("6502", "1")).unwrap_err();
     assert!(read_only.contains("the slave refuses"), "{read_only}");
-    let absent = asked(&mut session, &upload("5FFF", false)).unwrap_err();
+    let absent = perform(&mut session, &upload("5FFF", false)).unwrap_err();
     assert!(absent.contains("the slave refuses"), "{absent}");
-    let wide = asked(&mut session, &download("60F2", "65536")).unwrap_err();
+    let wide = perform(&mut session, &download("60F2", "65536")).unwrap_err();
     assert!(wide.contains("does not fit UNSIGNED16"), "{wide}");
     let no_mailbox = sdo::perform(&mut session, 0, &upload("1018:01", false)).unwrap();
     let no_mailbox = no_mailbox.unwrap_err().to_string();
@@ -262,7 +262,7 @@ fn what_a_slave_refuses_is_told_in_its_words() {
 }
 
 #[test]
-fn a_good_segment_has_nothing_to_be_told() {
+fn stat_of_good_segment_has_no_findings() {
     let mut session = up(tree(), AlState::Op);
     let measured = stat::Measured::take(&mut session, Duration::from_millis(500)).unwrap();
     assert_eq!(measured.findings(session.master()), []);
@@ -271,7 +271,7 @@ fn a_good_segment_has_nothing_to_be_told() {
     for line in [
         "emulated0: 3 slaves, 500 ms at a cycle of 1.0 ms",
         "frames      500 sent, 0 lost, 0 late, 0 foreign",
-        "counters    0 cycles other than expected",
+        "counters    0 cycles with an unexpected working counter",
         "   0  TK1100 coupler        OP              0        0        0          0           0",
     ] {
         assert!(text.lines().any(|other| other == line), "{line}\n{text}");
@@ -279,7 +279,7 @@ fn a_good_segment_has_nothing_to_be_told() {
 }
 
 #[test]
-fn errors_at_a_port_point_to_the_cable() {
+fn stat_port_errors_name_the_cable() {
     let mut session = up(tree(), AlState::Op);
     let corrupt = Some(Corrupt {
         slave: 2,
@@ -290,7 +290,7 @@ fn errors_at_a_port_point_to_the_cable() {
         corrupt,
         ..Faults::default()
     };
-    session.wire().put_in(Duration::from_millis(500), faults);
+    session.wire().inject(Duration::from_millis(500), faults);
     let measured = stat::Measured::take(&mut session, Duration::from_secs(1)).unwrap();
     let findings = measured.findings(session.master());
     let text = stat::verdict("emulated0", &findings);
@@ -300,7 +300,7 @@ fn errors_at_a_port_point_to_the_cable() {
         "FAIL  the cable from slave 0 port 3 to slave 1 port 0: 3 broken frames (shield, bend, plug, disturbance)"
     );
     assert!(
-        text.contains("3 of 1000 frames lost; the cable above"),
+        text.contains("3 of 1000 frames lost\n      hint: check the cable above"),
         "{text}"
     );
     let object = stat::object(&session, &measured, &findings);
@@ -310,19 +310,19 @@ fn errors_at_a_port_point_to_the_cable() {
 }
 
 #[test]
-fn late_frames_are_a_warning_and_a_cut_cable_is_a_failure() {
+fn stat_late_frames_warn_and_cut_cable_fails() {
     let mut session = up(tree(), AlState::SafeOp);
     session.run_for(Duration::from_millis(200)).unwrap();
     let faults = Faults {
         late: Some((2, 1_500_000)),
         ..Faults::default()
     };
-    session.wire().put_in(Duration::from_millis(300), faults);
+    session.wire().inject(Duration::from_millis(300), faults);
     let measured = stat::Measured::take(&mut session, Duration::from_millis(500)).unwrap();
     let findings = measured.findings(session.master());
     let text = stat::verdict("emulated0", &findings);
     assert!(
-        text.starts_with("WARN  2 frames came back after the end"),
+        text.starts_with("WARN  2 frames returned after the end"),
         "{text}"
     );
     assert!(text.ends_with("emulated0: good, 1 WARN\n"), "{text}");
@@ -338,16 +338,16 @@ fn late_frames_are_a_warning_and_a_cut_cable_is_a_failure() {
 }
 
 #[test]
-fn slaves_are_left_in_init() {
+fn session_leaves_slaves_in_init() {
     let mut session = up(tree(), AlState::SafeOp);
     session.leave().unwrap();
     session.run_for(Duration::from_millis(20)).unwrap();
-    let fallen = |number| session.master().slave(number).unwrap().al().0.state;
-    assert_eq!((0..3).map(fallen).collect::<Vec<_>>(), [AlState::Init; 3]);
+    let state = |number| session.master().slave(number).unwrap().al().0.state;
+    assert_eq!((0..3).map(state).collect::<Vec<_>>(), [AlState::Init; 3]);
 }
 
 #[test]
-fn what_is_exchanged_is_listed_with_its_place() {
+fn pdos_lists_entries_with_positions() {
     let session = up(tree(), AlState::PreOp);
     let text = pdos::text(&session, Some(1));
     let begin = [
@@ -374,7 +374,7 @@ fn what_is_exchanged_is_listed_with_its_place() {
 }
 
 #[test]
-fn clocks_are_watched() {
+fn dc_reports_differences_and_drift() {
     let mut session = up(tree(), AlState::SafeOp);
     session.run_for(Duration::from_secs(2)).unwrap();
     let watched = dc::Watched::take(&mut session, Duration::from_millis(500)).unwrap();
@@ -397,7 +397,7 @@ fn clocks_are_watched() {
     );
 }
 
-/// What a clock that was so far off looks like.
+/// Figures of a clock with a difference.
 fn watched_with(difference: i32) -> dc::Watched {
     let range = dc::Range {
         least: -3,
@@ -412,7 +412,7 @@ fn watched_with(difference: i32) -> dc::Watched {
     }
 }
 
-/// What was seen on the wire, as a recording.
+/// The frames on the wire as a recording.
 pub(super) fn recorded(session: &mut Session<Emulated>) -> Vec<u8> {
     let mut seen = std::mem::take(&mut session.wire().seen);
     seen.sort_by_key(|(at, _)| *at);
@@ -434,25 +434,25 @@ fn decoded(bytes: &[u8], filter: dump::Filter) -> (Vec<String>, Verdict) {
 }
 
 #[test]
-fn a_recording_is_told_datagram_by_datagram() {
+fn dump_prints_each_datagram() {
     let mut session = up(tree(), AlState::SafeOp);
     session.wire().seen.clear();
-    asked(&mut session, &upload("1018:01", false)).unwrap();
+    perform(&mut session, &upload("1018:01", false)).unwrap();
     let bytes = recorded(&mut session);
     let (lines, verdict) = decoded(&bytes, dump::Filter::default());
     assert_eq!(verdict, Verdict::Good);
-    let told = |text: &str| {
+    let prints = |text: &str| {
         assert!(
             lines.iter().any(|line| line.ends_with(text)),
             "{text}\n{lines:#?}"
         );
     };
-    told("0000:0130     2    -  AL status");
-    told("0003:0130     2    3  AL status SAFE-OP (0004h)");
-    told("1002:1000   128    -  CoE #6 SDO read 1018h:01");
-    told("1002:1000   128    1  mailbox");
-    told("1002:1080   128    1  CoE #6 SDO 1018h:01, 4 bytes: 87 7A 00 00");
-    told("1003:0300    20    1  error counters all zero");
+    prints("0000:0130     2    -  AL status");
+    prints("0003:0130     2    3  AL status SAFE-OP (0004h)");
+    prints("1002:1000   128    -  CoE #6 SDO read 1018h:01");
+    prints("1002:1000   128    1  mailbox");
+    prints("1002:1080   128    1  CoE #6 SDO 1018h:01, 4 bytes: 87 7A 00 00");
+    prints("1003:0300    20    1  error counters all zero");
     let filter = dump::Filter {
         returned: true,
         station: Some(0x1002),
@@ -467,7 +467,7 @@ fn a_recording_is_told_datagram_by_datagram() {
 }
 
 #[test]
-fn any_frame_is_told_or_left_out() {
+fn dump_of_damaged_recording_does_not_panic() {
     let mut session = up(tree(), AlState::PreOp);
     let bytes = recorded(&mut session);
     let begin: Vec<u8> = bytes.iter().copied().take(2000).collect();

@@ -16,7 +16,7 @@ use takt_ethercat::youbot::parameters::{Access, Parameter, ParameterGroup};
 use takt_ethercat::youbot::{Answer, CallError, Flags, Request, TRINAMIC, TmclError, parameters};
 
 use super::session::{Session, Wire};
-use super::{ASKING, Target};
+use super::{REQUEST_CYCLE, Target};
 use crate::output::{complain, say};
 use crate::{Verdict, confirm};
 
@@ -111,7 +111,7 @@ impl YouBot {
                 Ok(Verdict::Good)
             }
             What::Status => {
-                let mut session = self.target.bring_up(AlState::PreOp, ASKING)?;
+                let mut session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
                 let (text, good) = status(&mut session)?;
                 say(text.trim_end())?;
                 Ok(verdict(good))
@@ -122,7 +122,7 @@ impl YouBot {
                 bar,
             } => {
                 let parameter = named(parameter)?;
-                let mut session = self.target.bring_up(AlState::PreOp, ASKING)?;
+                let mut session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
                 let slave = session.find(slave)?;
                 let answer = call(&mut session, slave, parameter.get(*bar))?;
                 tell(slave, parameter, answer)
@@ -145,7 +145,7 @@ impl YouBot {
                     let what = format!("{} lasts beyond power-off", parameter.name);
                     confirm::change(&what, *yes)?;
                 }
-                let mut session = self.target.bring_up(AlState::PreOp, ASKING)?;
+                let mut session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
                 let slave = session.find(slave)?;
                 let mut answer = Ok(Answer::Value(*value));
                 for request in requests {

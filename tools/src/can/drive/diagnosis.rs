@@ -6,20 +6,20 @@ use std::fmt;
 use takt_can::canopen::{Message, NmtState, NodeId};
 use takt_cia402::{DriveFault, Runaway, State};
 
-use crate::can::ask::Refusal;
+use crate::can::sdo_client::SdoError;
 use crate::jog::TooFast;
 
 /// A cause.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Cause {
     /// It does not answer.
-    Silent(Refusal),
+    Silent(SdoError),
     /// 1000h names another profile.
     NotADrive(u32),
     /// The objects of that axis are not there.
-    NoAxis(u8, Refusal),
+    NoAxis(u8, SdoError),
     /// It does not take a write.
-    Refused(Refusal),
+    Refused(SdoError),
     /// The state machine does not go where it should.
     Drive(DriveFault),
     /// 6040h does not hold what was written: somebody else writes it.
@@ -35,7 +35,7 @@ pub(super) enum Cause {
     /// It turned, was told to stop, and turns.
     DoesNotStop { shown: i32 },
     /// It cannot watch the heartbeat of this program.
-    Unguarded(Refusal),
+    Unguarded(SdoError),
     /// It would go on if the heartbeat ended: 6007h is 0.
     NoReaction,
     /// The jog is faster than 607Fh or 6080h allows.

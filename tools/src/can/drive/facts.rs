@@ -7,7 +7,7 @@ use takt_cia402::emulator::FaultCode;
 use takt_cia402::{ControlWord, DriveFault};
 
 use super::MODES;
-use crate::can::ask::{Asker, number};
+use crate::can::sdo_client::{SdoClient, number};
 use crate::can::wire::Wire;
 
 /// Bits of 1001h (CiA 301, clause 7.5.2.2).
@@ -86,7 +86,7 @@ fn about(drive_fault: Option<DriveFault>) -> &'static [u16] {
 /// What the drive says that explains an obstacle, or, without one, that it does not turn. One line each.
 pub(super) fn facts<W: Wire>(
     wire: &mut W,
-    asker: &mut Asker,
+    asker: &mut SdoClient,
     axis: u8,
     drive_fault: Option<DriveFault>,
 ) -> anyhow::Result<Vec<String>> {
@@ -98,7 +98,7 @@ pub(super) fn facts<W: Wire>(
         match asker.read(wire, address, false)? {
             Ok(bytes) => facts.push(format!("{address} {}", told(*index, &bytes))),
             // What is silent now has nothing more to say.
-            Err(refusal) if refusal.is_silence() => break,
+            Err(refusal) if refusal.is_timeout() => break,
             Err(_) => {}
         }
     }

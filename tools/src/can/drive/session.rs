@@ -20,7 +20,7 @@ use takt_cia402::{
 use super::diagnosis::{Cause, Diagnosis};
 use super::facts::facts;
 use super::overheard::Overheard;
-use crate::can::ask::{Asker, PATIENCE, Refusal, number};
+use crate::can::sdo_client::{SdoClient, SdoError, TIMEOUT, number};
 use crate::can::wire::Wire;
 use crate::jog::{Limits, Speed};
 
@@ -119,7 +119,7 @@ type Show<'s> = &'s mut dyn FnMut(&Step) -> anyhow::Result<()>;
 /// A session with one drive.
 pub(super) struct Session<'s, W> {
     wire: Overheard<'s, W>,
-    asker: Asker,
+    asker: SdoClient,
     plan: Plan,
     show: Show<'s>,
     master: Master,
@@ -157,7 +157,7 @@ impl<'s, W: Wire> Session<'s, W> {
         let begun = wire.now();
         Self {
             wire: Overheard::new(wire, plan.node),
-            asker: Asker::new(plan.node, PATIENCE),
+            asker: SdoClient::new(plan.node, TIMEOUT),
             master: Master::new(plan.profile),
             plan,
             show,
@@ -294,15 +294,15 @@ impl<'s, W: Wire> Session<'s, W> {
         let address = self.address(index);
         match self.asker.read(&mut self.wire, address, false)? {
             Ok(bytes) => Ok(number(&bytes)),
-            Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+            Err(refusal) if refusal.is_timeout() => Err(End::Because(Cause::Silent(refusal))),
             Err(_) => Ok(None),
         }
     }
 
-    fn write(&mut self, index: u16, value: &[u8]) -> Go<Result<(), Refusal>> {
+    fn write(&mut self, index: u16, value: &[u8]) -> Go<Result<(), SdoError>> {
         let address = self.address(index);
         match self.asker.write(&mut self.wire, address, value, false)? {
-            Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+            Err(refusal) if refusal.is_timeout() => Err(End::Because(Cause::Silent(refusal))),
             answer => Ok(answer),
         }
     }
@@ -316,7 +316,7 @@ impl<'s, W: Wire> Session<'s, W> {
         let status = self.address(0x6041);
         match self.asker.read(&mut self.wire, status, false)? {
             Ok(_) => Ok(()),
-            Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+            Err(refusal) if refusal.is_timeout() => Err(End::Because(Cause::Silent(refusal))),
             Err(refusal) => Err(End::Because(Cause::NoAxis(self.plan.axis, refusal))),
         }
     }
@@ -340,7 +340,7 @@ impl<'s, W: Wire> Session<'s, W> {
         self.limits = Limits::read(self.plan.axis, |address| -> Go<Option<u32>> {
             match asker.read(wire, address, false)? {
                 Ok(bytes) => Ok(number(&bytes)),
-                Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+                Err(refusal) if refusal.is_timeout() => Err(End::Because(Cause::Silent(refusal))),
                 Err(_) => Ok(None),
             }
         })?;
@@ -372,7 +372,7 @@ impl<'s, W: Wire> Session<'s, W> {
                 self.consumer = before;
                 Ok(())
             }
-            Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+            Err(refusal) if refusal.is_timeout() => Err(End::Because(Cause::Silent(refusal))),
             Err(refusal) if must => Err(End::Because(Cause::Unguarded(refusal))),
             Err(_) => Ok(()),
         }
@@ -388,10 +388,10 @@ impl<'s, W: Wire> Session<'s, W> {
             if node == self.plan.node {
                 continue;
             }
-            let mut asker = Asker::new(node, FREE);
+            let mut asker = SdoClient::new(node, FREE);
             let answer = asker.read(&mut self.wire, Address::new(0x1000, 0), false)?;
             own = node;
-            if answer.is_err_and(Refusal::is_silence) {
+            if answer.is_err_and(SdoError::is_timeout) {
                 break;
             }
         }

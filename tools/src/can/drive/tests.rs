@@ -12,8 +12,8 @@ use takt_cia402::{Goal, State, next_control_word};
 
 use super::diagnosis::Cause;
 use super::session::{Jog, Plan, Report, Session};
-use crate::can::ask::{Asker, PATIENCE};
 use crate::can::lab::{Device, Lab, drive, node};
+use crate::can::sdo_client::{SdoClient, TIMEOUT};
 use crate::can::wire::Wire;
 
 fn plan() -> Plan {
@@ -437,7 +437,7 @@ fn a_mode_that_does_not_come() {
 #[test]
 fn a_quick_stop_that_is_held() {
     let mut lab = lab();
-    let mut asker = Asker::new(node(5), PATIENCE);
+    let mut asker = SdoClient::new(node(5), TIMEOUT);
     let mut write = |index, value: &[u8]| {
         let answer = asker.write(&mut lab, Address::new(index, 0), value, false);
         answer.unwrap().unwrap();
@@ -480,7 +480,7 @@ fn a_cyclic_mode_that_is_not_followed() {
 #[test]
 fn a_motor_that_does_not_turn() {
     let mut lab = lab();
-    let mut asker = Asker::new(node(5), PATIENCE);
+    let mut asker = SdoClient::new(node(5), TIMEOUT);
     let none = asker.write(&mut lab, Address::new(0x6072, 0), &[0, 0], false);
     none.unwrap().unwrap();
     let (cause, text) = diagnosed(&mut lab, jog(20_000, 3000));
@@ -509,7 +509,7 @@ fn jog_above_607f_or_6080h_is_refused() {
         text.contains("200001 velocity units requested, 607Fh (max profile velocity) allows 200000\nhint: --jog 200000"),
         "{text}"
     );
-    let mut asker = Asker::new(node(5), PATIENCE);
+    let mut asker = SdoClient::new(node(5), TIMEOUT);
     let rpm = asker.write(&mut lab, Address::new(0x6080, 0), &[60, 0, 0, 0], false);
     rpm.unwrap().unwrap();
     lab.sent.clear();
@@ -592,7 +592,7 @@ fn a_drive_that_is_taken_out_of_operational() {
     lab.run(20);
     let preop = NmtCommand::EnterPreOperational.frame(None);
     lab.stranger.push((Duration::from_secs(1), preop));
-    let mut asker = Asker::new(node(5), PATIENCE);
+    let mut asker = SdoClient::new(node(5), TIMEOUT);
     let ignore = asker.write(&mut lab, Address::new(0x6007, 0), &[0, 0], false);
     ignore.unwrap().unwrap();
     let held = Plan {
@@ -643,7 +643,7 @@ fn a_load_that_drives_the_motor() {
 #[test]
 fn a_drive_that_would_go_on_without_its_master_is_not_jogged() {
     let mut lab = lab();
-    let mut asker = Asker::new(node(5), PATIENCE);
+    let mut asker = SdoClient::new(node(5), TIMEOUT);
     let none = asker.write(&mut lab, Address::new(0x6007, 0), &[0, 0], false);
     none.unwrap().unwrap();
     let (cause, _) = diagnosed(&mut lab, jog(20_000, 500));

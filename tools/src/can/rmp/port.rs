@@ -90,6 +90,6 @@ impl Port for SerialPort {
     }
 
     fn is_stopped(&self) -> bool {
-        self.stop.is_asked()
+        self.stop.is_requested()
     }
 }

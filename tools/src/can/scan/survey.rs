@@ -1,4 +1,4 @@
-//! Listening and asking: what is known of each node then, and what is wrong. It prints nothing.
+//! The survey of a bus: listens, sends queries, collects the facts of each node and the findings. It prints nothing.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,19 +10,19 @@ use takt_can::canopen::sdo::{Initiate, Request, Response};
 use takt_can::canopen::{HEARTBEAT, LSS_MASTER, Message, NmtState, NodeId, SDO_REQUEST};
 use takt_cia402::dictionary::{AbortCode, Address};
 
-use crate::can::ask::{Asker, PATIENCE, number};
+use crate::can::sdo_client::{SdoClient, TIMEOUT, number};
 use crate::can::wire::Wire;
 
 const DEVICE_TYPE: Address = Address::new(0x1000, 0);
 const SERIAL: Address = Address::new(0x1018, 4);
-/// How long a slave may take for an LSS answer.
-const LSS_PATIENCE: Duration = Duration::from_millis(20);
-/// How long a node may take for an answer to node guarding.
-const GUARD_PATIENCE: Duration = Duration::from_millis(50);
-/// Most devices without a number that are looked for.
+/// Timeout of an LSS answer.
+const LSS_TIMEOUT: Duration = Duration::from_millis(20);
+/// Timeout of a node guarding answer.
+const GUARD_TIMEOUT: Duration = Duration::from_millis(50);
+/// Largest number of devices without a number that are identified.
 const LSS_MAX: usize = 127;
 
-/// What to do.
+/// What the survey covers.
 #[derive(Clone, Debug)]
 pub(super) struct Plan {
     pub(super) nodes: Vec<NodeId>,
@@ -31,15 +31,15 @@ pub(super) struct Plan {
     pub(super) lss: bool,
 }
 
-/// What is known of a node.
+/// Facts of a node.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Found {
     pub(super) state: Option<NmtState>,
     /// Mean time between its heartbeats.
     pub(super) heartbeat: Option<Duration>,
-    /// When the first of them was read, and how many came after it: two may be read in one go.
+    /// When the first of them was read, and how many followed: two may be read at once.
     pub(super) beats: Option<(Duration, u32)>,
-    /// Boot-ups that were heard.
+    /// Boot-up messages received.
     pub(super) boots: u32,
     /// 1000h
     pub(super) device_type: Option<u32>,
@@ -49,18 +49,18 @@ pub(super) struct Found {
     pub(super) name: Option<String>,
     /// 1001h
     pub(super) errors: Option<u8>,
-    /// Most answers that came to one question.
+    /// Largest number of answers to one query.
     pub(super) answers: usize,
 }
 
-/// What is wrong.
+/// A problem of the bus or of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Finding {
-    /// There is nobody.
-    Nobody,
-    /// One number, several devices.
-    Twice(NodeId),
-    /// Heard, but it does not answer.
+    /// No node was found.
+    NoNodes,
+    /// Several devices have one number.
+    Duplicate(NodeId),
+    /// It sends messages but answers no SDO.
     Mute(NodeId, Option<NmtState>),
     /// 1001h is not zero.
     Errors(NodeId, u8),
@@ -69,8 +69,8 @@ pub(super) enum Finding {
 impl Finding {
     pub(super) const fn name(self) -> &'static str {
         match self {
-            Self::Nobody => "nobody",
-            Self::Twice(_) => "duplicate",
+            Self::NoNodes => "nobody",
+            Self::Duplicate(_) => "duplicate",
             Self::Mute(..) => "mute",
             Self::Errors(..) => "error-register",
         }
@@ -80,32 +80,32 @@ impl Finding {
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Nobody => f.write_str(
-                "nobody is there: are the nodes powered, is the bit rate right (takt can stat), have they \
-                 numbers (--lss)?",
+            Self::NoNodes => f.write_str(
+                "no node found\nhint: check the power of the nodes and the bit rate (takt can stat); --lss finds nodes \
+                 without a number",
             ),
-            Self::Twice(node) => write!(
+            Self::Duplicate(node) => write!(
                 f,
-                "several devices have number {node}: unplug all but one and give it another number"
+                "several devices have number {node}\nhint: unplug all but one and give it another number"
             ),
             Self::Mute(node, Some(NmtState::Stopped)) => write!(
                 f,
-                "node {node} is stopped, so it answers no SDO: takt can nmt IFACE {node} preop"
+                "node {node} is stopped and answers no SDO\nhint: takt can nmt IFACE {node} preop"
             ),
             Self::Mute(node, _) => write!(
                 f,
-                "node {node} is heard but answers no SDO: is its server elsewhere (1200h), or busy with another \
-                 master?"
+                "node {node} sends messages but answers no SDO\nhint: its SDO server may have other identifiers (1200h), or \
+                 be busy with another master"
             ),
             Self::Errors(node, bits) => write!(
                 f,
-                "node {node} tells errors (1001h = {bits:02X}h): takt can sdo IFACE {node} upload 1003:01"
+                "node {node} reports errors (1001h = {bits:02X}h)\nhint: takt can sdo IFACE {node} upload 1003:01"
             ),
         }
     }
 }
 
-/// All that was found.
+/// Result of a survey.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Report {
     pub(super) nodes: BTreeMap<NodeId, Found>,
@@ -115,11 +115,11 @@ pub(super) struct Report {
 
 impl Report {
     pub(super) fn findings(&self) -> Vec<Finding> {
-        let nobody = self.nodes.is_empty() && self.unconfigured.is_empty();
-        let mut findings: Vec<Finding> = nobody.then_some(Finding::Nobody).into_iter().collect();
+        let is_empty = self.nodes.is_empty() && self.unconfigured.is_empty();
+        let mut findings: Vec<Finding> = is_empty.then_some(Finding::NoNodes).into_iter().collect();
         for (node, found) in &self.nodes {
             if found.answers > 1 {
-                findings.push(Finding::Twice(*node));
+                findings.push(Finding::Duplicate(*node));
             }
             if found.answers == 0 {
                 findings.push(Finding::Mute(*node, found.state));
@@ -130,7 +130,7 @@ impl Report {
         findings
     }
 
-    /// Takes what a node tells without being asked.
+    /// Handles a message that a node sent.
     fn handle(&mut self, frame: &Frame, now: Duration) {
         let message = Message::decode(frame);
         let node = match message {
@@ -153,7 +153,7 @@ impl Report {
         };
         if state == NmtState::BootUp {
             found.boots += 1;
-            // After it a node is pre-operational (CiA 301, figure 43), until it says otherwise.
+            // After boot-up a node is pre-operational (CiA 301, figure 43) until its next heartbeat.
             found.state = Some(NmtState::PreOperational);
             found.beats = None;
             return;
@@ -168,14 +168,14 @@ impl Report {
     }
 }
 
-/// Listens, asks, and asks further who answered.
+/// Listens, queries all numbers, then reads the details of the nodes that answered.
 pub(super) fn survey<W: Wire>(wire: &mut W, plan: &Plan) -> anyhow::Result<Report> {
     let mut report = Report::default();
     listen(wire, &mut report, plan.listen)?;
-    let types = ask_all(wire, &mut report, &plan.nodes, DEVICE_TYPE, plan.wait)?;
+    let types = query_all(wire, &mut report, &plan.nodes, DEVICE_TYPE, plan.wait)?;
     let present: Vec<NodeId> = report.nodes.keys().copied().collect();
-    // Two of a kind give the same answer at once, which is one frame on the wire; their serial numbers differ.
-    let serials = ask_all(wire, &mut report, &present, SERIAL, plan.wait)?;
+    // Two devices of one type send the same answer at once, which is one frame on the bus; their serial numbers differ.
+    let serials = query_all(wire, &mut report, &present, SERIAL, plan.wait)?;
     for (node, found) in &mut report.nodes {
         let of =
             |all: &BTreeMap<NodeId, Vec<Option<u32>>>| all.get(node).cloned().unwrap_or_default();
@@ -208,8 +208,8 @@ fn listen<W: Wire>(wire: &mut W, report: &mut Report, time: Duration) -> anyhow:
     Ok(())
 }
 
-/// Asks all of these at once; who answers, and with which numbers. An abort is an answer too.
-fn ask_all<W: Wire>(
+/// Queries all nodes at once and returns their answers. An abort is an answer too.
+fn query_all<W: Wire>(
     wire: &mut W,
     report: &mut Report,
     nodes: &[NodeId],
@@ -220,14 +220,14 @@ fn ask_all<W: Wire>(
     let mut left = nodes.iter();
     let mut until = wire.now() + wait;
     while wire.now() < until {
-        // One question after the other, so that answers are taken while others are asked.
+        // One request at a time, so that answers are received between the requests.
         if let Some(node) = left.next() {
-            let question = Request::Upload { address }.encode();
-            wire.send(&Frame::full(node.cob(SDO_REQUEST), question))?;
+            let request = Request::Upload { address }.encode();
+            wire.send(&Frame::full(node.cob(SDO_REQUEST), request))?;
             until = wire.now() + wait;
         }
-        let patience = if left.len() > 0 { wire.now() } else { until };
-        while let Some(frame) = wire.receive_until(patience)? {
+        let receive_until = if left.len() > 0 { wire.now() } else { until };
+        while let Some(frame) = wire.receive_until(receive_until)? {
             report.handle(&frame, wire.now());
             if let Message::SdoResponse(node, message) = Message::decode(&frame)
                 && let Some(answer) = answer(&message, address)
@@ -239,10 +239,10 @@ fn ask_all<W: Wire>(
     Ok(answers)
 }
 
-/// The number in an answer about that object; `None` within if it is refused or longer.
-fn answer(message: &[u8; 8], about: Address) -> Option<Option<u32>> {
+/// The number in an answer for an object; the inner `None` is an abort or a longer value.
+fn answer(message: &[u8; 8], object: Address) -> Option<Option<u32>> {
     let response = Response::decode(message)?;
-    if response.address() != Some(about) {
+    if response.address() != Some(object) {
         return None;
     }
     let Response::Upload { data, .. } = response else {
@@ -254,16 +254,16 @@ fn answer(message: &[u8; 8], about: Address) -> Option<Option<u32>> {
     })
 }
 
-/// What else a node has to say. A refusal leaves a gap, silence ends it.
+/// Reads the identity, the name and the error register. An abort leaves a value out; a timeout ends the reading.
 fn details<W: Wire>(wire: &mut W, node: NodeId, found: &mut Found) -> anyhow::Result<()> {
-    let mut asker = Asker::new(node, PATIENCE);
-    let mut read = |wire: &mut W, index, sub| asker.read(wire, Address::new(index, sub), false);
+    let mut client = SdoClient::new(node, TIMEOUT);
+    let mut read = |wire: &mut W, index, sub| client.read(wire, Address::new(index, sub), false);
     for sub in 1..=3_u8 {
         match read(wire, 0x1018, sub)? {
             Ok(bytes) => found.identity[usize::from(sub) - 1] = number(&bytes),
-            Err(refusal) if refusal.is_silence() => return Ok(()),
-            // There is no more than that many.
-            Err(refusal) if refusal.code() == Some(AbortCode::NoSubIndex) => break,
+            Err(error) if error.is_timeout() => return Ok(()),
+            // The identity has no further entries.
+            Err(error) if error.code() == Some(AbortCode::NoSubIndex) => break,
             Err(_) => {}
         }
     }
@@ -277,12 +277,12 @@ fn details<W: Wire>(wire: &mut W, node: NodeId, found: &mut Found) -> anyhow::Re
     Ok(())
 }
 
-/// The state of a node without heartbeat, by node guarding; not every node has that.
+/// The state of a node without heartbeat, by node guarding, which not every node supports.
 fn guard<W: Wire>(wire: &mut W, node: NodeId) -> anyhow::Result<Option<NmtState>> {
-    if let Ok(question) = Frame::remote(node.cob(HEARTBEAT), 1) {
-        wire.send(&question)?;
+    if let Ok(request) = Frame::remote(node.cob(HEARTBEAT), 1) {
+        wire.send(&request)?;
     }
-    let until = wire.now() + GUARD_PATIENCE;
+    let until = wire.now() + GUARD_TIMEOUT;
     while let Some(frame) = wire.receive_until(until)? {
         if let Message::Heartbeat(from, state, _) = Message::decode(&frame)
             && from == node
@@ -293,10 +293,11 @@ fn guard<W: Wire>(wire: &mut W, node: NodeId) -> anyhow::Result<Option<NmtState>
     Ok(None)
 }
 
-/// Finds all devices without a number. Each that is found stands aside for the others, and all go back in the end.
+/// Identifies all devices without a number. An identified device does not take part in the next scan; at the end all
+/// are set to waiting.
 fn fast_scan<W: Wire>(wire: &mut W) -> anyhow::Result<Vec<Identity>> {
     let mut found = Vec::new();
-    let mut master = Master::new(LSS_PATIENCE);
+    let mut master = Master::new(LSS_TIMEOUT);
     run(wire, &mut master, Job::Switch(Mode::Waiting))?.ok();
     while found.len() < LSS_MAX {
         let Ok(Reply::Address(identity)) = run(wire, &mut master, Job::FastScan([None; 4]))? else {
@@ -347,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn nodes_are_found_with_and_without_heartbeat() {
+    fn survey_finds_nodes_with_and_without_heartbeat() {
         let mut lab = Lab::of_drives(&[5, 127]);
         lab.add_drive(DriveNodeConfig {
             heartbeat_ms: 100,
@@ -374,24 +375,24 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_bus_says_so() {
+    fn survey_of_empty_bus_finds_no_nodes() {
         let report = survey(&mut Lab::new(), &plan(true)).unwrap();
-        assert_eq!(report.findings(), [Finding::Nobody]);
+        assert_eq!(report.findings(), [Finding::NoNodes]);
     }
 
     #[test]
-    fn two_devices_of_one_number_are_told_apart_by_their_serial_numbers() {
+    fn survey_detects_duplicate_number_by_serial_numbers() {
         let mut lab = Lab::of_drives(&[5]);
         let mut twin = DriveNodeConfig::new(node(5));
         twin.identity.serial = 99;
         lab.add_drive(twin);
         lab.run(10);
         let report = survey(&mut lab, &plan(false)).unwrap();
-        assert!(report.findings().contains(&Finding::Twice(node(5))));
+        assert!(report.findings().contains(&Finding::Duplicate(node(5))));
     }
 
     #[test]
-    fn a_stopped_node_is_heard_and_mute() {
+    fn survey_reports_stopped_node_as_mute() {
         let mut lab = Lab::new();
         lab.add_drive(DriveNodeConfig {
             heartbeat_ms: 100,
@@ -407,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_with_errors_is_told() {
+    fn survey_reports_node_with_errors() {
         use takt_cia402::emulator::FaultCode;
         let mut lab = Lab::of_drives(&[5]);
         lab.run(10);
@@ -419,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn devices_without_a_number_are_found_and_left_as_they_were() {
+    fn survey_identifies_devices_without_number_and_restores_them() {
         let mut lab = Lab::of_drives(&[5]);
         for serial in [7, 0x8000_0001] {
             let mut config = DriveNodeConfig::new(node(1));

@@ -1,4 +1,4 @@
-//! What a scan found as a table and as JSON. It asks nobody.
+//! The result of a scan as a table and as JSON. It sends no requests.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ use takt_can::canopen::eds::Eds;
 use super::survey::{Found, Report};
 use crate::can::sheet::name_of;
 
-/// Vendors by their CiA number, as far as they are met often; data sheets know the others.
+/// Frequent vendors by their CiA number; data sheets name the others.
 const VENDORS: [(u32, &str); 8] = [
     (0x002, "Beckhoff"),
     (0x03B, "Lenze"),
@@ -21,7 +21,7 @@ const VENDORS: [(u32, &str); 8] = [
     (0x1DD, "Delta"),
 ];
 
-/// What the low word of 1000h says (CiA 301, clause 7.5.2.1): the profile.
+/// Profiles by the low word of 1000h (CiA 301, clause 7.5.2.1).
 const PROFILES: [(u16, &str); 10] = [
     (0, "no profile"),
     (401, "I/O module"),
@@ -45,15 +45,15 @@ fn profile(device_type: u32) -> String {
     }
 }
 
-/// The vendor and the product in words, from the data sheet of this product or vendor, or the table.
+/// The names of the vendor and the product, from the data sheet of this product or vendor, or the table.
 fn names(found: &Found, sheets: &[Eds]) -> (Option<String>, Option<String>) {
     let [vendor, product, ..] = found.identity;
     let of = |sheet: &Eds, key| name_of(sheet, key);
     let same_vendor = |sheet: &&Eds| vendor.is_some() && of(sheet, "VendorNumber") == vendor;
     let same = |sheet: &&Eds| same_vendor(sheet) && of(sheet, "ProductNumber") == product;
     let text = |sheet: Option<&Eds>, key| {
-        let told = sheet.and_then(|sheet| sheet.info("DeviceInfo", key));
-        told.filter(|text| !text.is_empty()).map(str::to_owned)
+        let value = sheet.and_then(|sheet| sheet.info("DeviceInfo", key));
+        value.filter(|text| !text.is_empty()).map(str::to_owned)
     };
     let known = VENDORS.iter().find(|(number, _)| Some(*number) == vendor);
     let vendor_name = text(sheets.iter().find(same_vendor), "VendorName")
@@ -88,6 +88,7 @@ pub(super) fn table(interface: &str, report: &Report, sheets: &[Eds]) -> String 
         let _ = writeln!(text, "      {}", identity(numbers, None));
     }
     for finding in report.findings() {
+        let finding = finding.to_string().replace('\n', "\n      ");
         let _ = writeln!(text, "FAIL  {finding}");
     }
     text
@@ -178,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_fits_a_terminal_and_names_what_it_can() {
+    fn scan_table_fits_80_columns() {
         let text = table("can0", &report(), &[]);
         assert!(text.lines().all(|line| line.len() <= 80), "{text}");
         for words in [
@@ -191,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_data_sheets_come_first() {
+    fn scan_prefers_names_of_data_sheets() {
         let sheet = "[DeviceInfo]\nVendorName=maxon motor ag\nVendorNumber=0xFB\nProductName=EPOS4 50/15\n\
                      ProductNumber=0x60500000\n[1000]\nParameterName=Device type\nDataType=0x0007\nAccessType=ro\n";
         let sheet = Eds::parse(sheet).unwrap();

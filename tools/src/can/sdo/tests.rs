@@ -13,10 +13,10 @@ struct Line {
     sdo: Sdo,
 }
 
-/// The command line as it is written behind `takt can sdo can0 5`.
-fn what(words: &[&str]) -> What {
+/// Parses the command line after `takt can sdo can0 5`.
+fn action(words: &[&str]) -> Action {
     let line = ["sdo", "can0", "5"].iter().chain(words);
-    Line::try_parse_from(line).unwrap().sdo.what
+    Line::try_parse_from(line).unwrap().sdo.action
 }
 
 fn drive() -> DriveNodeConfig {
@@ -33,20 +33,20 @@ fn lab() -> Lab {
     lab
 }
 
-fn ask(lab: &mut Lab, words: &[&str]) -> Result<Told, Refusal> {
-    perform(lab, node(5), &what(words), Some(500)).unwrap()
+fn run(lab: &mut Lab, words: &[&str]) -> Result<Report, SdoError> {
+    perform(lab, node(5), &action(words), Some(500)).unwrap()
 }
 
 fn text(lab: &mut Lab, words: &[&str]) -> String {
-    let told = ask(lab, words).unwrap();
-    assert!(told.good, "{told:?}");
-    told.text
+    let report = run(lab, words).unwrap();
+    assert!(report.good, "{report:?}");
+    report.text
 }
 
-/// A file that goes with its test.
-struct Kept(PathBuf);
+/// A file that is removed at the end of its test.
+struct TempFile(PathBuf);
 
-impl Kept {
+impl TempFile {
     fn new(name: &str) -> Self {
         Self(std::env::temp_dir().join(format!("takt-sdo-{}-{name}", std::process::id())))
     }
@@ -56,14 +56,14 @@ impl Kept {
     }
 }
 
-impl Drop for Kept {
+impl Drop for TempFile {
     fn drop(&mut self) {
         let _ = std::fs::remove_file(&self.0);
     }
 }
 
 #[test]
-fn entries_are_read_by_number_and_by_name() {
+fn sdo_upload_by_number_and_name_prints_value() {
     let mut lab = lab();
     let status = text(&mut lab, &["upload", "6041"]);
     assert!(status.starts_with("6041h:00 "), "{status}");
@@ -90,19 +90,19 @@ fn entries_are_read_by_number_and_by_name() {
 }
 
 #[test]
-fn entries_are_written_and_refusals_told() {
+fn sdo_download_writes_value_and_reports_abort() {
     let mut lab = lab();
     let written = text(&mut lab, &["download", "1017", "250"]);
     assert!(written.ends_with("= 250 (00FAh)"), "{written}");
     assert!(text(&mut lab, &["upload", "1017"]).contains("250"));
-    let refused = ask(&mut lab, &["download", "6041", "0"]).unwrap_err();
+    let refused = run(&mut lab, &["download", "6041", "0"]).unwrap_err();
     assert!(
         refused
             .to_string()
             .contains("the object can only be read (0601 0002h)"),
         "{refused}"
     );
-    let refused = ask(&mut lab, &["upload", "5FFF"]).unwrap_err();
+    let refused = run(&mut lab, &["upload", "5FFF"]).unwrap_err();
     assert!(
         refused.to_string().contains("there is no such object"),
         "{refused}"
@@ -112,40 +112,40 @@ fn entries_are_written_and_refusals_told() {
             &["download", "1017", "70000"][..],
             "does not fit UNSIGNED16",
         ),
-        (&["download", "5FFF", "1"], "give it by --type"),
+        (&["download", "5FFF", "1"], "give --type"),
         (&["upload", "nonsense!"], "is not an object"),
     ] {
-        let error = perform(&mut lab, node(5), &what(words), None).unwrap_err();
+        let error = perform(&mut lab, node(5), &action(words), None).unwrap_err();
         assert!(format!("{error:#}").contains(why), "{error:#}");
     }
 }
 
 #[test]
-fn files_go_to_a_domain_and_come_back() {
+fn sdo_file_is_written_and_read_back() {
     let mut lab = lab();
-    let (to, from) = (Kept::new("to"), Kept::new("from"));
+    let (to, from) = (TempFile::new("to"), TempFile::new("from"));
     let bytes: Vec<u8> = (0..1000_u32).map(|n| (n * 7).to_le_bytes()[0]).collect();
     std::fs::write(&to.0, &bytes).unwrap();
-    let told = text(
+    let output = text(
         &mut lab,
         &["download", "2000", "--file", to.path(), "--block"],
     );
-    assert!(told.contains("1000 bytes of"), "{told}");
-    let told = text(&mut lab, &["upload", "2000", "--out", from.path()]);
-    assert!(told.contains("1000 bytes in"), "{told}");
+    assert!(output.contains("1000 bytes of"), "{output}");
+    let output = text(&mut lab, &["upload", "2000", "--out", from.path()]);
+    assert!(output.contains("1000 bytes in"), "{output}");
     assert_eq!(std::fs::read(&from.0).unwrap(), bytes);
 }
 
 #[test]
-fn a_whole_node_is_dumped_and_compared() {
+fn sdo_node_is_dumped_and_compared() {
     let mut lab = lab();
-    let (eds, dcf) = (Kept::new("eds"), Kept::new("dcf"));
+    let (eds, dcf) = (TempFile::new("eds"), TempFile::new("dcf"));
     std::fs::write(&eds.0, drive().eds().print()).unwrap();
-    // As it left the factory, its settings are the defaults of its data sheet.
-    let told = text(&mut lab, &["compare", eds.path()]);
+    // The factory settings are the defaults of its data sheet.
+    let output = text(&mut lab, &["compare", eds.path()]);
     assert!(
-        told.ends_with(" differ") && told.contains(", 0 differ"),
-        "{told}"
+        output.ends_with(" differ") && output.contains(", 0 differ"),
+        "{output}"
     );
     text(&mut lab, &["download", "6083", "4321"]);
     let dumped = text(
@@ -158,14 +158,14 @@ fn a_whole_node_is_dumped_and_compared() {
     assert_eq!(file.remarks, []);
     assert!(text(&mut lab, &["compare", dcf.path()]).contains(", 0 differ"));
     text(&mut lab, &["download", "6083", "99"]);
-    let differs = ask(&mut lab, &["compare", dcf.path()]).unwrap();
+    let differs = run(&mut lab, &["compare", dcf.path()]).unwrap();
     assert!(!differs.good);
     let first = differs.text.lines().next().unwrap();
     assert!(
         first.starts_with("6083h:00 ") && first.contains("file 4321") && first.contains("node 99")
     );
     assert!(differs.text.ends_with(", 1 differ"), "{}", differs.text);
-    let json = ask(&mut lab, &["compare", dcf.path(), "--json"]).unwrap();
+    let json = run(&mut lab, &["compare", dcf.path(), "--json"]).unwrap();
     let json: serde_json::Value = serde_json::from_str(&json.text).unwrap();
     assert_eq!(
         (&json["equal"], &json["differences"][0]["node"]),
@@ -174,9 +174,9 @@ fn a_whole_node_is_dumped_and_compared() {
 }
 
 #[test]
-fn what_a_node_lacks_is_a_difference_and_silence_an_end() {
+fn sdo_missing_object_is_reported_and_timeout_ends() {
     let mut lab = lab();
-    let eds = Kept::new("two");
+    let eds = TempFile::new("two");
     let mut two = drive();
     two.axes.push(two.axes[0].clone());
     std::fs::write(&eds.0, two.eds().print()).unwrap();
@@ -185,29 +185,29 @@ fn what_a_node_lacks_is_a_difference_and_silence_an_end() {
         dumped.contains("node 5 refuses 6840h:00: there is no such object"),
         "{dumped}"
     );
-    let differs = ask(&mut lab, &["compare", eds.path()]).unwrap();
+    let differs = run(&mut lab, &["compare", eds.path()]).unwrap();
     assert!(
         !differs.good && differs.text.contains("node 5 refuses 6860h:00"),
         "{}",
         differs.text
     );
     lab.at(0, |devices| devices[0] = crate::can::lab::Device::Nothing);
-    assert!(ask(&mut lab, &["dump"]).unwrap_err().is_silence());
+    assert!(run(&mut lab, &["dump"]).unwrap_err().is_timeout());
     assert!(
-        ask(&mut lab, &["compare", eds.path()])
+        run(&mut lab, &["compare", eds.path()])
             .unwrap_err()
-            .is_silence()
+            .is_timeout()
     );
 }
 
 #[test]
-fn what_can_move_is_asked_for() {
+fn sdo_objects_beyond_communication_can_move() {
     assert!(!can_move(Address::new(0x1017, 0)));
     assert!(can_move(Address::new(0x6040, 0)) && can_move(Address::new(0x2000, 0)));
 }
 
 #[test]
-fn settings_are_stored_and_restored() {
+fn sdo_settings_are_stored_and_restored() {
     let mut lab = lab();
     let reset = |lab: &mut Lab| {
         let frame = takt_can::canopen::NmtCommand::ResetNode.frame(None);
@@ -219,7 +219,7 @@ fn settings_are_stored_and_restored() {
     assert_eq!(text(&mut lab, &["store"]), "node 5: stored");
     reset(&mut lab);
     assert!(text(&mut lab, &["upload", "6083"]).contains("4321"));
-    // A command is no setting.
+    // A target position is not a setting.
     assert!(text(&mut lab, &["upload", "607A"]).ends_with("= 0 (00000000h)"));
     assert!(text(&mut lab, &["restore", "application"]).contains("after its next reset"));
     reset(&mut lab);
@@ -228,10 +228,10 @@ fn settings_are_stored_and_restored() {
 }
 
 #[test]
-fn the_data_sheet_in_a_node_is_one_for_eds() {
-    let file = Kept::new("stored.eds");
+fn sdo_stored_data_sheet_serves_as_eds() {
+    let file = TempFile::new("stored.eds");
     let mut without = lab();
-    let refused = ask(&mut without, &["eds", file.path()]).unwrap_err();
+    let refused = run(&mut without, &["eds", file.path()]).unwrap_err();
     assert!(refused.to_string().contains("node 5 refuses 1021h:00"));
     let mut lab = Lab::new();
     lab.add_drive(DriveNodeConfig {
@@ -239,8 +239,8 @@ fn the_data_sheet_in_a_node_is_one_for_eds() {
         ..drive()
     });
     lab.run(10);
-    let told = text(&mut lab, &["eds", file.path()]);
-    assert!(told.contains("product 00000402h"), "{told}");
+    let output = text(&mut lab, &["eds", file.path()]);
+    assert!(output.contains("product 00000402h"), "{output}");
     let own = std::fs::read_to_string(file.path()).unwrap();
     assert_eq!(own, drive().eds().print());
     let read = text(&mut lab, &["upload", "domain", "--eds", file.path()]);

@@ -1,5 +1,4 @@
-//! All objects of a node at once: read into a configuration, or compared with one. Each entry is one transfer, so
-//! a machine that runs is disturbed as little as by one.
+//! All objects of a node: read into a configuration, or compared with one. Each entry is a transfer of its own.
 
 use std::fmt::Write as _;
 
@@ -10,18 +9,18 @@ use takt_can::canopen::network::Download;
 use takt_cia402::dictionary::{AbortCode, Access, Address, DataType, Dictionary, Entry};
 
 use super::line;
-use crate::can::ask::{Answer, Asker, Refusal};
+use crate::can::sdo_client::{Answer, SdoClient, SdoError};
 use crate::can::sheet::Sheet;
 use crate::can::wire::Wire;
 
-/// Bit rate of a configuration if the interface has none, kbit/s.
+/// Bit rate of a configuration if that of the interface is unknown, kbit/s.
 const KBIT: u32 = 1000;
 
-/// What was read.
+/// Values and errors of a dump.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Dump {
     values: Vec<(Address, Vec<u8>)>,
-    refused: Vec<Refusal>,
+    refused: Vec<SdoError>,
 }
 
 fn entries(eds: &Eds) -> impl Iterator<Item = (Address, &Entry)> {
@@ -31,10 +30,10 @@ fn entries(eds: &Eds) -> impl Iterator<Item = (Address, &Entry)> {
     })
 }
 
-/// Reads all that can be read. A node that falls silent ends it.
+/// Reads all readable entries. A timeout ends the dump.
 pub(super) fn dump<W: Wire>(
     wire: &mut W,
-    asker: &mut Asker,
+    client: &mut SdoClient,
     sheet: &Sheet,
     domains: bool,
 ) -> Answer<Dump> {
@@ -43,12 +42,12 @@ pub(super) fn dump<W: Wire>(
         entry.access.is_readable() && (domains || entry.data_type != DataType::Domain)
     };
     for (address, _) in entries(&sheet.eds).filter(|(_, entry)| wanted(entry)) {
-        match asker.read(wire, address, false)? {
+        match client.read(wire, address, false)? {
             Ok(bytes) => dump.values.push((address, bytes)),
-            Err(refusal) if refusal.is_silence() => return Ok(Err(refusal)),
-            // An error history without errors is no fault of anybody.
-            Err(refusal) if refusal.code() == Some(AbortCode::NoData) => {}
-            Err(refusal) => dump.refused.push(refusal),
+            Err(error) if error.is_timeout() => return Ok(Err(error)),
+            // An empty error history is not a fault.
+            Err(error) if error.code() == Some(AbortCode::NoData) => {}
+            Err(error) => dump.refused.push(error),
         }
     }
     Ok(Ok(dump))
@@ -73,8 +72,8 @@ impl Dump {
             let shown = sheet.show(*address, None, bytes);
             let _ = writeln!(text, "{}", line(*address, &sheet.name(*address), &shown));
         }
-        for refusal in &self.refused {
-            let _ = writeln!(text, "{refusal}");
+        for error in &self.refused {
+            let _ = writeln!(text, "{error}");
         }
         text + &self.summary(node)
     }
@@ -94,22 +93,22 @@ impl Dump {
     }
 }
 
-/// How one entry compares.
+/// An entry whose values differ.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Difference {
     address: Address,
     expected: Vec<u8>,
-    actual: Result<Vec<u8>, Refusal>,
+    actual: Result<Vec<u8>, SdoError>,
 }
 
-/// What was compared.
+/// Result of a comparison.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Compared {
     count: usize,
     differences: Vec<Difference>,
 }
 
-/// What a file wants an entry to be. Of a data sheet that is its default, if it has one.
+/// The value of an entry in a file: that of a configuration, else the default of the data sheet, if there is one.
 fn expected(
     eds: &Eds,
     defaults: &Dictionary,
@@ -122,32 +121,32 @@ fn expected(
     if !compared || entry.data_type == DataType::Domain {
         return None;
     }
-    let told = eds.values.iter().find(|(at, _)| *at == address);
+    let configured = eds.values.iter().find(|(at, _)| *at == address);
     let default = || defaults.bytes(address).filter(|bytes| !bytes.is_empty());
-    let told = told.map(|(_, value)| value.as_slice());
-    told.or_else(default).map(<[u8]>::to_vec)
+    let configured = configured.map(|(_, value)| value.as_slice());
+    configured.or_else(default).map(<[u8]>::to_vec)
 }
 
-/// Compares entry by entry. A node that falls silent ends it.
+/// Compares entry by entry. A timeout ends the comparison.
 pub(super) fn compare<W: Wire>(
     wire: &mut W,
-    asker: &mut Asker,
+    client: &mut SdoClient,
     sheet: &Sheet,
     all: bool,
 ) -> Answer<Compared> {
     let eds = &sheet.eds;
-    let defaults = eds.dictionary(asker.node())?;
+    let defaults = eds.dictionary(client.node())?;
     let mut compared = Compared::default();
     for (address, entry) in entries(eds) {
         let Some(expected) = expected(eds, &defaults, address, entry, all) else {
             continue;
         };
         compared.count += 1;
-        let actual = asker.read(wire, address, false)?;
-        if let Err(refusal) = actual
-            && refusal.is_silence()
+        let actual = client.read(wire, address, false)?;
+        if let Err(error) = actual
+            && error.is_timeout()
         {
-            return Ok(Err(refusal));
+            return Ok(Err(error));
         }
         let wanted = Download::new(address.index, address.sub, &expected);
         if !actual.as_ref().is_ok_and(|bytes| wanted.is_taken(bytes)) {
@@ -173,7 +172,7 @@ impl Compared {
             let expected = sheet.show(address, None, &difference.expected);
             let actual = match &difference.actual {
                 Ok(bytes) => format!("node {}", sheet.show(address, None, bytes)),
-                Err(refusal) => refusal.to_string(),
+                Err(error) => error.to_string(),
             };
             let name = sheet.name(address);
             let _ = writeln!(text, "{address} {name}: file {expected}, {actual}");
@@ -184,10 +183,10 @@ impl Compared {
 
     pub(super) fn json(&self, sheet: &Sheet, node: NodeId) -> Value {
         let differences = self.differences.iter().map(|difference| {
-            let refusal = difference.actual.as_ref().err().map(ToString::to_string);
+            let error = difference.actual.as_ref().err().map(ToString::to_string);
             json!({
                 "address": difference.address.to_string(), "name": sheet.name(difference.address),
-                "file": difference.expected, "node": difference.actual.as_ref().ok(), "refusal": refusal,
+                "file": difference.expected, "node": difference.actual.as_ref().ok(), "refusal": error,
             })
         });
         json!({

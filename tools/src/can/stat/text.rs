@@ -9,8 +9,8 @@ use takt_can::stat::{Finding, IdStat, Report, Severity};
 use takt_can::{Frame, Id};
 use takt_cia402::error_text;
 
-/// Identifiers that are listed, those with the most time on the wire first.
-const LISTED: usize = 40;
+/// Number of identifiers in the table, those with the most time on the bus first.
+const IDS_MAX: usize = 40;
 
 fn ms(span: Duration) -> f64 {
     span.as_secs_f64() * 1e3
@@ -75,10 +75,10 @@ fn head(name: &str, report: &Report) -> String {
     text
 }
 
-/// How evenly SYNC comes, if it does.
+/// Period and jitter of SYNC, if it is present.
 fn sync(text: &mut String, report: &Report) {
-    let of = report.ids.get(&takt_can::canopen::SYNC);
-    if let (Some(jitter), Some(stat)) = (report.sync_jitter(), of) {
+    let stat = report.ids.get(&takt_can::canopen::SYNC);
+    if let (Some(jitter), Some(stat)) = (report.sync_jitter(), stat) {
         let intervals = &stat.intervals;
         let _ = writeln!(
             text,
@@ -102,7 +102,7 @@ fn ids(text: &mut String, report: &Report) {
         text,
         "\n      id   frames  mean ms   min ms   max ms   dev ms  load %  meaning"
     );
-    for (id, stat) in ids.iter().take(LISTED) {
+    for (id, stat) in ids.iter().take(IDS_MAX) {
         let intervals = &stat.intervals;
         let load = match report.rates {
             Some(_) => per_second(1, report.span) * stat.busy.as_secs_f64() * 1e2,
@@ -125,7 +125,7 @@ fn ids(text: &mut String, report: &Report) {
             kind(**id),
         );
     }
-    let more = ids.len().saturating_sub(LISTED);
+    let more = ids.len().saturating_sub(IDS_MAX);
     if more > 0 || report.other_ids > 0 {
         let _ = writeln!(
             text,
@@ -135,7 +135,7 @@ fn ids(text: &mut String, report: &Report) {
     }
 }
 
-/// What an identifier is used for in CANopen, found by an example of it.
+/// The CANopen use of an identifier, found by decoding example frames.
 fn kind(id: Id) -> String {
     let examples: [&[u8]; 5] = [&[], &[0], &[0; 2], &[0; 6], &[0; 8]];
     for data in examples {
@@ -187,12 +187,12 @@ fn nodes(text: &mut String, report: &Report) {
 }
 
 fn sdos(text: &mut String, report: &Report) {
-    let dialogues = || report.sdos.iter().filter(|(_, sdo)| sdo.is_sdo());
-    if dialogues().next().is_none() {
+    let transfers = || report.sdos.iter().filter(|(_, sdo)| sdo.is_sdo());
+    if transfers().next().is_none() {
         return;
     }
     text.push_str("\n    node  SDO requests  answered  no answer  aborts  longest ms\n");
-    for (node, sdo) in dialogues() {
+    for (node, sdo) in transfers() {
         let _ = writeln!(
             text,
             "{:>8}  {:>12}  {:>8}  {:>9}  {:>6}  {:>10.1}",
@@ -206,7 +206,7 @@ fn sdos(text: &mut String, report: &Report) {
     }
 }
 
-/// One line for each finding and one for what to do; if there is none, one that says so.
+/// The findings with their remedies; `ok` if there are none.
 pub(super) fn verdict(name: &str, findings: &[Finding]) -> Vec<String> {
     if findings.is_empty() {
         return vec![format!("{name}: ok")];
@@ -223,7 +223,7 @@ pub(super) fn verdict(name: &str, findings: &[Finding]) -> Vec<String> {
     lines
 }
 
-/// Lines of at most 80 columns, the first of them marked.
+/// A remedy as lines of at most 80 columns, the first of them marked by `>`.
 fn wrapped(text: &str) -> Vec<String> {
     const WIDTH: usize = 70;
     let mut lines = vec![String::new()];
@@ -237,8 +237,8 @@ fn wrapped(text: &str) -> Vec<String> {
             None => lines.push(word.to_owned()),
         }
     }
-    let mark = |(place, line): (usize, String)| {
-        format!("        {} {line}", if place == 0 { '>' } else { ' ' })
+    let mark = |(number, line): (usize, String)| {
+        format!("        {} {line}", if number == 0 { '>' } else { ' ' })
     };
     lines.into_iter().enumerate().map(mark).collect()
 }
@@ -310,9 +310,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn remedies_fit_a_terminal() {
+    fn remedy_is_wrapped_at_80_columns() {
         let lines = wrapped(
-            "are the nodes powered, and is this the right interface? Nodes that are set up tell themselves",
+            "are the nodes powered, and is this the right interface? Configured nodes send heartbeats",
         );
         assert_eq!(lines.len(), 2);
         assert!(lines.iter().all(|line| line.len() <= 80));
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn identifiers_are_named_by_their_use() {
+    fn identifier_use_is_named() {
         for (raw, name) in [
             (0x000, "NMT"),
             (0x080, "SYNC"),

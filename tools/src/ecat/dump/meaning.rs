@@ -1,5 +1,5 @@
-//! What a datagram means: the name of its register, states and codes in clear text, what is in a mailbox. What it
-//! does not know it shows as bytes.
+//! The meaning of a datagram: the name of its register, states and codes as text, the content of a mailbox. Unknown data
+//! is shown as bytes.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -11,7 +11,7 @@ use takt_ethercat::{
     MailboxHeader, MailboxKind, SyncManager, register,
 };
 
-/// Registers by their first address, how many bytes they have, what they are.
+/// Registers: first address, length in bytes, name.
 const REGISTERS: [(u16, u16, &str); 37] = [
     (register::INFORMATION, 10, "controller information"),
     (register::STATION_ADDRESS, 2, "station address"),
@@ -52,16 +52,16 @@ const REGISTERS: [(u16, u16, &str); 37] = [
     (register::PROCESS_DATA, 0xF000, "memory"),
 ];
 
-/// What the slave's controller is connected to (0140h), and what it has (0141h).
+/// PDI control (0140h) and configuration of the slave controller (0141h).
 const PDI_CONTROL: u16 = 0x0140;
 
-/// Bytes that are shown of what is not known.
-const SHOWN: usize = 16;
+/// Bytes shown of unknown data.
+const BYTES_MAX: usize = 16;
 
-/// What was learnt so far of the slaves.
+/// State of the decoder: the mailboxes of the slaves so far.
 #[derive(Debug, Default)]
 pub(super) struct Meanings {
-    /// Stations and starts of mailboxes with their lengths, as their SyncManagers were set up.
+    /// Lengths of mailboxes by station and start address, as their SyncManagers were configured.
     mailboxes: HashMap<(u16, u16), u16>,
 }
 
@@ -91,17 +91,17 @@ const fn writes(command: Command) -> bool {
 }
 
 impl Meanings {
-    /// What a datagram means, on its way out or back. What is asked for is only in what comes back.
-    pub(super) fn of(&mut self, datagram: &Datagram<'_>, back: bool) -> String {
+    /// The meaning of a datagram, outgoing or returned. Only a returned datagram has the data of a read.
+    pub(super) fn of(&mut self, datagram: &Datagram<'_>, returned: bool) -> String {
         let command = datagram.header.command;
-        let answered = back && datagram.working_counter.raw() > 0;
+        let answered = returned && datagram.working_counter.raw() > 0;
         let has_data = if reads(command) {
             answered
         } else {
-            !back || !writes(command)
+            !returned || !writes(command)
         };
-        let nobody = if back && !answered && command != Command::Nop {
-            "nobody answered: "
+        let prefix = if returned && !answered && command != Command::Nop {
+            "no answer: "
         } else {
             ""
         };
@@ -110,7 +110,7 @@ impl Meanings {
             Address::Logical(_) => "process data".to_owned(),
             Address::Device { ado, .. } => self.of_memory(datagram, ado, has_data),
         };
-        format!("{nobody}{meaning}")
+        format!("{prefix}{meaning}")
     }
 
     fn of_memory(&mut self, datagram: &Datagram<'_>, ado: u16, has_data: bool) -> String {
@@ -119,7 +119,7 @@ impl Meanings {
             return self.of_process_memory(datagram, station, ado, has_data);
         }
         if let (Some(station), true) = (station, writes(datagram.header.command)) {
-            self.learn(station, ado, datagram.data);
+            self.handle_sync_managers(station, ado, datagram.data);
         }
         let Some((start, _, name)) = REGISTERS
             .iter()
@@ -143,7 +143,7 @@ impl Meanings {
         }
     }
 
-    /// Mailboxes, whole or in part, and what is none.
+    /// Mailboxes, whole or in part, and other memory.
     fn of_process_memory(
         &mut self,
         datagram: &Datagram<'_>,
@@ -170,17 +170,17 @@ impl Meanings {
         }
     }
 
-    /// Start and length of the mailbox of a station that an address lies in.
+    /// Start and length of the mailbox at an address of a station.
     fn mailbox_at(&self, station: u16, ado: u16) -> Option<(u16, u16)> {
         let mailboxes = self.mailboxes.iter();
-        let mut of = mailboxes.filter(|((other, start), len)| {
+        let mut matching = mailboxes.filter(|((other, start), len)| {
             *other == station && (*start..start.saturating_add(**len)).contains(&ado)
         });
-        of.next().map(|((_, start), len)| (*start, *len))
+        matching.next().map(|((_, start), len)| (*start, *len))
     }
 
-    /// Mailboxes, from SyncManagers that are set up.
-    fn learn(&mut self, station: u16, ado: u16, data: &[u8]) {
+    /// Stores the mailboxes of SyncManagers that are configured.
+    fn handle_sync_managers(&mut self, station: u16, ado: u16, data: &[u8]) {
         let is_first = |at: u16| (at - register::SYNC_MANAGER).is_multiple_of(8);
         if !(register::SYNC_MANAGER..register::SYNC_MANAGER + 128).contains(&ado) || !is_first(ado)
         {
@@ -199,7 +199,7 @@ impl Meanings {
     }
 }
 
-/// Which part of a mailbox is written or read; `None` for all of it. It is full or empty when its last byte was.
+/// The part of a mailbox that is written or read; `None` for all of it. Access to its last byte completes the transfer.
 fn part(from: u16, len: u16, whole: u16) -> Option<String> {
     let to = from.saturating_add(len);
     match (from, to) {
@@ -215,14 +215,14 @@ fn part(from: u16, len: u16, whole: u16) -> Option<String> {
 }
 
 fn bytes(data: &[u8]) -> String {
-    let more = if data.len() > SHOWN { " .." } else { "" };
+    let more = if data.len() > BYTES_MAX { " .." } else { "" };
     format!(
         "{}{more}",
-        DataType::OctetString.show(data.get(..SHOWN).unwrap_or(data))
+        DataType::OctetString.show(data.get(..BYTES_MAX).unwrap_or(data))
     )
 }
 
-/// What a register holds.
+/// The content of a register as text.
 fn contents(ado: u16, data: &[u8]) -> String {
     let word = |at: usize| {
         let two = data.get(at..).and_then(|rest| rest.first_chunk());
@@ -230,20 +230,20 @@ fn contents(ado: u16, data: &[u8]) -> String {
     };
     match (ado, word(0)) {
         (register::AL_CONTROL, Some(raw)) => {
-            let wanted = AlStatus::from_raw(raw);
-            let acknowledges = if wanted.error {
+            let requested = AlStatus::from_raw(raw);
+            let acknowledges = if requested.error {
                 ", error acknowledged"
             } else {
                 ""
             };
-            format!("-> {}{acknowledges}", wanted.state)
+            format!("-> {}{acknowledges}", requested.state)
         }
         (register::AL_STATUS, Some(raw)) => {
             let status = AlStatus::from_raw(raw);
             let code = word(4).map(AlStatusCode).filter(|_| status.error);
             match code {
                 Some(code) => format!("{status}: {code}"),
-                // Several states OR-ed, as a broadcast read gives them, are no state.
+                // A broadcast read returns the states of all slaves OR-ed, which may be no valid state.
                 None => format!("{status} ({raw:04X}h)"),
             }
         }
@@ -269,7 +269,7 @@ fn contents(ado: u16, data: &[u8]) -> String {
     }
 }
 
-/// Names of the bits that are set, or what is said if none is.
+/// Names of the bits that are set, or `none`.
 fn bits(raw: u16, names: &[(u16, &'static str)], none: &'static str) -> String {
     let set = names.iter().filter(|(bit, _)| raw & bit != 0);
     let set: Vec<&str> = set.map(|(_, name)| *name).collect();
@@ -280,7 +280,7 @@ fn bits(raw: u16, names: &[(u16, &'static str)], none: &'static str) -> String {
     }
 }
 
-/// Access to the EEPROM (0502h, ETG.1000.4 clause 6.4): what is asked for, how it goes, how the chip is read.
+/// Access to the EEPROM (0502h, ETG.1000.4 clause 6.4): command, progress, and properties of the chip.
 fn sii_control(raw: u16) -> String {
     const BITS: [(u16, &str); 12] = [
         (0x8000, "busy"),
@@ -299,7 +299,7 @@ fn sii_control(raw: u16) -> String {
     format!("{raw:04X}h: {}", bits(raw, &BITS, "idle"))
 }
 
-/// What firmware is connected by (0140h), and how the controller is made (0141h).
+/// Interface to the firmware (0140h) and configuration of the controller (0141h).
 fn pdi_control(raw: u16) -> String {
     const BITS: [(u16, &str); 4] = [
         (0x0100, "device emulation"),
@@ -327,7 +327,7 @@ fn pdi_control(raw: u16) -> String {
 
 /// Error counters that are not zero, port by port.
 fn errors(data: &[u8]) -> String {
-    let at = |place: usize| data.get(place).copied().unwrap_or(0);
+    let at = |offset: usize| data.get(offset).copied().unwrap_or(0);
     let mut text = String::new();
     for port in 0..4 {
         let counts = [
@@ -336,13 +336,13 @@ fn errors(data: &[u8]) -> String {
             ("forwarded", at(8 + port)),
             ("lost links", at(16 + port)),
         ];
-        for (what, count) in counts.into_iter().filter(|(_, count)| *count > 0) {
-            let _ = write!(text, "port {port} {what} {count}, ");
+        for (kind, count) in counts.into_iter().filter(|(_, count)| *count > 0) {
+            let _ = write!(text, "port {port} {kind} {count}, ");
         }
     }
-    for (what, count) in [("processing unit", at(12)), ("PDI", at(13))] {
+    for (kind, count) in [("processing unit", at(12)), ("PDI", at(13))] {
         if count > 0 {
-            let _ = write!(text, "{what} {count}, ");
+            let _ = write!(text, "{kind} {count}, ");
         }
     }
     match text.strip_suffix(", ") {
@@ -351,7 +351,8 @@ fn errors(data: &[u8]) -> String {
     }
 }
 
-/// What is in a mailbox; `None` if it is none. Where the set-up was not recorded, only CoE is taken for one.
+/// The content of a mailbox; `None` if the data is not a mailbox. If the SyncManagers were not recorded, only CoE is
+/// recognized.
 fn mailbox(data: &[u8], known: bool) -> Option<String> {
     let (header, rest) = MailboxHeader::decode(data)?;
     if !known && (header.kind != MailboxKind::Coe || header.len < 10) {
@@ -400,7 +401,7 @@ fn coe(rest: &[u8]) -> Option<String> {
     })
 }
 
-/// Whether all entries of an object are meant.
+/// Marks complete access.
 const fn access(sdo: &Sdo<'_>) -> &'static str {
     match sdo {
         Sdo::Download { whole, .. }

@@ -1,5 +1,5 @@
-//! Clocks of a recording: differences as they were read, the reference against the clock of who recorded, and where
-//! between two SYNC0 the frames passed. What nobody asked for stays unknown.
+//! Clocks of a recording: the differences as they were read, the reference against the clock of the recording host, and
+//! the phase of the frames to SYNC0. Values that were not read stay unknown.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -12,33 +12,33 @@ use super::report::Report;
 use crate::ecat::stat::{Finding, nanos};
 use crate::output::time;
 
-/// Whose clock it is.
+/// The slave with the reference clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Who {
+pub(super) enum Source {
     /// By station address (FRMW).
     Station(u16),
     /// By position (ARMW), if the number of slaves is known.
     Position(Option<u16>),
 }
 
-/// The reference clock as frames passed it.
+/// The reference clock as frames read it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reference {
-    who: Option<Who>,
-    /// Bytes of it that are read: all 8, or 4 of a 32 bit clock.
+    source: Option<Source>,
+    /// Bytes read: 8, or 4 of a 32 bit clock.
     bytes: usize,
-    /// When a frame was recorded, and the system time that it brought back, ns.
+    /// Time stamp of a frame, and the system time that it returned with, ns.
     samples: Vec<(Duration, u64)>,
 }
 
 impl Reference {
-    pub(super) fn take(&mut self, at: Duration, who: Who, counter: u16, data: &[u8]) {
+    pub(super) fn take(&mut self, at: Duration, source: Source, counter: u16, data: &[u8]) {
         if counter == 0 {
             return;
         }
         let bytes = if data.len() >= 8 { 8 } else { 4 };
-        if (self.who, self.bytes) != (Some(who), bytes) {
-            (self.who, self.bytes, self.samples) = (Some(who), bytes, Vec::new());
+        if (self.source, self.bytes) != (Some(source), bytes) {
+            (self.source, self.bytes, self.samples) = (Some(source), bytes, Vec::new());
         }
         let four = || data.first_chunk().map(|four| u32::from_le_bytes(*four));
         let eight = data.first_chunk().map(|eight| u64::from_le_bytes(*eight));
@@ -47,7 +47,7 @@ impl Reference {
         }
     }
 
-    /// A time of 32 bits, which begins again each 4.295 s, as one that goes on: the nearest to what the host's clock tells.
+    /// Extends a 32 bit time, which wraps every 4.295 s: the value nearest to the expectation from the host's clock.
     fn unwrapped(&self, at: Duration, raw: u32) -> u64 {
         let Some((then, last)) = self.samples.last() else {
             return raw.into();
@@ -59,17 +59,17 @@ impl Reference {
         expected.wrapping_add_signed(ahead.into())
     }
 
-    /// Whether that slave's.
+    /// Whether this is the clock of a slave.
     fn is_of(&self, number: usize, station: u16) -> bool {
-        match self.who {
-            Some(Who::Station(of)) => of == station,
-            Some(Who::Position(of)) => of.map(usize::from) == Some(number),
+        match self.source {
+            Some(Source::Station(source)) => source == station,
+            Some(Source::Position(source)) => source.map(usize::from) == Some(number),
             None => false,
         }
     }
 
-    /// How much faster it runs than the clock of who recorded, millionths: between the means of the first and the
-    /// last tenth, so that no single late frame decides.
+    /// Drift against the clock of the recording host, ppm, positive if the reference is faster. It is taken between the
+    /// means of the first and the last tenth, so that single late frames have little effect.
     #[expect(
         clippy::cast_precision_loss,
         reason = "differences of some seconds in ns"
@@ -92,7 +92,7 @@ impl Reference {
         (host > 1e6).then(|| (last.1 - first.1 - host) / host * 1e6)
     }
 
-    /// Frames behind SYNC0, as distances from the middle between two.
+    /// Distances of the frames from the middle between two SYNC0.
     fn phase(&self, start_ns: u64, cycle_ns: u32) -> PhaseFigures {
         let cycle = Duration::from_nanos(cycle_ns.into());
         let half = i64::from(cycle_ns / 2);
@@ -102,14 +102,14 @@ impl Reference {
             .iter()
             .filter(|(_, system)| *system >= start_ns)
         {
-            let behind = phase_ns(system - start_ns, cycle, 0);
-            figures.add(i64::try_from(behind).unwrap_or(0) - half);
+            let phase = phase_ns(system - start_ns, cycle, 0);
+            figures.add(i64::try_from(phase).unwrap_or(0) - half);
         }
         figures
     }
 }
 
-/// What is said before the table, and its head.
+/// The lines before the table, and its header.
 fn head(recording: &Recording) -> String {
     let (clock, drift) = (&recording.clock, recording.clock.drift_ppm());
     let mut text = format!(
@@ -118,45 +118,42 @@ fn head(recording: &Recording) -> String {
         recording.slave_count(),
         time(nanos(recording.end.saturating_sub(recording.begin)))
     );
-    if clock.who.is_some() {
+    if clock.source.is_some() {
         let (count, bits) = (clock.samples.len(), 8 * clock.bytes);
-        let _ = writeln!(
-            text,
-            "{count} frames bring the time of the reference, {bits} bits"
-        );
+        let _ = writeln!(text, "{count} frames carry the reference time, {bits} bits");
     }
     if let Some(ppm) = drift {
         let _ = writeln!(
             text,
-            "the reference runs {ppm:+.1} ppm against the clock of who recorded"
+            "the reference runs {ppm:+.1} ppm against the clock of the recording host"
         );
     }
     text.push_str("\n slave  station  clock      delay ns  difference ns: min      max     last\n");
     text
 }
 
-/// What a recording says of clocks; differences beyond the window fail.
+/// The clock report of a recording; differences outside the window fail.
 pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
     let ring = recording.ring();
     let clock = &recording.clock;
     let drift = clock.drift_ppm();
     let mut findings: Vec<Finding> = recording.notes.iter().cloned().map(Finding::Note).collect();
-    if clock.who.is_none() {
-        let text = "no frame tells the time (FRMW or ARMW 0910h): its master runs without distributed clocks, or the \
-                    recording ends before";
-        findings.push(Finding::Seen(text.to_owned()));
+    if clock.source.is_none() {
+        let text = "no frame distributes the system time (FRMW or ARMW 0910h): its master runs without distributed clocks, \
+                    or the recording ends before";
+        findings.push(Finding::Failure(text.to_owned()));
     }
     let mut text = head(recording);
     let mut slaves = Vec::new();
-    for (number, (station, seen)) in ring.iter().enumerate() {
+    for (number, (station, slave)) in ring.iter().enumerate() {
         let is_reference = clock.is_of(number, *station);
-        let range = seen.difference.filter(|_| !is_reference);
+        let range = slave.difference.filter(|_| !is_reference);
         let kind = match (is_reference, range) {
             (true, _) => "reference",
             (false, Some(_)) => "follows",
             (false, None) => "?",
         };
-        let delay = seen
+        let delay = slave
             .delay_ns
             .map_or_else(|| "?".to_owned(), |delay| delay.to_string());
         let _ = write!(text, "{number:>6}   {station:04X}h   {kind:<9}  {delay:>8}");
@@ -165,9 +162,9 @@ pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
             let _ = write!(text, "  {least:>17} {most:>8} {last:>8}");
             let furthest = least.unsigned_abs().max(most.unsigned_abs());
             if u128::from(furthest) > window.as_nanos() {
-                findings.push(Finding::Seen(format!(
-                    "slave {number}: its clock was up to {furthest} ns from the reference, {} ns are allowed; frames \
-                     that are late or lost (`takt ecat stat --from`), or it was not locked yet",
+                findings.push(Finding::Failure(format!(
+                    "slave {number}: its clock was up to {furthest} ns from the reference, {} ns are allowed\nhint: \
+                     frames may be late or lost (`takt ecat stat --from`), or the clock had not settled yet",
                     window.as_nanos()
                 )));
             }
@@ -177,7 +174,7 @@ pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
             "slave": number,
             "station": station,
             "clock": kind,
-            "delay_ns": seen.delay_ns,
+            "delay_ns": slave.delay_ns,
             "range_ns": range.map(|range| [range.least, range.most]),
             "last_ns": range.map(|range| range.last),
         }));
@@ -198,11 +195,11 @@ pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
     }
 }
 
-/// Where frames were between two SYNC0, slave by slave that has them.
+/// The phase of the frames to SYNC0, for each slave that has it.
 fn phases(recording: &Recording, text: &mut String) -> Vec<serde_json::Value> {
     let mut all = Vec::new();
-    for (number, (_, seen)) in recording.ring().iter().enumerate() {
-        let (Some(start), Some(cycle)) = (seen.sync0_start_ns, seen.sync0_cycle_ns) else {
+    for (number, (_, slave)) in recording.ring().iter().enumerate() {
+        let (Some(start), Some(cycle)) = (slave.sync0_start_ns, slave.sync0_cycle_ns) else {
             continue;
         };
         let figures = recording.clock.phase(start, cycle);
@@ -213,7 +210,7 @@ fn phases(recording: &Recording, text: &mut String) -> Vec<serde_json::Value> {
         let [least, mean, most] = [least, rounded(figures.mean_ns()), most].map(|ns| ns + half);
         let _ = writeln!(
             text,
-            "slave {number}: SYNC0 each {}; frames come {} behind it ({} to {})",
+            "slave {number}: SYNC0 every {}; frames pass {} after it ({} to {})",
             time(cycle.into()),
             time(mean),
             time(least),

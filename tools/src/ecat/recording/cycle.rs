@@ -1,5 +1,5 @@
-//! The cycle of a recorded master, if it has one: frames that a clock sends. Frames of which each is sent as soon as the one before
-//! came back, as masters do that set clocks, are no cycle however regular they look.
+//! The cycle of a recorded master, if it has one: frames that a timer sends. Frames that are sent as soon as the previous
+//! one returns, as masters do to set clocks, are no cycle, however regular they are.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -9,48 +9,50 @@ use takt_ethercat::{Address, Command, Frame, register};
 use crate::ecat::frames::datagrams;
 use crate::ecat::trips::Trip;
 
-/// Fewer steps make no cycle.
+/// Smallest number of periods of a cycle.
 const STEPS_MIN: usize = 10;
 
-/// What a master sends each cycle: process data by command and logical address, or the clock.
+/// A cyclic datagram: process data by command and logical address, or the clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Beat {
+enum CyclicDatagram {
     Clock,
     ProcessData(u8, u32),
 }
 
-/// When cyclic frames went out.
+/// Times at which cyclic datagrams were sent.
 #[derive(Debug, Default)]
 pub(super) struct Cycle {
-    sent: BTreeMap<Beat, Vec<Duration>>,
+    sent: BTreeMap<CyclicDatagram, Vec<Duration>>,
 }
 
 impl Cycle {
-    /// A frame went out; whether it may be a cyclic one.
+    /// Adds an outgoing frame; whether it may be cyclic.
     pub(super) fn take(&mut self, at: Duration, frame: &Frame<'_>) -> bool {
         let mut is_cyclic = false;
         for datagram in datagrams(frame).flatten() {
             let header = datagram.header;
-            let beat = match (header.command, header.address) {
+            let kind = match (header.command, header.address) {
                 (Command::Lrw | Command::Lrd | Command::Lwr, Address::Logical(address)) => {
-                    Beat::ProcessData(header.command.into(), address)
+                    CyclicDatagram::ProcessData(header.command.into(), address)
                 }
                 (Command::Frmw | Command::Armw, Address::Device { ado, .. })
                     if ado == register::DC_SYSTEM_TIME =>
                 {
-                    Beat::Clock
+                    CyclicDatagram::Clock
                 }
                 _ => continue,
             };
-            self.sent.entry(beat).or_default().push(at);
+            self.sent.entry(kind).or_default().push(at);
             is_cyclic = true;
         }
         is_cyclic
     }
 
-    /// The usual time from one to the next. Process data tell before the clock does.
-    pub(super) fn judged(self, trips: &[Trip]) -> Option<Duration> {
-        let most = |(beat, sent): &(Beat, Vec<Duration>)| (*beat != Beat::Clock, sent.len());
+    /// The median period, of process data if there is any, else of the clock.
+    pub(super) fn finish(self, trips: &[Trip]) -> Option<Duration> {
+        let most = |(kind, sent): &(CyclicDatagram, Vec<Duration>)| {
+            (*kind != CyclicDatagram::Clock, sent.len())
+        };
         let (_, sent) = self.sent.into_iter().max_by_key(most)?;
         let steps = sent.iter().zip(sent.iter().skip(1));
         let mut steps: Vec<Duration> = steps.map(|(one, next)| next.saturating_sub(*one)).collect();
@@ -65,9 +67,9 @@ impl Cycle {
             .filter(|trip| trip.is_cyclic)
             .map(|trip| trip.took)
             .collect();
-        // Sent when the one before is back: the wire beats, no clock.
-        let is_driven = median(&mut trips).is_some_and(|trip| trip * 5 >= cycle * 4);
-        (is_regular && !is_driven).then_some(cycle)
+        // Each is sent when the previous one returns: no timer sets this period.
+        let follows_answers = median(&mut trips).is_some_and(|trip| trip * 5 >= cycle * 4);
+        (is_regular && !follows_answers).then_some(cycle)
     }
 }
 

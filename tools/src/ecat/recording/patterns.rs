@@ -1,5 +1,5 @@
-//! Recordings with the patterns of real ones, frame by frame: what masters of several makes and real slaves do, and the verdict
-//! that a person would give. No frame is copied from anywhere.
+//! Recordings built frame by frame with the patterns of real masters and slaves, and the verdict that an expert would
+//! give. No frame is copied from a real recording.
 
 use std::time::Duration;
 
@@ -9,15 +9,15 @@ use super::{Recording, dc, stat};
 use crate::Verdict;
 use crate::ecat::dump;
 use crate::ecat::frames::Capture;
-use crate::ecat::stat::{judged, verdict};
+use crate::ecat::stat::{verdict, verdict_of};
 use crate::ecat::ways::ways;
 
 const US: Duration = Duration::from_micros(1);
 const MS: Duration = Duration::from_millis(1);
 
-/// One datagram as it goes out.
+/// An outgoing datagram.
 #[derive(Clone, Debug)]
-struct Asked {
+struct Request {
     command: u8,
     index: u8,
     address: u32,
@@ -33,8 +33,8 @@ const LRW: u8 = 12;
 const ARMW: u8 = 13;
 const FRMW: u8 = 14;
 
-fn ask(command: u8, index: u8, [adp, ado]: [u16; 2], data: &[u8]) -> Asked {
-    Asked {
+fn datagram(command: u8, index: u8, [adp, ado]: [u16; 2], data: &[u8]) -> Request {
+    Request {
         command,
         index,
         address: u32::from(adp) | u32::from(ado) << 16,
@@ -42,12 +42,12 @@ fn ask(command: u8, index: u8, [adp, ado]: [u16; 2], data: &[u8]) -> Asked {
     }
 }
 
-/// A master's interface, which is recorded.
+/// The recorded interface of a master.
 struct Wire {
     writer: Writer<Vec<u8>>,
     now: Duration,
     source: [u8; 6],
-    /// Slaves that count positions up.
+    /// Number of slaves, each of which increments positions.
     slaves: u16,
 }
 
@@ -66,47 +66,47 @@ impl Wire {
         self
     }
 
-    fn record(&mut self, source: [u8; 6], asked: &Asked, counter: u16, is_long: bool) {
+    fn record(&mut self, source: [u8; 6], request: &Request, counter: u16, is_long: bool) {
         let mut frame = [[1, 1, 5, 1, 0, 0], source].concat();
         frame.extend([0x88, 0xA4]);
-        let len = u16::try_from(asked.data.len()).unwrap();
+        let len = u16::try_from(request.data.len()).unwrap();
         // A length that was rounded up announces a byte that is not there.
         let total = len + 12 + u16::from(is_long);
         frame.extend((0x1000 | total).to_le_bytes());
-        frame.extend([asked.command, asked.index]);
-        frame.extend(asked.address.to_le_bytes());
+        frame.extend([request.command, request.index]);
+        frame.extend(request.address.to_le_bytes());
         frame.extend(len.to_le_bytes());
         frame.extend([0, 0]);
-        frame.extend(&asked.data);
+        frame.extend(&request.data);
         frame.extend(counter.to_le_bytes());
         frame.resize(frame.len().max(60), 0);
         self.writer.write(self.now, &frame).unwrap();
     }
 
-    fn send(&mut self, asked: &Asked) -> &mut Self {
-        self.record(self.source, asked, 0, false);
+    fn send(&mut self, request: &Request) -> &mut Self {
+        self.record(self.source, request, 0, false);
         self
     }
 
-    /// What slaves make of it: marked, counted up, with other data if there are some.
-    fn answer(&mut self, asked: &Asked, counter: u16, data: &[u8]) -> &mut Self {
+    /// The answer of the slaves: marked, with its counter, and with other data if given.
+    fn answer(&mut self, request: &Request, counter: u16, data: &[u8]) -> &mut Self {
         let mut source = self.source;
         source[0] |= 2;
-        self.answer_to(source, asked, counter, data)
+        self.answer_to(source, request, counter, data)
     }
 
     fn answer_to(
         &mut self,
         source: [u8; 6],
-        asked: &Asked,
+        request: &Request,
         counter: u16,
         data: &[u8],
     ) -> &mut Self {
-        let mut back = asked.clone();
-        if matches!(asked.command, 1..=3 | 7..=9 | ARMW) {
-            let adp = u16::try_from(asked.address & 0xFFFF).unwrap();
+        let mut back = request.clone();
+        if matches!(request.command, 1..=3 | 7..=9 | ARMW) {
+            let adp = u16::try_from(request.address & 0xFFFF).unwrap();
             let adp = adp.wrapping_add(self.slaves);
-            back.address = asked.address & 0xFFFF_0000 | u32::from(adp);
+            back.address = request.address & 0xFFFF_0000 | u32::from(adp);
         }
         if !data.is_empty() {
             back.data = data.to_vec();
@@ -115,20 +115,20 @@ impl Wire {
         self
     }
 
-    /// There and back in 200 us.
-    fn exchange(&mut self, asked: &Asked, counter: u16, data: &[u8]) -> &mut Self {
-        self.send(asked).wait(200 * US);
-        self.answer(asked, counter, data)
+    /// A request and its answer after 200 us.
+    fn exchange(&mut self, request: &Request, counter: u16, data: &[u8]) -> &mut Self {
+        self.send(request).wait(200 * US);
+        self.answer(request, counter, data)
     }
 
-    /// Stations 1001h on, as masters give them, after the slaves were counted.
+    /// Assigns station addresses from 1001h after the slaves were counted.
     fn addressed(slaves: u16) -> Self {
         let mut wire = Self::new(slaves);
-        wire.exchange(&ask(BRD, 1, [0, 0], &[0]), slaves, &[0x11]);
+        wire.exchange(&datagram(BRD, 1, [0, 0], &[0]), slaves, &[0x11]);
         for number in 0..slaves {
             let station = (0x1001 + number).to_le_bytes();
-            let asked = ask(APWR, 2, [0_u16.wrapping_sub(number), 0x0010], &station);
-            wire.wait(300 * US).exchange(&asked, 1, &[]);
+            let request = datagram(APWR, 2, [0_u16.wrapping_sub(number), 0x0010], &station);
+            wire.wait(300 * US).exchange(&request, 1, &[]);
         }
         wire
     }
@@ -143,7 +143,7 @@ fn judge(wire: Wire) -> (Verdict, String, String) {
     let read = Recording::of("r", &wire.finish()).unwrap();
     let report = stat(&read);
     let text = verdict("r", &report.findings);
-    (judged(&report.findings), text, report.table)
+    (verdict_of(&report.findings), text, report.table)
 }
 
 fn contains(text: &str, parts: &[&str]) {
@@ -159,13 +159,13 @@ fn mirrored_acknowledgement_is_healthy() {
         let mut wire = Wire::addressed(3);
         for state in [0x11_u8, 0x12] {
             for station in 0x1001..=0x1003 {
-                let control = ask(FPWR, 3, [station, 0x0120], &[state, 0]);
+                let control = datagram(FPWR, 3, [station, 0x0120], &[state, 0]);
                 wire.wait(MS).exchange(&control, 1, &[]);
-                let status = ask(FPRD, 4, [station, 0x0130], &vec![0; len]);
+                let status = datagram(FPRD, 4, [station, 0x0130], &vec![0; len]);
                 let shown: Vec<u8> = [&[state, 0][..], &[0; 4]].concat();
                 wire.wait(MS).exchange(&status, 1, &shown[..len]);
                 if with_code && len == 2 {
-                    let code = ask(FPRD, 5, [station, 0x0134], &[0, 0]);
+                    let code = datagram(FPRD, 5, [station, 0x0134], &[0, 0]);
                     wire.wait(MS).exchange(&code, 1, &[0, 0]);
                 }
             }
@@ -185,12 +185,12 @@ fn refused_state_is_a_failure_with_its_code() {
     // A drive refuses SAFE-OP: 001Dh; read with the state, or by itself after it.
     for len in [6, 2] {
         let mut wire = Wire::addressed(1);
-        wire.exchange(&ask(FPWR, 3, [0x1001, 0x0120], &[4, 0]), 1, &[]);
+        wire.exchange(&datagram(FPWR, 3, [0x1001, 0x0120], &[4, 0]), 1, &[]);
         let shown = &[0x12, 0, 0, 0, 0x1D, 0][..len];
-        let status = ask(FPRD, 4, [0x1001, 0x0130], &vec![0; len]);
+        let status = datagram(FPRD, 4, [0x1001, 0x0130], &vec![0; len]);
         wire.wait(5 * MS).exchange(&status, 1, shown);
         wire.wait(MS)
-            .exchange(&ask(FPRD, 5, [0x1001, 0x0134], &[0, 0]), 1, &[0x1D, 0]);
+            .exchange(&datagram(FPRD, 5, [0x1001, 0x0134], &[0, 0]), 1, &[0x1D, 0]);
         wire.wait(MS).exchange(&status, 1, shown);
         let (judged, text, _) = judge(wire);
         assert_eq!(judged, Verdict::Failed);
@@ -206,22 +206,19 @@ fn refused_state_is_a_failure_with_its_code() {
 }
 
 #[test]
-fn segment_without_slaves_fails_as_nothing_comes_back() {
+fn segment_without_slaves_fails() {
     let mut wire = Wire::new(0);
     for index in 0..19 {
-        wire.send(&ask(BRD, index, [0, 0x0130], &[0, 0]))
+        wire.send(&datagram(BRD, index, [0, 0x0130], &[0, 0]))
             .wait(2 * MS);
     }
     let (judged, text, table) = judge(wire);
     assert_eq!(judged, Verdict::Failed);
-    contains(
-        &text,
-        &["FAIL  nothing comes back: none of 19 frames in 36.0 ms"],
-    );
+    contains(&text, &["FAIL  no answer to 19 frames in 36.0 ms"]);
     contains(&table, &["r: 0 slaves", "19 sent, "]);
-    // One frame at the end of a recording tells nothing.
+    // A single frame at the end of a recording proves nothing.
     let mut wire = Wire::new(0);
-    wire.send(&ask(BRD, 0, [0, 0x0130], &[0, 0]));
+    wire.send(&datagram(BRD, 0, [0, 0x0130], &[0, 0]));
     let (judged, text, _) = judge(wire);
     assert_eq!(judged, Verdict::Good);
     contains(
@@ -235,12 +232,12 @@ fn repeated_index_is_answered_by_the_last_frame() {
     // A master without an answer sends the frame again with the same index after 2 ms; 3 of 48 are lost.
     let mut wire = Wire::addressed(1);
     for round in 0..45_u8 {
-        let asked = ask(FPRD, round % 16, [0x1001, 0x0130], &[0, 0]);
+        let request = datagram(FPRD, round % 16, [0x1001, 0x0130], &[0, 0]);
         if matches!(round, 7 | 20 | 33) {
-            wire.send(&asked).wait(2 * MS);
+            wire.send(&request).wait(2 * MS);
         }
-        wire.send(&asked).wait(640 * US);
-        wire.answer(&asked, 1, &[2, 0]).wait(200 * US);
+        wire.send(&request).wait(640 * US);
+        wire.answer(&request, 1, &[2, 0]).wait(200 * US);
     }
     let (judged, text, table) = judge(wire);
     assert_eq!(judged, Verdict::Failed);
@@ -254,12 +251,12 @@ fn repeated_index_is_answered_by_the_last_frame() {
 #[test]
 fn answer_behind_its_repetition_is_not_lost() {
     let mut wire = Wire::addressed(1);
-    let asked = ask(FPRD, 9, [0x1001, 0x0130], &[0, 0]);
-    wire.send(&asked).wait(2 * MS);
-    wire.send(&asked).wait(100 * US);
-    wire.answer(&asked, 1, &[2, 0]).wait(100 * US);
-    wire.answer(&asked, 1, &[2, 0]).wait(50 * MS);
-    wire.exchange(&asked, 1, &[2, 0]);
+    let request = datagram(FPRD, 9, [0x1001, 0x0130], &[0, 0]);
+    wire.send(&request).wait(2 * MS);
+    wire.send(&request).wait(100 * US);
+    wire.answer(&request, 1, &[2, 0]).wait(100 * US);
+    wire.answer(&request, 1, &[2, 0]).wait(50 * MS);
+    wire.exchange(&request, 1, &[2, 0]);
     let (judged, text, table) = judge(wire);
     assert_eq!((judged, text.as_str()), (Verdict::Good, "r: good\n"));
     contains(&table, &["0 lost, 0 late, 0 foreign", "max 2.1 ms"]);
@@ -270,10 +267,10 @@ fn clock_frames_in_a_row_are_no_cycle() {
     // 100 FRMW at start, each sent when the one before is back; some take longer than the usual step.
     let mut wire = Wire::addressed(2);
     for round in 0..100_u64 {
-        let asked = ask(FRMW, 5, [0x1001, 0x0910], &[0; 8]);
-        wire.send(&asked)
+        let request = datagram(FRMW, 5, [0x1001, 0x0910], &[0; 8]);
+        wire.send(&request)
             .wait(if round % 9 == 0 { 600 * US } else { 290 * US });
-        wire.answer(&asked, 2, &(round * 295_000).to_le_bytes())
+        wire.answer(&request, 2, &(round * 295_000).to_le_bytes())
             .wait(5 * US);
     }
     let (judged, text, table) = judge(wire);
@@ -282,27 +279,28 @@ fn clock_frames_in_a_row_are_no_cycle() {
 }
 
 #[test]
-fn process_data_tell_the_cycle_and_late_frames() {
+fn process_data_gives_cycle_and_late_frames() {
     let mut wire = Wire::addressed(2);
     for round in 0..60_u32 {
-        let asked = ask(LRW, 7, [0, 1], &[0; 8]);
+        let request = datagram(LRW, 7, [0, 1], &[0; 8]);
         let took = if matches!(round, 30 | 40) {
             2_500 * US
         } else {
             100 * US
         };
-        wire.send(&asked).wait(took);
-        wire.answer(&asked, 3, &[]).wait(2 * MS - took.min(2 * MS));
-        // A slow mailbox beside it is none of the cycle's.
+        wire.send(&request).wait(took);
+        wire.answer(&request, 3, &[])
+            .wait(2 * MS - took.min(2 * MS));
+        // A slow mailbox frame is not part of the cycle.
         if round == 20 {
-            wire.exchange(&ask(FPRD, 8, [0x1001, 0x0130], &[0, 0]), 1, &[8, 0]);
+            wire.exchange(&datagram(FPRD, 8, [0x1001, 0x0130], &[0, 0]), 1, &[8, 0]);
         }
     }
     let (judged, text, table) = judge(wire);
     assert_eq!(judged, Verdict::Good, "{text}");
     contains(
         &text,
-        &["WARN  2 frames came back after the end of their cycle"],
+        &["WARN  2 frames returned after the end of their cycle"],
     );
     contains(
         &table,
@@ -316,24 +314,24 @@ fn process_data_tell_the_cycle_and_late_frames() {
 #[test]
 fn search_answers_of_another_address_are_no_second_master() {
     let mut wire = Wire::addressed(3);
-    let search = ask(BWR, 0, [0, 0x0101], &[0]);
+    let search = datagram(BWR, 0, [0, 0x0101], &[0]);
     for source in [[2, 1, 5, 9, 9, 1], [2, 1, 5, 9, 9, 2], [2, 1, 5, 9, 9, 3]] {
         wire.wait(150 * MS).answer_to(source, &search, 3, &[]);
     }
     wire.wait(MS)
-        .exchange(&ask(BRD, 1, [0, 0x0130], &[0, 0]), 3, &[1, 0]);
+        .exchange(&datagram(BRD, 1, [0, 0x0130], &[0, 0]), 3, &[1, 0]);
     let (judged, text, table) = judge(wire);
     assert_eq!(judged, Verdict::Good, "{text}");
-    contains(&text, &["note  3 answers to search frames", "r: good\n"]);
+    contains(&text, &["note  3 answers to broadcasts", "r: good\n"]);
     contains(&table, &["0 foreign"]);
-    // One that reads and writes slaves is another master.
+    // A sender that reads and writes slaves is another master.
     let mut wire = Wire::addressed(3);
-    let other = ask(FPRD, 0, [0x1001, 0x0130], &[0, 0]);
+    let other = datagram(FPRD, 0, [0x1001, 0x0130], &[0, 0]);
     wire.wait(150 * MS)
         .answer_to([2, 7, 7, 7, 7, 7], &other, 1, &[8, 0]);
     let (judged, text, _) = judge(wire);
     assert_eq!(judged, Verdict::Failed);
-    contains(&text, &["FAIL  1 frames that were not sent here"]);
+    contains(&text, &["FAIL  1 frames of another sender"]);
 }
 
 #[test]
@@ -341,7 +339,7 @@ fn recording_of_answers_alone_loses_nothing() {
     let mut wire = Wire::new(10);
     for (ado, counter) in [(0x0000, 10), (0x0130, 10), (0x0110, 10), (0x0FFE, 0)] {
         wire.wait(3 * MS)
-            .answer(&ask(BRD, 1, [0, ado], &[0, 0]), counter, &[1, 0]);
+            .answer(&datagram(BRD, 1, [0, ado], &[0, 0]), counter, &[1, 0]);
     }
     let (judged, text, table) = judge(wire);
     assert_eq!(judged, Verdict::Good, "{text}");
@@ -355,7 +353,7 @@ fn recording_of_answers_alone_loses_nothing() {
 #[test]
 fn single_broadcast_counts_its_slaves() {
     let mut wire = Wire::new(1);
-    wire.exchange(&ask(BRD, 1, [0, 0], &[0]), 1, &[0x11]);
+    wire.exchange(&datagram(BRD, 1, [0, 0], &[0]), 1, &[0x11]);
     let (judged, text, table) = judge(wire);
     assert_eq!((judged, text.as_str()), (Verdict::Good, "r: good\n"));
     contains(&table, &["r: 1 slave, 200 us", "1 sent, 0 lost"]);
@@ -365,33 +363,36 @@ fn single_broadcast_counts_its_slaves() {
 fn empty_mailboxes_and_missing_clocks_are_not_silence() {
     let mut wire = Wire::addressed(1);
     for round in 0..40_u16 {
-        let lrw = ask(LRW, 7, [0, 1], &[0; 2]);
+        let lrw = datagram(LRW, 7, [0, 1], &[0; 2]);
         wire.send(&lrw).wait(100 * US);
         wire.answer(&lrw, if round == 20 { 1 } else { 3 }, &[])
             .wait(100 * US);
         for ado in [0x1080, 0x0910, 0x092C] {
-            wire.exchange(&ask(FPRD, 8, [0x1001, ado], &[0; 4]), 0, &[]);
+            wire.exchange(&datagram(FPRD, 8, [0x1001, ado], &[0; 4]), 0, &[]);
         }
-        wire.exchange(&ask(FPWR, 9, [0x1001, 0x0120], &[4, 0]), 0, &[])
+        wire.exchange(&datagram(FPWR, 9, [0x1001, 0x0120], &[4, 0]), 0, &[])
             .wait(MS);
     }
     let (judged, text, _) = judge(wire);
     assert_eq!(judged, Verdict::Failed);
-    contains(&text, &["FAIL  1 cycles with another working counter"]);
-    assert!(!text.contains("slave 0: it was silent"), "{text}");
+    contains(
+        &text,
+        &["FAIL  1 cycles with an unexpected working counter"],
+    );
+    assert!(!text.contains("slave 0: no answer"), "{text}");
 }
 
 #[test]
-fn answers_at_the_beginning_are_to_earlier_frames() {
+fn answers_at_the_start_belong_to_earlier_frames() {
     let mut wire = Wire::new(1);
-    let lrw = ask(LRW, 7, [0, 1], &[0; 2]);
+    let lrw = datagram(LRW, 7, [0, 1], &[0; 2]);
     wire.answer(&lrw, 3, &[]).wait(MS);
     for _ in 0..5 {
         wire.exchange(&lrw, 3, &[]).wait(MS);
     }
     let (judged, text, table) = judge(wire);
     assert_eq!(judged, Verdict::Good, "{text}");
-    contains(&text, &["note  1 answers at the beginning"]);
+    contains(&text, &["note  1 answers at the start"]);
     contains(&table, &["0 foreign"]);
 }
 
@@ -400,11 +401,11 @@ fn doubled_recording_is_judged_once() {
     let mut wire = Wire::addressed(1);
     let begun = Wire::new(1).now;
     for round in 0..30_u8 {
-        let asked = ask(LRW, round, [0, 1], &[0; 2]);
-        wire.send(&asked).wait(US);
-        wire.send(&asked).wait(100 * US);
-        wire.answer(&asked, 3, &[]).wait(US);
-        wire.answer(&asked, 3, &[]).wait(898 * US);
+        let request = datagram(LRW, round, [0, 1], &[0; 2]);
+        wire.send(&request).wait(US);
+        wire.send(&request).wait(100 * US);
+        wire.answer(&request, 3, &[]).wait(US);
+        wire.answer(&request, 3, &[]).wait(898 * US);
     }
     assert!(wire.now > begun);
     let (judged, text, table) = judge(wire);
@@ -418,10 +419,10 @@ fn doubled_recording_is_judged_once() {
 
 #[test]
 fn probe_line_and_times_are_taken() {
-    // Line 0 is at the master, line 1 behind a slave: its copies are left out.
+    // Line 0 is at the master, line 1 behind a slave; its copies are left out.
     let mut writer = Writer::new(Vec::new(), LinkType::ETHERNET).unwrap();
     let mut wire = Wire::new(1);
-    let lrw = ask(LRW, 7, [0, 1], &[0; 2]);
+    let lrw = datagram(LRW, 7, [0, 1], &[0; 2]);
     for _ in 0..20 {
         wire.exchange(&lrw, 3, &[]).wait(800 * US);
     }
@@ -429,7 +430,7 @@ fn probe_line_and_times_are_taken() {
     let mut host = Duration::from_secs(9);
     for (number, frame) in (0..).zip(takt_link::capture::Reader::new(file.as_slice()).unwrap()) {
         let frame = frame.unwrap();
-        // The host that records is late by up to 900 us, the probe is exact.
+        // The recording host is late by up to 900 us, the probe is exact.
         let at = u64::from(frame.at.subsec_nanos());
         host = host
             .max(Duration::from_secs(9) + Duration::from_nanos(at) + 45 * US * (number * 7 % 20));
@@ -445,7 +446,7 @@ fn probe_line_and_times_are_taken() {
     let read = Recording::of("r", &capture).unwrap();
     let report = stat(&read);
     let text = verdict("r", &report.findings);
-    assert_eq!(judged(&report.findings), Verdict::Good, "{text}");
+    assert_eq!(verdict_of(&report.findings), Verdict::Good, "{text}");
     contains(
         &text,
         &["note  the probe recorded 1 other lines", "r: good\n"],
@@ -457,21 +458,21 @@ fn probe_line_and_times_are_taken() {
 }
 
 #[test]
-fn armw_of_32_bits_tells_the_time() {
+fn armw_of_32_bits_carries_the_time() {
     // Some masters set clocks by ARMW, by position; here of the second slave, over a wrap of its 32 bits.
     let mut wire = Wire::addressed(2);
     for round in 0..2_000_u64 {
-        let asked = ask(ARMW, 5, [0xFFFF, 0x0910], &[0; 4]);
+        let request = datagram(ARMW, 5, [0xFFFF, 0x0910], &[0; 4]);
         let time = (4_294_000_000 + round * 1_000_010).to_le_bytes();
-        wire.send(&asked).wait(100 * US);
-        wire.answer(&asked, 2, &time[..4]).wait(900 * US);
+        wire.send(&request).wait(100 * US);
+        wire.answer(&request, 2, &time[..4]).wait(900 * US);
     }
-    let difference = ask(FPRD, 6, [0x1001, 0x092C], &[0; 4]);
+    let difference = datagram(FPRD, 6, [0x1001, 0x092C], &[0; 4]);
     wire.exchange(&difference, 1, &[253, 0, 0, 0]);
     let read = Recording::of("r", &wire.finish()).unwrap();
     let report = dc(&read, Duration::from_secs(1));
     assert_eq!(
-        judged(&report.findings),
+        verdict_of(&report.findings),
         Verdict::Good,
         "{:?}",
         report.findings
@@ -479,7 +480,7 @@ fn armw_of_32_bits_tells_the_time() {
     contains(
         &report.table,
         &[
-            "2000 frames bring the time of the reference, 32 bits",
+            "2000 frames carry the reference time, 32 bits",
             "the reference runs +10.0 ppm",
             "     1   1002h   reference",
             "     0   1001h   follows",
@@ -492,13 +493,13 @@ fn cut_recording_is_judged_up_to_the_cut() {
     let mut wire = Wire::addressed(1);
     for _ in 0..20 {
         wire.wait(MS)
-            .exchange(&ask(FPRD, 8, [0x1001, 0x0130], &[0, 0]), 1, &[8, 0]);
+            .exchange(&datagram(FPRD, 8, [0x1001, 0x0130], &[0, 0]), 1, &[8, 0]);
     }
     let file = wire.writer.into_inner();
     let capture = Capture::of(&file[..file.len() - 7]).unwrap();
     let report = stat(&Recording::of("r", &capture).unwrap());
     let text = verdict("r", &report.findings);
-    assert_eq!(judged(&report.findings), Verdict::Good, "{text}");
+    assert_eq!(verdict_of(&report.findings), Verdict::Good, "{text}");
     contains(
         &text,
         &["note  the recording is cut off after 43 packets (69 bytes"],
@@ -512,7 +513,7 @@ fn cut_recording_is_judged_up_to_the_cut() {
 fn dump_names_what_real_masters_send() {
     let mut wire = Wire::addressed(1);
     // Rounded up: 14 bytes announced for a datagram of 13.
-    let search = ask(BWR, 0, [0, 0x0101], &[0]);
+    let search = datagram(BWR, 0, [0, 0x0101], &[0]);
     wire.record(wire.source, &search, 0, true);
     let sync_managers = [
         &[0x00, 0x10, 0x80, 0, 0x26, 0, 1, 0][..],
@@ -520,29 +521,38 @@ fn dump_names_what_real_masters_send() {
     ]
     .concat();
     wire.wait(MS)
-        .exchange(&ask(FPWR, 1, [0x1001, 0x0800], &sync_managers), 1, &[]);
-    wire.wait(MS)
-        .exchange(&ask(FPRD, 2, [0x1001, 0x0502], &[0; 2]), 1, &[0x40, 0x81]);
-    wire.wait(MS)
-        .exchange(&ask(FPRD, 2, [0x1001, 0x0502], &[0; 2]), 1, &[0x40, 0x20]);
-    wire.wait(MS)
-        .exchange(&ask(FPRD, 3, [0x1001, 0x0140], &[0; 2]), 1, &[0x04, 0x0D]);
+        .exchange(&datagram(FPWR, 1, [0x1001, 0x0800], &sync_managers), 1, &[]);
+    wire.wait(MS).exchange(
+        &datagram(FPRD, 2, [0x1001, 0x0502], &[0; 2]),
+        1,
+        &[0x40, 0x81],
+    );
+    wire.wait(MS).exchange(
+        &datagram(FPRD, 2, [0x1001, 0x0502], &[0; 2]),
+        1,
+        &[0x40, 0x20],
+    );
+    wire.wait(MS).exchange(
+        &datagram(FPRD, 3, [0x1001, 0x0140], &[0; 2]),
+        1,
+        &[0x04, 0x0D],
+    );
     // Complete access to 1C12h, in parts: the front, then the last byte.
     let mut request = vec![
         10, 0, 0, 0, 0, 0x13, 0, 0x20, 0x50, 0x12, 0x1C, 0, 0, 0, 0, 0,
     ];
     request.resize(68, 0);
     wire.wait(MS)
-        .exchange(&ask(FPWR, 4, [0x1001, 0x1000], &request), 1, &[]);
+        .exchange(&datagram(FPWR, 4, [0x1001, 0x1000], &request), 1, &[]);
     wire.wait(MS)
-        .exchange(&ask(FPWR, 5, [0x1001, 0x107F], &[0]), 1, &[]);
+        .exchange(&datagram(FPWR, 5, [0x1001, 0x107F], &[0]), 1, &[]);
     let answer = [
         10, 0, 0, 0, 0, 0x13, 0, 0x30, 0x53, 0x12, 0x1C, 0, 1, 0, 0, 0x16,
     ];
     wire.wait(MS)
-        .exchange(&ask(FPRD, 6, [0x1001, 0x1080], &[0; 16]), 1, &answer);
+        .exchange(&datagram(FPRD, 6, [0x1001, 0x1080], &[0; 16]), 1, &answer);
     wire.wait(MS)
-        .exchange(&ask(FPRD, 7, [0x1001, 0x10FF], &[0]), 1, &[0xEE]);
+        .exchange(&datagram(FPRD, 7, [0x1001, 0x10FF], &[0]), 1, &[0xEE]);
     let capture = wire.finish();
     let mut decoder = dump::Decoder::default();
     let mut lines = Vec::new();

@@ -1,5 +1,5 @@
-//! Losses of a recording, and the cable that its error counters point to. What was not asked for while it was made is
-//! said to be unknown, not to be good.
+//! Losses of a recording, and the cable that its error counters point to. Values that the recorded master did not read
+//! are reported as unknown.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -10,12 +10,12 @@ use takt_ethercat::master::{Cable, Suspect};
 use takt_ethercat::topology::Topology;
 
 use super::Recording;
-use super::slave::Seen;
+use super::slave::RecordedSlave;
 use crate::Verdict;
-use crate::ecat::stat::{Finding, judged, nanos, percentiles, verdict};
+use crate::ecat::stat::{Finding, nanos, percentiles, verdict, verdict_of};
 use crate::output::{say, time};
 
-/// What is said of a recording.
+/// The report on a recording.
 #[derive(Debug)]
 pub(in crate::ecat) struct Report {
     pub(super) name: String,
@@ -25,8 +25,8 @@ pub(in crate::ecat) struct Report {
 }
 
 impl Report {
-    /// Says it.
-    pub(in crate::ecat) fn say(mut self, json: bool, quiet: bool) -> anyhow::Result<Verdict> {
+    /// Prints the report.
+    pub(in crate::ecat) fn print(mut self, json: bool, quiet: bool) -> anyhow::Result<Verdict> {
         if json {
             let findings: Vec<Value> = self.findings.iter().map(Finding::object).collect();
             if let Value::Object(object) = &mut self.object {
@@ -39,11 +39,11 @@ impl Report {
             }
             say(verdict(&self.name, &self.findings).trim_end())?;
         }
-        Ok(judged(&self.findings))
+        Ok(verdict_of(&self.findings))
     }
 }
 
-/// What a recording says of losses.
+/// The loss report of a recording.
 pub(in crate::ecat) fn stat(recording: &Recording) -> Report {
     let findings = findings(recording);
     Report {
@@ -54,45 +54,45 @@ pub(in crate::ecat) fn stat(recording: &Recording) -> Report {
     }
 }
 
-/// When working counters were other than expected, each time once.
+/// Times of unexpected working counters.
 fn misses(recording: &Recording) -> Vec<Duration> {
     let groups = recording.groups.values();
     let mut all: Vec<Duration> = groups
-        .flat_map(|counted| counted.misses(recording.down))
+        .flat_map(|series| series.misses(recording.down))
         .collect();
     all.sort_unstable();
     all
 }
 
-/// How close in time what belongs together is: the master looks at the slaves one by one after a miss.
-const TOGETHER: Duration = Duration::from_millis(50);
+/// Largest time between a miss and its cause: after a miss the master checks the slaves one by one.
+const CAUSE_WINDOW: Duration = Duration::from_millis(50);
 
-/// Misses at which a slave was silent or not in OP.
-fn misses_of(seen: &Seen, misses: &[Duration]) -> usize {
-    let near = |at: &Duration, miss: &Duration| at.abs_diff(*miss) <= TOGETHER;
-    let falls = || seen.falls.iter().map(|(at, ..)| at);
+/// Misses at which a slave did not answer or was not in OP.
+fn misses_of(slave: &RecordedSlave, misses: &[Duration]) -> usize {
+    let near = |at: &Duration, miss: &Duration| at.abs_diff(*miss) <= CAUSE_WINDOW;
+    let falls = || slave.falls.iter().map(|(at, ..)| at);
     let blamed = |miss: &&Duration| {
-        seen.was_down(**miss)
+        slave.was_down(**miss)
             || falls().any(|at| near(at, miss))
-            || seen.silent.iter().any(|at| near(at, miss))
+            || slave.silent.iter().any(|at| near(at, miss))
     };
     misses.iter().filter(blamed).count()
 }
 
-/// The tree, from the links that were read; a line where they were not.
-fn topology(ring: &[(u16, &Seen)]) -> (Topology, bool) {
-    let open: Option<Vec<[bool; 4]>> = ring.iter().map(|(_, seen)| seen.open()).collect();
+/// The topology from the links that were read, and whether they were; otherwise a line.
+fn topology(ring: &[(u16, &RecordedSlave)]) -> (Topology, bool) {
+    let open: Option<Vec<[bool; 4]>> = ring.iter().map(|(_, slave)| slave.open()).collect();
     open.map_or_else(
         || (Topology::line(ring.len()), false),
         |open| (Topology::new(&open), true),
     )
 }
 
-fn suspects(ring: &[(u16, &Seen)]) -> Vec<Suspect> {
+fn suspects(ring: &[(u16, &RecordedSlave)]) -> Vec<Suspect> {
     let (tree, _) = topology(ring);
     let errors = |number: usize, port: usize| {
-        let seen = ring.get(number).map(|(_, seen)| seen.at_port(port));
-        let [invalid, receive, _, links] = seen.unwrap_or_default();
+        let slave = ring.get(number).map(|(_, slave)| slave.at_port(port));
+        let [invalid, receive, _, links] = slave.unwrap_or_default();
         (invalid + receive, links)
     };
     let mut all = Vec::new();
@@ -126,22 +126,22 @@ fn findings(recording: &Recording) -> Vec<Finding> {
     let misses = misses(recording);
     let broken = !suspects.is_empty();
     let mut all: Vec<Finding> = suspects.into_iter().map(Finding::Suspect).collect();
-    for (number, (_, seen)) in ring.iter().enumerate() {
-        for (at, al, code) in seen.falls.iter().take(3) {
+    for (number, (_, slave)) in ring.iter().enumerate() {
+        for (at, al, code) in slave.falls.iter().take(3) {
             let at = since(recording, *at);
-            all.push(Finding::Seen(format!(
+            all.push(Finding::Failure(format!(
                 "slave {number}: {al} at {at}: {code}"
             )));
         }
-        let blamed = misses_of(seen, &misses);
+        let blamed = misses_of(slave, &misses);
         if blamed > 0 {
-            all.push(Finding::Seen(format!(
-                "slave {number}: it was silent or not in OP at {blamed} of {} missed working counters",
+            all.push(Finding::Failure(format!(
+                "slave {number}: no answer or not in OP at {blamed} of {} missed working counters",
                 misses.len()
             )));
         }
-        if seen.controller_errors() > 0 {
-            all.push(Finding::Controller(number, seen.controller_errors()));
+        if slave.controller_errors() > 0 {
+            all.push(Finding::Controller(number, slave.controller_errors()));
         }
     }
     let frames = recording.frames;
@@ -167,13 +167,13 @@ fn findings(recording: &Recording) -> Vec<Finding> {
     }
     if recording.broken > 0 {
         let broken = recording.broken;
-        all.push(Finding::Seen(format!(
-            "{broken} frames in it cannot be read"
+        all.push(Finding::Failure(format!(
+            "{broken} frames of the recording cannot be decoded"
         )));
     }
     if recording.corrupt > 0 {
-        all.push(Finding::Seen(format!(
-            "{} frames had a wrong check sum at the probe; see the cable before it",
+        all.push(Finding::Failure(format!(
+            "{} frames had a wrong checksum at the probe\nhint: check the cable before it",
             recording.corrupt
         )));
     }
@@ -181,46 +181,46 @@ fn findings(recording: &Recording) -> Vec<Finding> {
     all
 }
 
-/// What is said where nothing came back.
+/// The finding if no frame returned.
 fn silence(recording: &Recording) -> Option<Finding> {
     let frames = recording.frames;
     if frames.answered > 0 || frames.sent == 0 {
         return None;
     }
-    let lasts = since(recording, recording.end);
+    let duration = since(recording, recording.end);
     Some(if frames.lost > 0 {
-        Finding::Seen(format!(
-            "nothing comes back: none of {} frames in {lasts}; see the cable to slave 0, its IN port and its supply, or \
+        Finding::Failure(format!(
+            "no answer to {} frames in {duration}\nhint: check the cable to slave 0, its IN port and its supply, and \
              whether both directions were recorded",
             frames.sent
         ))
     } else {
         Finding::Note(format!(
-            "the recording ends {lasts} after its first frame, before anything came back"
+            "the recording ends {duration} after its first frame, before an answer"
         ))
     })
 }
 
-/// What the recording leaves open.
+/// What the recording does not show.
 fn notes(recording: &Recording) -> Vec<String> {
     let mut notes = recording.notes.clone();
-    let unseen = recording.unseen;
-    if unseen.searches > 0 {
+    let unmatched = recording.unmatched;
+    if unmatched.searches > 0 {
         notes.push(format!(
-            "{} answers to search frames (broadcasts) of a sender of which nothing else is there: a master that looks at \
-             its interfaces, or one that was recorded from later on",
-            unseen.searches
+            "{} answers to broadcasts of a sender without other frames: a master that probes its interfaces, or one whose \
+             earlier frames were not recorded",
+            unmatched.searches
         ));
     }
     if recording.frames.sent == 0 {
         notes.push(
-            "only answers were recorded: what was lost is not known; record both directions at the master".to_owned(),
+            "only answers were recorded, so losses are unknown\nhint: record both directions at the master".to_owned(),
         );
     }
-    if unseen.early > 0 {
+    if unmatched.early > 0 {
         notes.push(format!(
-            "{} answers at the beginning are to frames that were sent before",
-            unseen.early
+            "{} answers at the start belong to frames sent before the recording",
+            unmatched.early
         ));
     }
     if recording.open > 0 && recording.frames.answered > 0 {
@@ -232,7 +232,7 @@ fn notes(recording: &Recording) -> Vec<String> {
     notes
 }
 
-/// A time from the beginning of the recording.
+/// A time since the start of the recording.
 fn since(recording: &Recording, at: Duration) -> String {
     time(nanos(at.saturating_sub(recording.begin)))
 }
@@ -263,40 +263,40 @@ fn table(recording: &Recording) -> String {
         let [p50, p99, most] = trips.map(|trip| time(nanos(trip)));
         let _ = writeln!(text, "round trip  p50 {p50}, p99 {p99}, max {most}");
     }
-    for ((command, address, len), counted) in &recording.groups {
+    for ((command, address, len), series) in &recording.groups {
         let _ = writeln!(
             text,
             "counters    {} {address:08X}h, {len} bytes: {} expected, {} of {} missed",
             Command::from(*command),
-            counted.expected(),
-            counted.misses(recording.down).len(),
-            counted.counters.len()
+            series.expected(),
+            series.misses(recording.down).len(),
+            series.counters.len()
         );
     }
     if ring.is_empty() {
         return text;
     }
     if !topology(&ring).1 {
-        text.push_str("tree        not in the recording: slaves are taken for a line\n");
+        text.push_str("topology    not in the recording: assumed to be a line\n");
     }
     let misses = misses(recording);
     text.push_str(
         "\n slave  station  state      misses  port  invalid  receive  forwarded  lost links\n",
     );
-    for (number, (station, seen)) in ring.iter().enumerate() {
-        let state = seen
+    for (number, (station, slave)) in ring.iter().enumerate() {
+        let state = slave
             .al
             .map_or_else(|| "?".to_owned(), |(al, _)| al.to_string());
         let state: String = state.chars().take(9).collect();
-        let blamed = misses_of(seen, &misses);
+        let blamed = misses_of(slave, &misses);
         let mut head = format!("{number:>6}   {station:04X}h   {state:<9} {blamed:>7}");
-        if !seen.counted {
-            let _ = writeln!(text, "{head}  error counters were not asked for");
+        if !slave.counted {
+            let _ = writeln!(text, "{head}  error counters were not read");
             continue;
         }
-        let open = seen.open().unwrap_or([true, false, false, false]);
+        let open = slave.open().unwrap_or([true, false, false, false]);
         for (port, open) in open.iter().enumerate() {
-            let [invalid, receive, forwarded, links] = seen.at_port(port);
+            let [invalid, receive, forwarded, links] = slave.at_port(port);
             if !open && invalid + receive + forwarded + links == 0 {
                 continue;
             }
@@ -317,8 +317,8 @@ fn object(recording: &Recording) -> Value {
     let slaves: Vec<Value> = ring
         .iter()
         .enumerate()
-        .map(|(number, (station, seen))| {
-            let ports: Vec<[u64; 4]> = (0..4).map(|port| seen.at_port(port)).collect();
+        .map(|(number, (station, slave))| {
+            let ports: Vec<[u64; 4]> = (0..4).map(|port| slave.at_port(port)).collect();
             let column = |at: usize| -> Vec<u64> {
                 ports
                     .iter()
@@ -328,15 +328,15 @@ fn object(recording: &Recording) -> Value {
             json!({
                 "slave": number,
                 "station": station,
-                "state": seen.al.map(|(al, _)| al.to_string()),
-                "misses": misses_of(seen, &misses),
-                "silent": seen.silent.len(),
-                "counted": seen.counted,
+                "state": slave.al.map(|(al, _)| al.to_string()),
+                "misses": misses_of(slave, &misses),
+                "silent": slave.silent.len(),
+                "counted": slave.counted,
                 "invalid": column(0),
                 "receive": column(1),
                 "forwarded": column(2),
                 "lost_links": column(3),
-                "controller": seen.controller_errors(),
+                "controller": slave.controller_errors(),
             })
         })
         .collect();
@@ -357,7 +357,7 @@ fn object(recording: &Recording) -> Value {
             "late": frames.stale,
             "foreign": recording.foreign(),
             "open": recording.open,
-            "unseen": recording.unseen.searches + recording.unseen.answers + recording.unseen.early,
+            "unseen": recording.unmatched.searches + recording.unmatched.answers + recording.unmatched.early,
         },
         "round_trip": trip,
         "working_counter_misses": misses.len(),

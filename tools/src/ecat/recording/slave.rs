@@ -1,5 +1,5 @@
-//! What a recording shows of one slave: its states, the error counters of its ports, its clock. It is only told what
-//! the master that was recorded asked.
+//! One slave of a recording: its states, the error counters of its ports, its clock, as far as the recorded master read
+//! them.
 
 use std::time::Duration;
 
@@ -10,29 +10,30 @@ use crate::ecat::dc::Range;
 /// Registers from 0300h to 0313h.
 const COUNTERS: usize = 20;
 
-/// A slave as it was seen.
+/// A slave in a recording.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Seen {
-    /// In the ring, from 0; `None` if the recording begins after that was told.
+pub(super) struct RecordedSlave {
+    /// Position from 0; `None` if the recording begins after the addressing.
     pub(super) position: Option<u16>,
-    /// Datagrams to it that were answered, and that nobody answered.
+    /// Number of answered datagrams.
     pub(super) answered: u64,
+    /// Times of unanswered datagrams.
     pub(super) silent: Vec<Duration>,
-    /// Its state as last read, and the code.
+    /// The state as last read, and the code.
     pub(super) al: Option<(AlStatus, AlStatusCode)>,
     /// AL control (0120h) as last written.
     control: Option<u16>,
-    /// It showed an error whose code was not read yet.
-    doubt: Option<(Duration, AlStatus)>,
-    /// When it was seen in another state than before.
+    /// An error whose code was not read yet.
+    pending_error: Option<(Duration, AlStatus)>,
+    /// Times of state changes.
     states: Vec<(Duration, AlStatus)>,
-    /// When it fell out of a state, and why.
+    /// Times of errors, with state and code.
     pub(super) falls: Vec<(Duration, AlStatus, AlStatusCode)>,
     /// DL status (0110h).
     pub(super) dl_status: Option<u16>,
     last: Option<[u8; COUNTERS]>,
     gained: [u64; COUNTERS],
-    /// Error counters were read.
+    /// Whether error counters were read.
     pub(super) counted: bool,
     /// 092Ch, ns.
     pub(super) difference: Option<Range>,
@@ -43,8 +44,8 @@ pub(super) struct Seen {
     pub(super) sync0_cycle_ns: Option<u32>,
 }
 
-/// Whether each slave answers that at any time. An empty or full mailbox, a clock that is not there and AL control that its
-/// firmware has not read yet do not count.
+/// Whether each slave answers access to a register at any time. Empty or full mailboxes, missing clocks, and AL control
+/// that the firmware has not read yet may stay unanswered.
 const fn always_answers(command: Command, ado: u16) -> bool {
     let is_control = matches!(command, Command::Fpwr) && ado == register::AL_CONTROL;
     ado < register::DC_RECEIVE_TIMES && !is_control
@@ -55,8 +56,8 @@ fn u32_at(data: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes(*four))
 }
 
-impl Seen {
-    /// A datagram to it that came back.
+impl RecordedSlave {
+    /// Handles a returned datagram.
     pub(super) fn take(
         &mut self,
         at: Duration,
@@ -72,7 +73,7 @@ impl Seen {
             return;
         }
         self.answered += 1;
-        // A datagram may carry several registers that lie one behind the other.
+        // A datagram may carry several consecutive registers.
         let from = |register: u16| {
             let skip = usize::from(register.checked_sub(ado)?);
             data.get(skip..).filter(|rest| !rest.is_empty())
@@ -122,8 +123,8 @@ impl Seen {
         }
     }
 
-    /// Its state was read, with the code or without. A slave that emulates its device (0141h bit 0) shows what was last
-    /// written to it, the acknowledgement included: no error. Nor is one with code 0.
+    /// The state was read, with or without the code. A slave with device emulation (0141h bit 0) mirrors AL control with
+    /// the acknowledgement bit, which is no error; nor is code 0.
     fn take_state(&mut self, at: Duration, raw: u16, code: Option<AlStatusCode>) {
         const STATE_AND_ERROR: u16 = 0x1F;
         let mut al = AlStatus::from_raw(raw);
@@ -135,18 +136,18 @@ impl Seen {
         if before != Some(al) {
             self.states.push((at, al));
         }
-        let fell = al.error && before.is_none_or(|before| !before.error);
+        let is_new_error = al.error && before.is_none_or(|before| !before.error);
         match code {
-            Some(code) if fell => self.falls.push((at, al, code)),
-            None if fell => self.doubt = Some((at, al)),
+            Some(code) if is_new_error => self.falls.push((at, al, code)),
+            None if is_new_error => self.pending_error = Some((at, al)),
             Some(_) | None => {}
         }
         self.al = Some((al, code.unwrap_or_default()));
     }
 
-    /// The code was read by itself, which tells what an error seen before was.
+    /// The code of an earlier error was read.
     fn take_code(&mut self, code: AlStatusCode) {
-        let Some((at, al)) = self.doubt.take() else {
+        let Some((at, al)) = self.pending_error.take() else {
             return;
         };
         if code != AlStatusCode::default() {
@@ -159,14 +160,14 @@ impl Seen {
         }
     }
 
-    /// An error whose code nobody read stays one.
+    /// Keeps an error whose code was never read.
     pub(super) fn finish(&mut self) {
-        if let Some((at, al)) = self.doubt.take() {
+        if let Some((at, al)) = self.pending_error.take() {
             self.falls.push((at, al, AlStatusCode::default()));
         }
     }
 
-    /// Registers that went down were cleared meanwhile; what they show then came since.
+    /// A register that decreased was cleared in between; its value counts from then on.
     fn take_counters(&mut self, reads: bool, block: [u8; COUNTERS]) {
         let last = self.last.replace(block);
         let (true, Some(last)) = (reads, last) else {
@@ -181,7 +182,7 @@ impl Seen {
     /// Bit 31 is the sign.
     fn take_difference(&mut self, raw: u32) {
         let size = (raw & 0x7FFF_FFFF).cast_signed();
-        // High: its clock is ahead of the time that passed it.
+        // Set: its clock is ahead of the received time.
         let ns = if raw & 0x8000_0000 == 0 { -size } else { size };
         let Range { least, most, .. } = self.difference.unwrap_or(Range {
             least: ns,
@@ -214,7 +215,7 @@ impl Seen {
         self.gained(13)
     }
 
-    /// Which of its ports are open; `None` if nobody asked.
+    /// The open ports; `None` if DL status was not read.
     pub(super) fn open(&self) -> Option<[bool; 4]> {
         let status = self.dl_status?;
         Some(std::array::from_fn(|port| {
@@ -222,7 +223,7 @@ impl Seen {
         }))
     }
 
-    /// Whether it was in another state than OP then, as far as was seen.
+    /// Whether it was not in OP at a time, as far as the recording shows.
     pub(super) fn was_down(&self, at: Duration) -> bool {
         let before = self.states.iter().rev().find(|(since, _)| *since <= at);
         before.is_some_and(|(_, al)| al.error || al.state != AlState::Op)

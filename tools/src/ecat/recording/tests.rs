@@ -1,4 +1,4 @@
-//! What was on an emulated segment is found again in a recording of it.
+//! Recordings of an emulated segment contain its faults and figures.
 
 use std::time::Duration;
 
@@ -9,10 +9,10 @@ use takt_ethercat::emulator::{Corrupt, Faults};
 use super::{Recording, dc, stat};
 use crate::Verdict;
 use crate::ecat::frames::Capture;
-use crate::ecat::stat::{judged, verdict};
+use crate::ecat::stat::{verdict, verdict_of};
 use crate::ecat::tests::{CYCLE, recorded, session, tree, up};
 
-/// Reads a file in memory.
+/// Evaluates a recording in memory.
 fn read(name: &str, bytes: &[u8]) -> Recording {
     Recording::of(name, &Capture::of(bytes).unwrap()).unwrap()
 }
@@ -22,11 +22,11 @@ const MS: Duration = Duration::from_millis(1);
 fn texts(recording: &Recording) -> (String, String, Verdict) {
     let report = stat(recording);
     let text = verdict("r", &report.findings);
-    (report.table, text, judged(&report.findings))
+    (report.table, text, verdict_of(&report.findings))
 }
 
 #[test]
-fn a_good_run_has_nothing_to_be_told() {
+fn recording_of_good_run_has_no_findings() {
     let mut session = up(tree(), AlState::Op);
     session.run_for(500 * MS).unwrap();
     session.leave().unwrap();
@@ -49,7 +49,7 @@ fn a_good_run_has_nothing_to_be_told() {
 }
 
 #[test]
-fn lost_and_late_frames_and_the_bad_cable_are_found_in_a_recording() {
+fn recording_shows_losses_late_frames_and_bad_cable() {
     let mut session = up(tree(), AlState::Op);
     session.run_for(100 * MS).unwrap();
     let faults = Faults {
@@ -61,13 +61,13 @@ fn lost_and_late_frames_and_the_bad_cable_are_found_in_a_recording() {
         late: None,
         ..Faults::default()
     };
-    session.wire().put_in(50 * MS, faults);
+    session.wire().inject(50 * MS, faults);
     session.run_for(150 * MS).unwrap();
     let late = Faults {
         late: Some((2, 1_500_000)),
         ..Faults::default()
     };
-    session.wire().put_in(Duration::ZERO, late);
+    session.wire().inject(Duration::ZERO, late);
     session.run_for(150 * MS).unwrap();
     let read = read("bad", &recorded(&mut session));
     let (table, text, judged) = texts(&read);
@@ -75,20 +75,20 @@ fn lost_and_late_frames_and_the_bad_cable_are_found_in_a_recording() {
     for part in [
         "FAIL  the cable from slave 0 port 3 to slave 1 port 0: 4 broken frames",
         "FAIL  4 of ",
-        "WARN  2 frames came back after the end of their cycle",
+        "WARN  2 frames returned after the end of their cycle",
     ] {
         assert!(text.contains(part), "{part}\n{text}\n{table}");
     }
-    // What the file beside the tests of the commands was made from.
-    let kept = include_bytes!("../../../tests/ecat/cable.pcap");
-    assert_eq!(texts(&self::read("kept", kept)).1, text);
+    // The recorded file of the command line tests.
+    let recorded = include_bytes!("../../../tests/ecat/cable.pcap");
+    assert_eq!(texts(&self::read("recorded", recorded)).1, text);
     let object = stat(&read).object;
     assert_eq!(object["frames"]["lost"], 4);
     assert_eq!(object["slaves"][1]["invalid"][0], 4);
 }
 
 #[test]
-fn missed_working_counters_are_put_to_the_slave_that_fell() {
+fn recording_blames_misses_on_slave_not_in_op() {
     let mut session = up(tree(), AlState::Op);
     session.run_for(200 * MS).unwrap();
     let segment = &mut session.wire().segment;
@@ -100,14 +100,14 @@ fn missed_working_counters_are_put_to_the_slave_that_fell() {
     assert_eq!(judged, Verdict::Failed, "{table}");
     assert!(text.contains("slave 1: SAFE-OP + error at "), "{text}");
     assert!(
-        text.contains("slave 1: it was silent or not in OP at 204 of 204 missed"),
+        text.contains("slave 1: no answer or not in OP at 204 of 204 missed"),
         "{text}"
     );
     assert!(!text.contains("slave 0"), "{text}");
 }
 
 #[test]
-fn clocks_and_the_phase_of_frames_to_sync0_are_found_in_a_recording() {
+fn recording_shows_clocks_and_sync0_phase() {
     let mut session = session(tree(), AlState::Op);
     let specs = (0..3).map(|number| {
         let mut spec = SlaveSpec::new(format!("{number}"), Location::Position(number));
@@ -130,13 +130,13 @@ fn clocks_and_the_phase_of_frames_to_sync0_are_found_in_a_recording() {
     assert!(text.contains("the reference runs +0.0 ppm"), "{text}");
     assert!(text.contains("     0   1001h   reference"), "{text}");
     assert!(
-        text.contains("slave 1: SYNC0 each 1.0 ms; frames come "),
+        text.contains("slave 1: SYNC0 every 1.0 ms; frames pass "),
         "{text}"
     );
-    assert_eq!(judged(&report.findings), Verdict::Good);
-    // In the middle between two pulses at last.
+    assert_eq!(verdict_of(&report.findings), Verdict::Good);
+    // The clock has settled at the end.
     let last = report.object["slaves"][1]["last_ns"].as_i64().unwrap();
     assert!(last.abs() < 100, "{text}");
     let narrow = dc(&read, Duration::ZERO);
-    assert!(narrow.findings.is_empty() || judged(&narrow.findings) == Verdict::Failed);
+    assert!(narrow.findings.is_empty() || verdict_of(&narrow.findings) == Verdict::Failed);
 }

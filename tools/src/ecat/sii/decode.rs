@@ -1,4 +1,4 @@
-//! An SII image as text: the fixed words, then category by category. It judges nothing but the checksum and the end.
+//! An SII image as text: the fixed words, then the categories. It checks only the checksum and the end.
 
 use std::fmt::Write as _;
 
@@ -11,7 +11,10 @@ pub(crate) fn text(title: &str, bytes: &[u8]) -> String {
     let mut text = format!("{title}: SII, {} bytes", bytes.len());
     let _ = match image.used() {
         Some(used) => writeln!(text, ", {used} used"),
-        None => writeln!(text, "\n! its categories do not end; the image is cut off"),
+        None => writeln!(
+            text,
+            "\n! the end category is missing; the image is truncated"
+        ),
     };
     fixed(&mut text, &image, bytes);
     for (category, data) in image.categories() {
@@ -39,7 +42,7 @@ pub(crate) fn text(title: &str, bytes: &[u8]) -> String {
     text
 }
 
-/// What a category is called (ETG.2010).
+/// The name of a category (ETG.2010).
 const fn name(category: Category) -> &'static str {
     match category {
         Category::Strings => "strings",
@@ -64,14 +67,14 @@ fn fixed(text: &mut String, image: &sii::Sii<'_>, bytes: &[u8]) {
         let _ = writeln!(text, "  identity    {identity}");
     }
     let _ = writeln!(text, "  alias       {}", at(word::ALIAS));
-    let right = bytes.get(..14).map_or(0, sii::checksum);
-    let told = bytes.get(14).copied().unwrap_or(0);
+    let expected = bytes.get(..14).map_or(0, sii::checksum);
+    let stored = bytes.get(14).copied().unwrap_or(0);
     let _ = if image.is_checked() {
-        writeln!(text, "  checksum    {told:02X}h, right")
+        writeln!(text, "  checksum    {stored:02X}h, correct")
     } else {
         writeln!(
             text,
-            "! checksum    {told:02X}h, {right:02X}h is right: the slave controller loads none of words 0 to 6"
+            "! checksum    {stored:02X}h instead of {expected:02X}h: the slave controller does not load words 0 to 6"
         )
     };
     let [control, controller] = at(0).to_le_bytes();
@@ -110,7 +113,7 @@ const CONTROLLER: [&str; 8] = [
     "enhanced link port 3",
 ];
 
-/// Between slave controller and application (register 0140h).
+/// The process data interface (register 0140h).
 const fn pdi(control: u8) -> &'static str {
     match control {
         0x00 => "none",
@@ -131,18 +134,18 @@ const fn pdi(control: u8) -> &'static str {
     }
 }
 
-fn mailbox(text: &mut String, what: &str, areas: Option<MailboxAreas>) {
+fn mailbox(text: &mut String, label: &str, areas: Option<MailboxAreas>) {
     let Some(areas) = areas.filter(|areas| areas.receive_len > 0 || areas.send_len > 0) else {
         return;
     };
     let _ = writeln!(
         text,
-        "  {what:<10}  receives at {:04X}h {} bytes, sends at {:04X}h {} bytes",
+        "  {label:<10}  receives at {:04X}h {} bytes, sends at {:04X}h {} bytes",
         areas.receive, areas.receive_len, areas.send, areas.send_len
     );
 }
 
-/// Names of the bits that are high, from bit 0; others as a number.
+/// Names of the bits that are set, from bit 0; bits without a name by number.
 fn named(bits: u32, names: &[&str]) -> String {
     let mut all: Vec<String> = Vec::new();
     for bit in 0..32 {
@@ -166,7 +169,7 @@ fn quoted(image: &sii::Sii<'_>, number: u8) -> String {
     match (number, image.string(number)) {
         (0, _) => "-".to_owned(),
         (_, Some(text)) => format!("{text:?}"),
-        (_, None) => format!("string {number}, which is not there"),
+        (_, None) => format!("string {number}, which does not exist"),
     }
 }
 
@@ -178,7 +181,7 @@ fn strings(text: &mut String, image: &sii::Sii<'_>, data: &[u8]) {
 
 fn general(text: &mut String, image: &sii::Sii<'_>) {
     let Some(general) = image.general() else {
-        text.push_str("! it is too short\n");
+        text.push_str("! the category is too short\n");
         return;
     };
     let coe = [
@@ -237,7 +240,7 @@ fn fmmus(text: &mut String, data: &[u8]) {
             0 | 0xFF => continue,
             1 => "outputs",
             2 => "inputs",
-            3 => "state of the mailbox",
+            3 => "mailbox state",
             _ => "unknown",
         };
         let _ = writeln!(text, "  FMMU {number}  {kind}");

@@ -14,7 +14,7 @@ fn image(session: &mut Session<Emulated>) -> Vec<u8> {
     read(session, DRIVE).unwrap().unwrap()
 }
 
-/// Writes what is to change, and gives the whole EEPROM as it is then.
+/// Writes a change and reads the whole EEPROM back.
 fn changed(session: &mut Session<Emulated>, change: &Change) -> Vec<u8> {
     let words = change.words(&image(session)).unwrap();
     write(session, DRIVE, &words).unwrap().unwrap();
@@ -22,7 +22,7 @@ fn changed(session: &mut Session<Emulated>, change: &Change) -> Vec<u8> {
 }
 
 #[test]
-fn every_category_of_an_sii_is_told() {
+fn sii_text_has_every_category() {
     let mut session = up(tree(), AlState::PreOp);
     let image = image(&mut session);
     assert_eq!(image.len(), 2048);
@@ -36,7 +36,7 @@ fn every_category_of_an_sii_is_told() {
         "  name        \"TK4021 servo\", order \"TK4021\", group -, picture -",
         "  CoE         SDO, information, PDO assignment, PDO configuration, complete access",
         "  ports       MII, MII, -, -",
-        "  FMMU 2  state of the mailbox",
+        "  FMMU 2  mailbox state",
         "  SyncManager 2  outputs     at 1100h, 14 bytes, control 64h",
         "    607Ah:00   32 bits  INTEGER32",
         "  \"DC-Synchron\": AssignActivate 0300h, SYNC0 each the master's cycle (factor 0), shift 0 ns; SYNC1 factor 0, shift 0 ns",
@@ -47,19 +47,19 @@ fn every_category_of_an_sii_is_told() {
     let used = Sii::new(&image).used().unwrap();
     for len in 0..used {
         let cut = super::text("cut", &image[..len]);
-        assert!(cut.contains("! its categories do not end"), "{len}");
+        assert!(cut.contains("! the end category is missing"), "{len}");
     }
-    // What the file beside the tests of the commands was made from.
-    let kept = include_bytes!("../../../tests/ecat/drive.sii");
+    // The recorded file of the command line tests.
+    let recorded = include_bytes!("../../../tests/ecat/drive.sii");
     assert!(
-        image == kept,
-        "make it anew by `takt ecat sii IFACE SLAVE --raw`"
+        image == recorded,
+        "regenerate it by `takt ecat sii IFACE SLAVE --raw`"
     );
 }
 
 #[test]
-fn alias_of_a_storing_eeprom_is_written_and_read_back() {
-    // Both chips refuse commands while they store: one reads eight bytes at once, the other four.
+fn sii_alias_is_written_to_slow_eeprom() {
+    // Both chips reject commands while they store: one reads eight bytes at once, the other four.
     for device in [Profile::El3004, Profile::Akd] {
         let (segment, _) = Profile::line(&[Profile::Ek1100, device], 2).unwrap();
         let mut session = up(segment, AlState::PreOp);
@@ -74,7 +74,7 @@ fn alias_of_a_storing_eeprom_is_written_and_read_back() {
 }
 
 #[test]
-fn an_alias_is_written_with_its_checksum_and_nothing_else_changes() {
+fn sii_alias_changes_only_alias_and_checksum() {
     let mut session = up(tree(), AlState::PreOp);
     let before = image(&mut session);
     let after = changed(&mut session, &Change::Alias(0x1234));
@@ -91,7 +91,7 @@ fn an_alias_is_written_with_its_checksum_and_nothing_else_changes() {
 }
 
 #[test]
-fn an_erased_eeprom_is_reached_and_written() {
+fn sii_of_erased_eeprom_is_written() {
     let mut session = up(tree(), AlState::PreOp);
     let good = image(&mut session);
     let mut segment = tree();
@@ -112,8 +112,8 @@ fn an_erased_eeprom_is_reached_and_written() {
         })
         .unwrap();
     let erased = read(&mut session, drive).unwrap().unwrap();
-    let told = text("drive", &erased);
-    assert!(told.contains("! checksum    FFh"), "{told}");
+    let shown = text("drive", &erased);
+    assert!(shown.contains("! checksum    FFh"), "{shown}");
     let words = Change::Image(good.clone()).words(&erased).unwrap();
     let (first, last) = (words.first().unwrap().0, words.last().unwrap().0);
     assert!(first >= 8 && last == 7, "{first} {last}");
@@ -122,24 +122,27 @@ fn an_erased_eeprom_is_reached_and_written() {
 }
 
 #[test]
-fn a_file_that_does_not_fit_the_slave_is_refused() {
+fn sii_file_of_another_slave_is_rejected() {
     let mut session = up(tree(), AlState::PreOp);
     let present = image(&mut session);
     let mut other = present.clone();
     other[20] ^= 1;
     let mut broken = present.clone();
     broken[2] ^= 1;
-    let right = format!("{:02X}h is right", checksum(&broken[..14]));
-    for (image, why) in [
-        (other, "another slave's EEPROM"),
-        (broken, right.as_str()),
+    let expected = format!("instead of {:02X}h", checksum(&broken[..14]));
+    for (image, cause) in [
+        (other, "the EEPROM of another slave"),
+        (broken, expected.as_str()),
         (vec![0; 127], "the file has 127 bytes"),
-        ([present.clone(), vec![0; 2]].concat(), "the EEPROM 2048"),
+        (
+            [present.clone(), vec![0; 2]].concat(),
+            "the EEPROM only 2048",
+        ),
     ] {
-        let told = Change::Image(image)
+        let error = Change::Image(image)
             .words(&present)
             .unwrap_err()
             .to_string();
-        assert!(told.contains(why), "{told}");
+        assert!(error.contains(cause), "{error}");
     }
 }

@@ -1,4 +1,4 @@
-//! Faults of an emulated segment, as lines of text. When they happen is the caller's.
+//! Commands that inject faults into an emulated segment, as lines of text. The caller chooses the time.
 
 use std::str::FromStr;
 use std::time::Duration;
@@ -9,13 +9,13 @@ use takt_ethercat::{AlState, AlStatusCode};
 
 use crate::output::span;
 
-/// What can be said.
+/// The commands.
 pub(super) const HELP: &str = "\
-cut SLAVE             the cable before a slave, until
-mend SLAVE            puts it back
-off SLAVE, on SLAVE   the power of a slave
+cut SLAVE             cuts the cable before a slave
+repair SLAVE          repairs it
+off SLAVE, on SLAVE   switches the power of a slave
 lose N                the next N frames are lost
-late N TIME           the next N frames come back late by a time
+late N TIME           the next N frames return late by a time
 broken N SLAVE PORT   the next N frames are broken on the cable to a port
 fall SLAVE CODE       a slave leaves OP for SAFE-OP with an AL status code, hexadecimal
 fault DRIVE AXIS CODE an axis faults with a code of 603Fh, hexadecimal; drives and axes count from 0
@@ -24,9 +24,9 @@ jump SLAVE TIME       the clock of a slave jumps ahead";
 /// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
-    /// The cable before a slave is cut, or whole again.
+    /// The cable before a slave is repaired (true) or cut.
     Cable(usize, bool),
-    /// The power of a slave is on, or off.
+    /// The power of a slave is on (true) or off.
     Power(usize, bool),
     /// Frames are lost.
     Lose(u32),
@@ -34,7 +34,7 @@ pub(super) enum Fault {
     Late(u32, Duration),
     /// Frames are broken before a port.
     Broken(Corrupt),
-    /// A slave falls.
+    /// A slave leaves OP with an AL status code.
     Fall(usize, u16),
     /// An axis of a drive faults.
     Axis(usize, usize, u16),
@@ -49,7 +49,7 @@ impl FromStr for Fault {
         let words: Vec<&str> = line.split_whitespace().collect();
         Ok(match words[..] {
             ["cut", slave] => Self::Cable(number(slave)?, false),
-            ["mend", slave] => Self::Cable(number(slave)?, true),
+            ["repair", slave] => Self::Cable(number(slave)?, true),
             ["off", slave] => Self::Power(number(slave)?, false),
             ["on", slave] => Self::Power(number(slave)?, true),
             ["lose", frames] => Self::Lose(number(frames)?),
@@ -64,39 +64,41 @@ impl FromStr for Fault {
                 Self::Axis(number(drive)?, number(axis)?, hexadecimal(code)?)
             }
             ["jump", slave, time] => Self::Jump(number(slave)?, span(time)?),
-            _ => return Err(format!("`{line}` is no fault")),
+            _ => return Err(format!("`{line}` is not a command")),
         })
     }
 }
 
 fn number<T: FromStr>(text: &str) -> Result<T, String> {
-    text.parse().map_err(|_| format!("`{text}` is no number"))
+    text.parse()
+        .map_err(|_| format!("`{text}` is not a number"))
 }
 
 fn hexadecimal(text: &str) -> Result<u16, String> {
     let digits = text.trim_start_matches("0x").trim_end_matches('h');
-    u16::from_str_radix(digits, 16).map_err(|_| format!("`{text}` is no code: write 8611"))
+    u16::from_str_radix(digits, 16)
+        .map_err(|_| format!("`{text}` is not a hexadecimal code such as 8611"))
 }
 
 fn nanos(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// Refuses slaves that are not there.
+/// Rejects slaves that do not exist.
 fn checked(segment: &Segment, slave: usize) -> Result<(), String> {
     if slave < segment.len() {
         return Ok(());
     }
     let count = segment.len();
     Err(format!(
-        "there is no slave {slave}, they are 0 to {}",
+        "there is no slave {slave}; slaves are 0 to {}",
         count.saturating_sub(1)
     ))
 }
 
 impl Fault {
-    /// Does it at `now`, ns of the segment's clock; what was done, in words.
-    pub(super) fn put_in(
+    /// Injects the fault at `now`, ns of the segment's clock, and describes it.
+    pub(super) fn inject(
         self,
         segment: &SharedSegment,
         drives: &[ServoDrive],
@@ -107,14 +109,14 @@ impl Fault {
             Self::Cable(slave, whole) => {
                 checked(&segment, slave)?;
                 segment.set_link(slave, whole);
-                let what = if whole { "whole" } else { "cut" };
-                Ok(format!("the cable before slave {slave} is {what}"))
+                let state = if whole { "repaired" } else { "cut" };
+                Ok(format!("the cable before slave {slave} is {state}"))
             }
             Self::Power(slave, on) => {
                 checked(&segment, slave)?;
                 segment.set_power(slave, on);
-                let what = if on { "on" } else { "off" };
-                Ok(format!("slave {slave} is {what}"))
+                let state = if on { "on" } else { "off" };
+                Ok(format!("slave {slave} is {state}"))
             }
             Self::Lose(frames) => {
                 segment.faults.lose = frames;
@@ -141,7 +143,7 @@ impl Fault {
                 let slave = slave.ok_or_else(|| format!("there is no slave {number}"))?;
                 let code = AlStatusCode(code);
                 slave.fall(AlState::SafeOp, code);
-                Ok(format!("slave {number} fell: {code}"))
+                Ok(format!("slave {number} left OP: {code}"))
             }
             Self::Axis(number, axis, code) => {
                 let drive = drives.get(number);
@@ -170,22 +172,22 @@ mod tests {
 
     use super::*;
 
-    fn stand() -> (SharedSegment, Vec<ServoDrive>) {
+    fn segment() -> (SharedSegment, Vec<ServoDrive>) {
         let (slave, drive) = ServoDrive::slave(ServoConfig::default()).unwrap();
         let segment = Segment::line([Coupler::slave(), slave]);
         (SharedSegment::new(segment), vec![drive])
     }
 
-    fn said(line: &str) -> Result<String, String> {
-        let (segment, drives) = stand();
-        line.parse::<Fault>()?.put_in(&segment, &drives, 0)
+    fn execute(line: &str) -> Result<String, String> {
+        let (segment, drives) = segment();
+        line.parse::<Fault>()?.inject(&segment, &drives, 0)
     }
 
     #[test]
-    fn each_fault_of_the_help_is_understood_and_done() {
-        for (line, told) in [
+    fn fault_commands_of_the_help_are_executed() {
+        for (line, text) in [
             ("cut 1", "the cable before slave 1 is cut"),
-            ("mend 1", "the cable before slave 1 is whole"),
+            ("repair 1", "the cable before slave 1 is repaired"),
             ("off 0", "slave 0 is off"),
             ("on 0", "slave 0 is on"),
             ("lose 3", "3 frames will be lost"),
@@ -197,27 +199,27 @@ mod tests {
             ("fault 0 0 8611h", "drive 0 axis 0 faults with 8611h"),
             ("jump 0 5us", "the clock of slave 0 jumped by 5µs"),
         ] {
-            assert_eq!(said(line).as_deref(), Ok(told), "{line}");
+            assert_eq!(execute(line).as_deref(), Ok(text), "{line}");
             let word = line.split(' ').next().unwrap();
             assert!(HELP.contains(word), "{word}");
         }
-        let told = said("fall 1 0x001B").unwrap();
-        assert!(told.starts_with("slave 1 fell: "), "{told}");
+        let text = execute("fall 1 0x001B").unwrap();
+        assert!(text.starts_with("slave 1 left OP: "), "{text}");
     }
 
     #[test]
-    fn what_cannot_be_is_told() {
-        for (line, why) in [
-            ("cut", "`cut` is no fault"),
-            ("cut 2", "there is no slave 2, they are 0 to 1"),
+    fn invalid_fault_command_is_rejected_with_cause() {
+        for (line, cause) in [
+            ("cut", "`cut` is not a command"),
+            ("cut 2", "there is no slave 2; slaves are 0 to 1"),
             ("late 1 5", "write a number and a unit"),
-            ("lose -1", "`-1` is no number"),
+            ("lose -1", "`-1` is not a number"),
             ("fault 1 0 8611", "there is no drive 1"),
             ("fault 0 1 8611", "drive 0 has no axis 1"),
             ("fall 9 1B", "there is no slave 9"),
         ] {
-            let told = said(line).unwrap_err();
-            assert!(told.contains(why), "{told}");
+            let error = execute(line).unwrap_err();
+            assert!(error.contains(cause), "{error}");
         }
     }
 }

@@ -1,5 +1,4 @@
-//! What an emulated segment is made of: told by a file, or by what a cell expects of its segment. How slaves behave is
-//! not told here.
+//! The slaves of an emulated segment, from a file or from the segment of a cell. Their behaviour is not defined here.
 
 use anyhow::{Context as _, ensure};
 use serde::Deserialize;
@@ -12,18 +11,18 @@ use takt_ethercat::sii;
 
 use crate::ecat::cell;
 
-/// A segment that is ready to be served.
+/// A segment to emulate, with the handles of its slaves.
 #[derive(Debug)]
-pub(super) struct Stand {
+pub(super) struct Emulation {
     pub(super) segment: Segment,
     /// Its drives, in their order.
     pub(super) drives: Vec<ServoDrive>,
-    /// Terminals whose outputs come back as inputs.
+    /// Terminals whose outputs are connected to their inputs.
     pub(super) loops: Vec<Io>,
 }
 
-impl Stand {
-    /// Of a segment without handles.
+impl Emulation {
+    /// A segment without handles.
     pub(super) const fn plain(segment: Segment) -> Self {
         Self {
             segment,
@@ -33,7 +32,7 @@ impl Stand {
     }
 }
 
-/// A file.
+/// A segment file.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Plan {
@@ -50,9 +49,9 @@ enum Kind {
     Analogue,
     Drive,
     Tx90,
-    /// A terminal with the channels that a cell names.
+    /// A terminal with the channels that a cell uses.
     Mixed,
-    /// One that answers as a real device does.
+    /// A recorded real device.
     Profile(Profile),
 }
 
@@ -74,7 +73,7 @@ impl TryFrom<String> for Kind {
     }
 }
 
-/// A slave of a file.
+/// A slave of a segment file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SlavePlan {
@@ -84,23 +83,23 @@ struct SlavePlan {
     outputs: u8,
     #[serde(default = "SlavePlan::channels")]
     inputs: u8,
-    /// Outputs of a terminal come back as its inputs.
+    /// Whether outputs of a terminal are connected to its inputs.
     #[serde(default)]
     looped: bool,
     /// Axes of a drive, 1 to 8.
     #[serde(default = "SlavePlan::one")]
     axes: u8,
-    /// The slave and the port that its cable goes to; without it, port 1 of the one before.
+    /// The slave and the port that its cable is connected to; default: port 1 of the previous slave.
     behind: Option<(usize, usize)>,
     alias: Option<u16>,
     vendor: Option<u32>,
     product: Option<u32>,
-    /// What its SII calls it.
+    /// The name in its SII.
     name: Option<String>,
-    /// Outputs and inputs of a terminal that is made for a cell.
+    /// Outputs and inputs of a terminal of a cell.
     #[serde(skip)]
     channels: [Vec<(u16, u8, u8, u8)>; 2],
-    /// How much faster its clock runs, millionths.
+    /// Drift of its clock, ppm, positive if it runs fast.
     #[serde(default)]
     drift_ppm: f64,
 }
@@ -131,34 +130,34 @@ impl SlavePlan {
         }
     }
 
-    fn build(&self, strict: bool, times: u64, stand: &mut Stand) -> anyhow::Result<Slave> {
-        let terminal = |(slave, io): (Slave, Io), stand: &mut Stand| {
+    fn build(&self, strict: bool, times: u64, emulation: &mut Emulation) -> anyhow::Result<Slave> {
+        let terminal = |(slave, io): (Slave, Io), emulation: &mut Emulation| {
             if self.looped {
-                stand.loops.push(io);
+                emulation.loops.push(io);
             }
             slave
         };
         let mut slave = match self.kind {
             Kind::Coupler => Coupler::slave(),
-            Kind::Digital => terminal(Io::digital(self.outputs, self.inputs), stand),
-            Kind::Analogue => terminal(Io::analogue(self.outputs, self.inputs), stand),
+            Kind::Digital => terminal(Io::digital(self.outputs, self.inputs), emulation),
+            Kind::Analogue => terminal(Io::analogue(self.outputs, self.inputs), emulation),
             Kind::Mixed => {
                 let [outputs, inputs] = self.channels.clone();
                 let rx = pdos(0x1600, 0, &outputs);
                 let tx = pdos(0x1A00, 1, &inputs);
                 terminal(
                     Io::terminal("TKMIX terminal".to_owned(), 0x6000, rx, tx),
-                    stand,
+                    emulation,
                 )
             }
             Kind::Profile(profile) => {
-                let made = profile.slave(times).context("a drive makes no sense")?;
+                let made = profile.slave(times).context("invalid drive")?;
                 let Profiled { slave, io, drive } = made;
-                stand.loops.extend(io.filter(|_| self.looped));
-                stand.drives.extend(drive);
+                emulation.loops.extend(io.filter(|_| self.looped));
+                emulation.drives.extend(drive);
                 slave
             }
-            Kind::Tx90 => drive(ServoConfig::tx90(), strict, stand)?,
+            Kind::Tx90 => drive(ServoConfig::tx90(), strict, emulation)?,
             Kind::Drive => {
                 ensure!(
                     (1..=8).contains(&self.axes),
@@ -167,23 +166,23 @@ impl SlavePlan {
                 );
                 let axis = ServoConfig::default().axes;
                 let axes = axis.into_iter().cycle().take(self.axes.into()).collect();
-                drive(ServoConfig::with_axes(axes), strict, stand)?
+                drive(ServoConfig::with_axes(axes), strict, emulation)?
             }
         };
-        self.name(&mut slave);
+        self.customize(&mut slave);
         Ok(slave)
     }
 
-    /// What its EEPROM is to say instead, and how its clock runs.
-    fn name(&self, slave: &mut Slave) {
+    /// Sets the identity in its EEPROM and the drift of its clock.
+    fn customize(&self, slave: &mut Slave) {
         if let Some(name) = &self.name {
             slave.rename(name);
         }
         let eeprom = slave.eeprom_mut();
         let mut put = |word: sii::Word, bytes: &[u8]| {
             let at = 2 * usize::from(word);
-            if let Some(place) = eeprom.get_mut(at..at + bytes.len()) {
-                place.copy_from_slice(bytes);
+            if let Some(target) = eeprom.get_mut(at..at + bytes.len()) {
+                target.copy_from_slice(bytes);
             }
         };
         if let Some(alias) = self.alias {
@@ -196,8 +195,8 @@ impl SlavePlan {
             put(sii::word::IDENTITY + 2, &product.to_le_bytes());
         }
         let sum = eeprom.get(..14).map_or(0, sii::checksum);
-        if let Some(place) = eeprom.get_mut(14) {
-            *place = sum;
+        if let Some(checksum) = eeprom.get_mut(14) {
+            *checksum = sum;
         }
         slave.power_on(0);
         if let Some(clock) = slave.clock() {
@@ -207,19 +206,23 @@ impl SlavePlan {
     }
 }
 
-fn drive(mut config: ServoConfig, strict: bool, stand: &mut Stand) -> anyhow::Result<Slave> {
+fn drive(
+    mut config: ServoConfig,
+    strict: bool,
+    emulation: &mut Emulation,
+) -> anyhow::Result<Slave> {
     if !strict {
         for axis in &mut config.axes {
             axis.quirks.missing_set_points = None;
         }
     }
-    let (slave, drive) = ServoDrive::slave(config).context("a drive makes no sense")?;
-    stand.drives.push(drive);
+    let (slave, drive) = ServoDrive::slave(config).context("invalid drive")?;
+    emulation.drives.push(drive);
     Ok(slave)
 }
 
 impl Plan {
-    /// Devices by name, in a line: `ek1100,el1004`; `None` if that is none of them but a file.
+    /// Devices by name, in a line: `ek1100,el1004`; `None` if a name is unknown.
     pub(super) fn of_devices(text: &str) -> Option<Self> {
         let named = |name: &str| name.trim().parse().ok().map(Kind::Profile);
         let kinds: Option<Vec<Kind>> = text.split(',').map(named).collect();
@@ -227,37 +230,37 @@ impl Plan {
         Some(Self { slaves })
     }
 
-    /// The slaves, in a line but where a slave says otherwise.
-    pub(super) fn build(&self, strict: bool, times: u64) -> anyhow::Result<Stand> {
-        ensure!(!self.slaves.is_empty(), "it has no [[slave]]");
-        let mut stand = Stand::plain(Segment::default());
+    /// Builds the slaves, in a line except where a slave sets `behind`.
+    pub(super) fn build(&self, strict: bool, times: u64) -> anyhow::Result<Emulation> {
+        ensure!(!self.slaves.is_empty(), "no [[slave]]");
+        let mut emulation = Emulation::plain(Segment::default());
         let mut taken: Vec<(usize, usize)> = Vec::new();
         for (number, plan) in self.slaves.iter().enumerate() {
             let slave = plan
-                .build(strict, times, &mut stand)
+                .build(strict, times, &mut emulation)
                 .with_context(|| format!("slave {number}"))?;
-            let before = number.checked_sub(1).map(|last| (last, 1));
-            let parent = plan.behind.or(before);
+            let previous = number.checked_sub(1).map(|last| (last, 1));
+            let parent = plan.behind.or(previous);
             if let Some((above, port)) = parent {
                 ensure!(
                     above < number && (1..=3).contains(&port) && !taken.contains(&(above, port)),
-                    "slave {number} is behind slave {above} port {port}; it has to be one before it, port 1 to 3, \
-                     where no other is"
+                    "slave {number} cannot be behind slave {above} port {port}\nhint: name an earlier slave and \
+                     a free port, 1 to 3"
                 );
                 taken.push((above, port));
             }
-            stand.segment.add(slave, parent);
+            emulation.segment.add(slave, parent);
         }
-        Ok(stand)
+        Ok(emulation)
     }
 }
 
-/// What a segment of a cell expects.
+/// The slaves that a segment of a cell expects.
 pub(super) fn of_cell(
     cell: &CellConfig,
     name: Option<&str>,
     strict: bool,
-) -> anyhow::Result<Stand> {
+) -> anyhow::Result<Emulation> {
     let config = cell::segment(cell, name)?;
     let mut free: Vec<&EthercatSlave> = config.slaves.iter().collect();
     let mut slaves = Vec::new();
@@ -265,7 +268,7 @@ pub(super) fn of_cell(
         let here = free
             .iter()
             .position(|slave| slave.position.map(usize::from) == Some(slaves.len()));
-        // Those that are found by their alias may be anywhere: they fill what is left.
+        // Slaves with an alias may be at any position: they fill the others.
         let here = here.or_else(|| free.iter().position(|slave| slave.position.is_none()));
         match here {
             Some(at) => slaves.push(expected(config, free.remove(at))),
@@ -273,7 +276,7 @@ pub(super) fn of_cell(
         }
         ensure!(
             slaves.len() <= takt_ethercat::config::SLAVES_MAX,
-            "{}: a position beyond what a segment has",
+            "{}: a position beyond the largest of a segment",
             config.name
         );
     }
@@ -303,8 +306,8 @@ fn expected(config: &EthercatConfig, slave: &EthercatSlave) -> SlavePlan {
     }
 }
 
-/// Outputs or inputs of a slave that the cell names, in the order in which they lie: index, sub-index, bits, type.
-/// Digital ones are first, analogue ones where the cell has them, or behind.
+/// Outputs or inputs of a slave in a cell, in the order of their bits: index, sub-index, bits, type. Digital channels are
+/// first; analogue channels are at the bit that the cell gives, or follow.
 fn channels(config: &EthercatConfig, slave: &str, outputs: bool) -> Vec<(u16, u8, u8, u8)> {
     const BOOL: u8 = 1;
     const INTEGER16: u8 = 3;
@@ -315,8 +318,8 @@ fn channels(config: &EthercatConfig, slave: &str, outputs: bool) -> Vec<(u16, u8
         } else {
             &io.digital_in
         };
-        let of = all.iter().filter(|(of, _)| of == slave);
-        of.map(|(_, bits)| *bits).sum::<usize>()
+        let own = all.iter().filter(|(name, _)| name == slave);
+        own.map(|(_, bits)| *bits).sum::<usize>()
     });
     let digital = u16::try_from(digital.max().unwrap_or(0)).unwrap_or(u16::MAX);
     let mut entries: Vec<_> = (0..digital)
@@ -331,7 +334,7 @@ fn channels(config: &EthercatConfig, slave: &str, outputs: bool) -> Vec<(u16, u8
     });
     let mut analogue: Vec<&AnalogueChannel> =
         analogue.filter(|channel| channel.slave == slave).collect();
-    // Those by objects may lie anywhere: behind the others.
+    // Channels by object have no bit: they follow the others.
     analogue.sort_by_key(|channel| channel.bit.unwrap_or(usize::MAX));
     let mut bits = usize::from(digital);
     for (n, channel) in (0_u16..).zip(analogue) {
@@ -351,7 +354,7 @@ fn channels(config: &EthercatConfig, slave: &str, outputs: bool) -> Vec<(u16, u8
     entries
 }
 
-/// As many PDOs as it takes: one has at most 255 entries.
+/// The entries in PDOs of at most 255 entries.
 fn pdos(first: u16, sync_manager: u8, entries: &[(u16, u8, u8, u8)]) -> Vec<PdoImage> {
     let image = |(entries, index): (&[_], u16)| PdoImage {
         index,
@@ -373,21 +376,21 @@ mod tests {
     use crate::ecat::scan;
     use crate::ecat::tests::{CYCLE, session, up};
 
-    /// A drive of two axes behind a slave that the cell does not name, and a terminal that is found by its alias.
+    /// A drive of two axes behind a slave that is not in the cell, and a terminal with an alias.
     const CELL: &str = "[[ethercat]]\nname = 'line'\ninterface = 'eth1'\n\
         [[ethercat.slave]]\nname = 'drive'\nposition = 1\naxes = 2\nproduct = 5\n\
         [[ethercat.slave]]\nname = 'valves'\nalias = 40\n\
         [[ethercat.io]]\nname = 'io'\ndigital_out = [['valves', 3]]\n";
 
     #[test]
-    fn the_slaves_that_a_cell_expects_are_made() {
+    fn sim_of_cell_builds_its_slaves() {
         let path = std::env::temp_dir().join(format!("takt-sim-{}.toml", std::process::id()));
         std::fs::write(&path, CELL).unwrap();
         let cell = CellConfig::read(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
-        let stand = of_cell(&cell, None, true).unwrap();
-        assert_eq!((stand.segment.len(), stand.drives.len()), (2, 1));
-        let text = scanned(stand);
+        let emulation = of_cell(&cell, None, true).unwrap();
+        assert_eq!((emulation.segment.len(), emulation.drives.len()), (2, 1));
+        let text = scanned(emulation);
         for part in [
             "   0  o TKMIX terminal",
             "   1  o TK4121",
@@ -395,12 +398,12 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part}\n{text}");
         }
-        let told = of_cell(&cell, Some("other"), true).unwrap_err().to_string();
-        assert!(told.contains("no segment `other`; it has line"), "{told}");
+        let error = of_cell(&cell, Some("other"), true).unwrap_err().to_string();
+        assert!(error.contains("no segment `other`; it has line"), "{error}");
     }
 
     #[test]
-    fn names_and_channels_of_a_cell_are_there() {
+    fn sim_of_cell_has_its_names_and_channels() {
         let text = "[[ethercat]]\nname = 'line'\ninterface = 'eth1'\n\
             [[ethercat.slave]]\nname = 'drive'\nsii_name = 'AX5000 drive'\naxes = 1\n\
             [[ethercat.slave]]\nname = 'volts'\nsii_name = 'EL3102'\n\
@@ -427,27 +430,27 @@ mod tests {
         assert_eq!((by_object.bit, by_object.bits), (28, 16));
     }
 
-    fn scanned(stand: Stand) -> String {
-        scan::text(&up(stand.segment, AlState::PreOp))
+    fn scanned(emulation: Emulation) -> String {
+        scan::text(&up(emulation.segment, AlState::PreOp))
     }
 
     #[test]
-    fn a_file_makes_a_tree_of_slaves_with_their_identities() {
+    fn sim_file_builds_tree_with_identities() {
         let text = "[[slave]]\nkind = 'coupler'\n\
             [[slave]]\nkind = 'digital'\noutputs = 4\ninputs = 2\nlooped = true\nbehind = [0, 3]\n\
             [[slave]]\nkind = 'drive'\naxes = 2\nbehind = [0, 1]\nvendor = 9\nproduct = 0xAB\nalias = 7\n\
             [[slave]]\nkind = 'tx90'\ndrift_ppm = 50.0\n";
         let plan: Plan = toml::from_str(text).unwrap();
-        let stand = plan.build(true, 1).unwrap();
-        assert_eq!((stand.drives.len(), stand.loops.len()), (2, 1));
-        let text = scanned(stand);
+        let emulation = plan.build(true, 1).unwrap();
+        assert_eq!((emulation.drives.len(), emulation.loops.len()), (2, 1));
+        let text = scanned(emulation);
         for part in ["| o TK0402", "0:3", "00000009  000000AB", "TKTX90"] {
             assert!(text.contains(part), "{part}\n{text}");
         }
     }
 
     #[test]
-    fn usual_devices_are_found_within_three_seconds() {
+    fn sim_devices_are_found_within_three_seconds() {
         for times in [1, 2] {
             let plan = Plan::of_devices("ek1100,el1004,el2004,el2889,el3004,akd").unwrap();
             let segment = plan.build(true, times).unwrap().segment;
@@ -463,7 +466,7 @@ mod tests {
     }
 
     #[test]
-    fn devices_by_name_make_a_line_of_their_profiles() {
+    fn sim_devices_by_name_form_a_line() {
         let plan = Plan::of_devices("ek1100, el1004,akd").unwrap();
         let text = scanned(plan.build(true, 2).unwrap());
         for part in [
@@ -489,21 +492,21 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_makes_no_segment_is_told() {
-        for (text, why) in [
-            ("", "it has no [[slave]]"),
+    fn invalid_sim_file_is_rejected_with_cause() {
+        for (text, cause) in [
+            ("", "no [[slave]]"),
             (
                 "[[slave]]\nkind = 'drive'\naxes = 9\n",
                 "1 to 8 axes, not 9",
             ),
             (
                 "[[slave]]\nkind = 'coupler'\nbehind = [0, 1]\n",
-                "has to be one before it",
+                "cannot be behind slave 0 port 1",
             ),
         ] {
             let plan: Plan = toml::from_str(text).unwrap();
-            let told = format!("{:#}", plan.build(false, 1).unwrap_err());
-            assert!(told.contains(why), "{told}");
+            let error = format!("{:#}", plan.build(false, 1).unwrap_err());
+            assert!(error.contains(cause), "{error}");
         }
         assert!(toml::from_str::<Plan>("[[slave]]\nkind = 'robot'\n").is_err());
     }

@@ -1,11 +1,11 @@
-//! Commands at both ends of a ring, in virtual time: what is said of it while it is whole, and when a cable is cut.
+//! Commands at both ends of a ring, in virtual time: a closed ring, and a ring with a cut cable.
 
 use std::cell::RefCell;
 use std::rc::Rc;
 
 use super::*;
 
-/// A ring, and what is on its way back to each of its ends.
+/// A ring, and the frames that return to each of its ends.
 #[derive(Debug)]
 struct Ring {
     segment: Segment,
@@ -13,11 +13,11 @@ struct Ring {
     returned: [VecDeque<(Duration, Vec<u8>)>; 2],
 }
 
-/// One end of it.
+/// An interface at one end of the ring.
 #[derive(Clone, Debug)]
-struct End(Rc<RefCell<Ring>>, Entry);
+struct RingPort(Rc<RefCell<Ring>>, Entry);
 
-impl Link for End {
+impl Link for RingPort {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         let mut ring = self.0.borrow_mut();
         let mut frame = frame.to_vec();
@@ -37,8 +37,8 @@ impl Link for End {
     ) -> io::Result<Option<(usize, Duration)>> {
         let mut ring = self.0.borrow_mut();
         let until = ring.now + timeout;
-        let waiting = &mut ring.returned[usize::from(self.1 == Entry::Last)];
-        let Some((due, frame)) = waiting.pop_front_if(|(due, _)| *due <= until) else {
+        let returned = &mut ring.returned[usize::from(self.1 == Entry::Last)];
+        let Some((due, frame)) = returned.pop_front_if(|(due, _)| *due <= until) else {
             ring.now = until;
             return Ok(None);
         };
@@ -48,7 +48,7 @@ impl Link for End {
     }
 }
 
-impl Wire for End {
+impl Wire for RingPort {
     fn now(&mut self) -> io::Result<Duration> {
         Ok(self.0.borrow().now)
     }
@@ -62,21 +62,21 @@ impl Wire for End {
     }
 }
 
-/// Three terminals in a ring, brought up from both ends; `cut` is made before.
-fn ring(cut: Option<usize>, goal: AlState) -> (Session<End>, End) {
+/// Three terminals in a ring, brought up from both ends; the cable `cut` is cut before.
+fn ring(cut: Option<usize>, goal: AlState) -> (Session<RingPort>, RingPort) {
     let (mut session, end) = unstarted(cut, goal);
     session.bring_up(Duration::from_secs(10)).unwrap();
     (session, end)
 }
 
-fn unstarted(cut: Option<usize>, goal: AlState) -> (Session<End>, End) {
+fn unstarted(cut: Option<usize>, goal: AlState) -> (Session<RingPort>, RingPort) {
     let terminals = (0..3).map(|_| Io::digital(8, 8).0);
     let mut segment = Segment::line(terminals.collect::<Vec<_>>());
     segment.set_redundant(true);
     if let Some(cut) = cut {
         segment.set_link(cut, false);
     }
-    let end = End(
+    let end = RingPort(
         Rc::new(RefCell::new(Ring {
             segment,
             now: Duration::from_secs(1),
@@ -90,7 +90,7 @@ fn unstarted(cut: Option<usize>, goal: AlState) -> (Session<End>, End) {
         redundant: true,
         ..MasterConfig::default()
     };
-    let other = End(end.0.clone(), Entry::Last);
+    let other = RingPort(end.0.clone(), Entry::Last);
     let session = Session::new("near", end.clone(), [2, 0, 0, 0, 0, 1], config).unwrap();
     let mut session = session.with_second(other, [2, 0, 0, 0, 0, 2]);
     session.listen().unwrap();
@@ -100,7 +100,7 @@ fn unstarted(cut: Option<usize>, goal: AlState) -> (Session<End>, End) {
 const GAP: &str = "the cable from slave 1 port 1 to slave 2 port 0: the ring is open there";
 
 #[test]
-fn a_ring_is_scanned_from_both_ends() {
+fn ring_is_scanned_from_both_ends() {
     let (session, _) = ring(None, AlState::PreOp);
     let text = scan::text(&session);
     assert!(text.contains("near: 3 slaves"), "{text}");
@@ -109,29 +109,33 @@ fn a_ring_is_scanned_from_both_ends() {
 }
 
 #[test]
-fn a_cable_cut_in_a_ring_is_named_and_all_slaves_are_there() {
+fn ring_with_cut_cable_names_it_and_continues() {
     let (mut session, end) = ring(None, AlState::SafeOp);
     end.0.borrow_mut().segment.set_link(2, false);
     let measured = stat::Measured::take(&mut session, Duration::from_millis(200)).unwrap();
     let text = stat::table(&session, &measured);
     assert_eq!(text.matches("SAFE-OP ").count(), 3, "{text}");
-    let told = stat::verdict("near", &measured.findings(session.master()));
-    assert!(told.contains(GAP), "{told}");
-    assert_eq!(told.matches("the ring is open").count(), 1, "{told}");
+    let findings = stat::verdict("near", &measured.findings(session.master()));
+    assert!(findings.contains(GAP), "{findings}");
+    assert_eq!(
+        findings.matches("the ring is open").count(),
+        1,
+        "{findings}"
+    );
 }
 
 #[test]
-fn a_ring_that_was_cut_before_is_told() {
+fn ring_cut_before_start_is_reported() {
     let (mut session, _) = unstarted(Some(2), AlState::SafeOp);
     for _ in 0..20 {
         session.cycle().unwrap();
     }
-    let told = session.nobody().unwrap_err().to_string();
+    let error = session.nobody().unwrap_err().to_string();
     assert!(
-        told.contains("near: the ring is open before the slave at position 2"),
-        "{told}"
+        error.contains("near: the ring is open before the slave at position 2"),
+        "{error}"
     );
-    // Open at its beginning it is a line.
+    // A ring that is open at its start is a line.
     let (session, _) = ring(Some(0), AlState::PreOp);
     let text = scan::text(&session);
     assert!(text.contains("near: 3 slaves"), "{text}");

@@ -1,5 +1,5 @@
-//! Questions to one node by SDO (CiA 301, clause 7.2.4), one at a time, each to its end. What is asked, and
-//! what becomes of the answer, the commands know.
+//! SDO transfers with one node (CiA 301, clause 7.2.4), one at a time, each to its end. The commands choose the
+//! objects and interpret the values.
 
 use std::fmt;
 use std::time::Duration;
@@ -11,78 +11,80 @@ use takt_cia402::dictionary::{AbortCode, Address};
 
 use super::wire::Wire;
 
-/// How long a node may take for an answer.
-pub(super) const PATIENCE: Duration = Duration::from_millis(500);
+/// Default timeout of an SDO response.
+pub(super) const TIMEOUT: Duration = Duration::from_millis(500);
 
-/// Why a node did not do what it was asked.
+/// Why an SDO transfer failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Refusal {
-    /// It says so.
-    Node(NodeId, Address, AbortCode),
-    /// It says nothing.
-    Silent(NodeId, Address, Duration),
-    /// Its answer makes no sense.
-    Broken(NodeId, Address, AbortCode),
+pub(super) enum SdoError {
+    /// The node aborted the transfer.
+    Aborted(NodeId, Address, AbortCode),
+    /// The node did not answer.
+    Timeout(NodeId, Address, Duration),
+    /// The node sent an invalid response.
+    Invalid(NodeId, Address, AbortCode),
 }
 
-impl Refusal {
-    /// What the node says, if it says something.
+impl SdoError {
+    /// The abort code that the node sent, if it sent one.
     pub(super) const fn code(self) -> Option<AbortCode> {
         match self {
-            Self::Node(_, _, code) => Some(code),
-            Self::Silent(..) | Self::Broken(..) => None,
+            Self::Aborted(_, _, code) => Some(code),
+            Self::Timeout(..) | Self::Invalid(..) => None,
         }
     }
 
-    /// What it is about.
+    /// The object of the transfer.
     pub(super) const fn address(self) -> Address {
         match self {
-            Self::Node(_, address, _)
-            | Self::Silent(_, address, _)
-            | Self::Broken(_, address, _) => address,
+            Self::Aborted(_, address, _)
+            | Self::Timeout(_, address, _)
+            | Self::Invalid(_, address, _) => address,
         }
     }
 
-    pub(super) const fn is_silence(self) -> bool {
-        matches!(self, Self::Silent(..))
+    pub(super) const fn is_timeout(self) -> bool {
+        matches!(self, Self::Timeout(..))
     }
 }
 
-impl fmt::Display for Refusal {
+impl fmt::Display for SdoError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Node(node, address, code) => write!(f, "node {node} refuses {address}: {code}"),
-            Self::Silent(node, address, time) => write!(
+            Self::Aborted(node, address, code) => {
+                write!(f, "node {node} refuses {address}: {code}")
+            }
+            Self::Timeout(node, address, time) => write!(
                 f,
-                "node {node} does not answer about {address} within {time:?}: is it powered, is that its \
-                 number (takt can scan), is it not stopped (takt can nmt), is the bit rate right (takt can stat)?"
+                "node {node} does not answer the SDO request for {address} within {time:?}\nhint: check its power, its number \
+                 (takt can scan), its NMT state (takt can nmt) and the bit rate (takt can stat)"
             ),
-            Self::Broken(node, address, code) => write!(
+            Self::Invalid(node, address, code) => write!(
                 f,
-                "the answer of node {node} about {address} makes no sense: {code}; do two nodes have this \
-                 number, or is another master asking?"
+                "node {node} sent an invalid SDO response for {address}: {code}; another node may have the same number, \
+                 or another master may be sending requests"
             ),
         }
     }
 }
 
-/// What came of a question: a node's refusal is no failure of the asking.
-pub(super) type Answer<T> = anyhow::Result<Result<T, Refusal>>;
+/// The outer error is one of the interface, the inner one of the transfer.
+pub(super) type Answer<T> = anyhow::Result<Result<T, SdoError>>;
 
-/// Asks one node.
+/// SDO client of one node.
 #[derive(Debug)]
-pub(super) struct Asker {
+pub(super) struct SdoClient {
     node: NodeId,
     client: Client,
-    patience: Duration,
+    timeout: Duration,
 }
 
-impl Asker {
-    pub(super) fn new(node: NodeId, patience: Duration) -> Self {
+impl SdoClient {
+    pub(super) fn new(node: NodeId, timeout: Duration) -> Self {
         Self {
             node,
-            client: Client::new(TRANSFER_MAX, patience),
-            patience,
+            client: Client::new(TRANSFER_MAX, timeout),
+            timeout,
         }
     }
 
@@ -99,7 +101,7 @@ impl Asker {
     ) -> Answer<Vec<u8>> {
         let first = self.client.read(address, in_blocks, wire.now());
         let outcome = self.finish(wire, first)?;
-        Ok(self.judge(outcome, |client| client.value().to_vec()))
+        Ok(self.result_of(outcome, |client| client.value().to_vec()))
     }
 
     /// Writes an entry.
@@ -113,18 +115,18 @@ impl Asker {
         let first = self.client.write(address, value, in_blocks, wire.now());
         let first = first.map_err(|code| anyhow::anyhow!("{address}: {code}"))?;
         let outcome = self.finish(wire, first)?;
-        Ok(self.judge(outcome, |_| ()))
+        Ok(self.result_of(outcome, |_| ()))
     }
 
-    fn judge<T>(&self, outcome: Outcome, value: impl Fn(&Client) -> T) -> Result<T, Refusal> {
+    fn result_of<T>(&self, outcome: Outcome, value: impl Fn(&Client) -> T) -> Result<T, SdoError> {
         let (node, address) = (self.node, self.client.address());
         match outcome {
             Outcome::Read | Outcome::Written => Ok(value(&self.client)),
-            Outcome::Refused(code) => Err(Refusal::Node(node, address, code)),
+            Outcome::Refused(code) => Err(SdoError::Aborted(node, address, code)),
             Outcome::GaveUp(AbortCode::TimedOut) => {
-                Err(Refusal::Silent(node, address, self.patience))
+                Err(SdoError::Timeout(node, address, self.timeout))
             }
-            Outcome::GaveUp(code) => Err(Refusal::Broken(node, address, code)),
+            Outcome::GaveUp(code) => Err(SdoError::Invalid(node, address, code)),
         }
     }
 
@@ -182,39 +184,39 @@ mod tests {
     use takt_can::canopen::emulator::DriveNodeConfig;
 
     #[test]
-    fn values_of_every_length_are_read_and_written() {
+    fn sdo_values_of_every_length_are_transferred() {
         let mut lab = Lab::new();
         lab.add_drive(DriveNodeConfig {
             domain_len: 3000,
             ..DriveNodeConfig::new(node(5))
         });
-        let mut asker = Asker::new(node(5), PATIENCE);
-        let name = asker.read(&mut lab, Address::new(0x1008, 0), false);
+        let mut client = SdoClient::new(node(5), TIMEOUT);
+        let name = client.read(&mut lab, Address::new(0x1008, 0), false);
         assert_eq!(name.unwrap().unwrap(), b"Takt emulated drive");
         let domain = Address::new(0x2000, 0);
         let value: Vec<u8> = (0..3000_u32).map(|n| n.to_le_bytes()[0]).collect();
         for in_blocks in [false, true] {
-            asker
+            client
                 .write(&mut lab, domain, &value, in_blocks)
                 .unwrap()
                 .unwrap();
-            let read = asker.read(&mut lab, domain, in_blocks).unwrap().unwrap();
+            let read = client.read(&mut lab, domain, in_blocks).unwrap().unwrap();
             assert_eq!(read, value, "{in_blocks}");
         }
     }
 
     #[test]
-    fn refusals_and_silence_name_node_and_object() {
+    fn sdo_errors_name_node_and_object() {
         let mut lab = Lab::of_drives(&[5]);
-        let mut asker = Asker::new(node(5), PATIENCE);
-        let refused = asker.read(&mut lab, Address::new(0x2222, 1), false);
+        let mut client = SdoClient::new(node(5), TIMEOUT);
+        let refused = client.read(&mut lab, Address::new(0x2222, 1), false);
         let refused = refused.unwrap().unwrap_err();
         assert_eq!(refused.code(), Some(AbortCode::NoObject));
         assert!(refused.to_string().contains("node 5 refuses 2222h:01"));
         lab.devices[0] = Device::Nothing;
-        let silent = asker.write(&mut lab, Address::new(0x1017, 0), &[0, 0], false);
+        let silent = client.write(&mut lab, Address::new(0x1017, 0), &[0, 0], false);
         let silent = silent.unwrap().unwrap_err();
-        assert!(silent.is_silence(), "{silent}");
+        assert!(silent.is_timeout(), "{silent}");
         assert!(silent.to_string().contains("1017h:00 within 500ms"));
     }
 }
