@@ -1,4 +1,4 @@
-//! What subcommands ask of a running controller, over the client of `takt_server`.
+//! Requests of subcommands to a running controller, over the client of `takt_server`.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -76,7 +76,7 @@ impl Client {
         Ok(end.filter(|end| !end.is_empty()))
     }
 
-    /// What the controller tells of nets, or of all of them.
+    /// The controller's report on nets, or on all of them.
     fn describe<'a>(
         &mut self,
         nets: impl IntoIterator<Item = &'a str>,
@@ -117,7 +117,7 @@ impl Client {
 
     /// Does something with a net.
     pub(crate) fn command(&mut self, command: &str, net: &str) -> anyhow::Result<()> {
-        let what = match command {
+        let action = match command {
             "nest" => "start",
             "neca" => "cancel",
             "neab" => "abort",
@@ -126,7 +126,7 @@ impl Client {
         };
         self.inner
             .call(command, [net])
-            .with_context(|| format!("cannot {what} {net}"))?;
+            .with_context(|| format!("cannot {action} {net}"))?;
         Ok(())
     }
 
@@ -180,7 +180,7 @@ impl Client {
     }
 }
 
-/// What a list of nets tells of one.
+/// An entry of a list of nets.
 #[derive(Debug)]
 pub(crate) struct NetInfo {
     /// Its identifier, such as rpinet0.
@@ -203,7 +203,7 @@ pub(crate) struct NetFigures {
 }
 
 impl NetFigures {
-    /// The figure of that name; not a number if the controller does not tell it.
+    /// The figure of that name; not a number if the controller does not report it.
     pub(crate) fn get(&self, name: &str) -> f64 {
         self.figures.get(name).copied().unwrap_or(f64::NAN)
     }

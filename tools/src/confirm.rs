@@ -1,40 +1,36 @@
-//! What can set something in motion, or change a slave for good, is done only when somebody stands by it: asked on a
-//! terminal, or told by a flag. What needs it is decided by who asks.
+//! Commands that can set a machine in motion, or change a slave permanently, run only after confirmation: a question on
+//! a terminal, or `--yes`. The caller decides what needs confirmation.
 
 use std::io::{self, IsTerminal as _, Write as _};
 
 use anyhow::{Context as _, ensure};
 
-/// Asks, if needed, before something that can move.
+/// Asks, unless confirmed, before something that can move.
 ///
 /// # Errors
-/// If the answer is no, or nobody can answer.
-pub(crate) fn motion(what: &str, confirmed: bool) -> anyhow::Result<()> {
-    asked(
-        &format!("{what} can set a machine in motion"),
-        "--confirm-motion",
-        confirmed,
-    )
+/// If the answer is no, or there is no terminal.
+pub(crate) fn motion(action: &str, confirmed: bool) -> anyhow::Result<()> {
+    ask(&format!("{action} can set a machine in motion"), confirmed)
 }
 
-/// Asks, if needed, before something that lasts beyond the next power-on.
+/// Asks, unless confirmed, before a change that outlasts the next power-on.
 ///
 /// # Errors
-/// If the answer is no, or nobody can answer.
-pub(crate) fn change(what: &str, confirmed: bool) -> anyhow::Result<()> {
-    asked(what, "--yes", confirmed)
+/// If the answer is no, or there is no terminal.
+pub(crate) fn change(effect: &str, confirmed: bool) -> anyhow::Result<()> {
+    ask(effect, confirmed)
 }
 
-fn asked(what: &str, flag: &str, confirmed: bool) -> anyhow::Result<()> {
+fn ask(effect: &str, confirmed: bool) -> anyhow::Result<()> {
     if confirmed {
         return Ok(());
     }
     ensure!(
         io::stdin().is_terminal(),
-        "{what}; if that is safe, say {flag}"
+        "{effect}\nhint: if that is safe, run the command with --yes"
     );
     let mut out = io::stderr().lock();
-    write!(out, "{what}. Is that safe? [y/N] ")?;
+    write!(out, "{effect}. Is that safe? [y/N] ")?;
     out.flush()?;
     let mut answer = String::new();
     io::stdin()

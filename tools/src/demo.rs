@@ -1,6 +1,6 @@
-//! `takt demo`: a whole cell in one process. Emulated robots speak FRI over UDP on loopback and EtherCAT over a
-//! cable in memory; a client sends nets as text over TCP; the report says how it went. No part is a toy: each is the
-//! code that runs against real robots.
+//! `takt demo`: a whole cell in one process. Emulated robots speak FRI over UDP on loopback and EtherCAT over a cable
+//! in memory; a client sends nets as text over TCP; the report gives the result. All parts are the code that runs
+//! against real robots.
 
 mod cell;
 mod motion;
@@ -27,7 +27,7 @@ use takt_server::LogBook;
 use crate::Verdict;
 use crate::client::Client;
 use crate::output::{complain, is_terminal, say, share, span};
-use crate::run::{Access, Server, stop_channel, tell_grants};
+use crate::run::{Access, Server, print_grants, stop_channel};
 use cell::{Kind, Machines};
 use recovery::{Outcome, Parts};
 use report::{Baseline, Report};
@@ -42,26 +42,26 @@ const SAMPLE_EVERY: Duration = Duration::from_millis(10);
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
     /// Which robots: two LWRs, or these beside a TX90 and a youBot on EtherCAT.
-    #[arg(long, value_enum, default_value_t = Kind::Pair)]
-    cell: Kind,
+    #[arg(long, alias = "cell", value_enum, default_value_t = Kind::Pair)]
+    robots: Kind,
     /// How long the motion takes.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     duration: Duration,
     /// Print one JSON object instead of the report.
     #[arg(long)]
     json: bool,
-    /// Where the plot goes.
+    /// File of the plot.
     #[arg(long, value_name = "FILE.svg", default_value = "takt-demo.svg")]
     svg: PathBuf,
     /// Lose this share of datagrams in each direction, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
     drop: f64,
     /// Record everything that enters and leaves the net thread.
-    #[arg(long, value_name = "FILE.mcap", conflicts_with = "replay")]
+    #[arg(long, value_name = "FILE.mcap", conflicts_with = "from")]
     record: Option<PathBuf>,
-    /// Replay a recording instead, and compare what comes out byte for byte.
-    #[arg(long, value_name = "FILE.mcap")]
-    replay: Option<PathBuf>,
+    /// Replay a recording instead, and compare the output byte for byte.
+    #[arg(long, alias = "replay", value_name = "FILE.mcap")]
+    from: Option<PathBuf>,
     /// Print the nets and end.
     #[arg(long)]
     print_net: bool,
@@ -72,15 +72,15 @@ pub(crate) struct Demo {
 
 impl Demo {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
-        let nets = self.cell.nets(self.duration);
+        let nets = self.robots.nets(self.duration);
         if self.print_net {
             nets.iter().try_for_each(|net| say(net.trim_end()))?;
             return Ok(Verdict::Good);
         }
-        if let Some(recording) = &self.replay {
+        if let Some(recording) = &self.from {
             return replay(recording);
         }
-        let (cell, segments) = self.cell.config()?;
+        let (cell, segments) = self.robots.config()?;
         let host = prepare(&HostConfig::default());
         let switch = StopSwitch::default();
         let channel = stop_channel(&cell, None, &switch)?;
@@ -90,7 +90,7 @@ impl Demo {
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
         let controller = Controller::start_under(&cell, recording, switch)?;
         if !self.json {
-            tell_grants(&host, &controller);
+            print_grants(&host, &controller);
         }
         let server = Server::start(
             &cell,
@@ -106,7 +106,7 @@ impl Demo {
         let ended = self.drive(&controller, &machines, address, &nets);
         let recorded = controller.finish_recording();
         let (samples, outcome) = ended?;
-        let arms = self.cell.moved();
+        let arms = self.robots.moved();
         let moved: Vec<_> = arms.iter().copied().zip(samples.moved()).collect();
         let followed = cell.controller.follow.unwrap_or_default();
         let krcs = &machines.krcs;
@@ -120,15 +120,15 @@ impl Demo {
         );
         let drawn = plot::draw(&self.svg, arms, &samples, &controller.stats());
         server.stop();
-        // Before its robots, so that it is not seen to lose them.
+        // Before its robots, so that their end is no fault.
         drop(controller);
         machines.stop()?;
-        // The report is worth reading though its recording or picture failed.
+        // The report is printed even if its recording or picture failed.
         let (cycles, failed) = match recorded {
             Ok(cycles) => (cycles, None),
             Err(error) => (None, Some(error)),
         };
-        let verdict = self.tell(&report, cycles, drawn.is_ok())?;
+        let verdict = self.print(&report, cycles, drawn.is_ok())?;
         drawn?;
         failed.map_or(Ok(verdict), |error| Err(error.into()))
     }
@@ -147,10 +147,10 @@ impl Demo {
         for net in nets {
             ids.push(recovery::load(&mut client, net)?);
         }
-        let parts = self.cell.parts().iter().copied().zip(ids.iter().cloned());
+        let parts = self.robots.parts().iter().copied().zip(ids.iter().cloned());
         let mut parts = Parts::new(controller, parts, self.duration);
         for id in &ids {
-            // On a host that stalled a device may be lost again by now, and comes back.
+            // On a host that stalled a device may be lost again by now; it recovers.
             if client.command("nest", id).is_err() {
                 self.wait_until_ready(controller)?;
                 client.command("nest", id)?;
@@ -172,7 +172,7 @@ impl Demo {
     ) -> anyhow::Result<Samples> {
         let begin = Instant::now();
         let bar = self.progress();
-        let arms = self.cell.moved();
+        let arms = self.robots.moved();
         let mut samples = Samples::of(arms);
         // A device that is lost near the end gets as long to come back as one at the start.
         let latest = self.duration + READY_WITHIN;
@@ -182,7 +182,7 @@ impl Demo {
                 push.command == "ns"
                     && push.args.first().and_then(|v| v.as_str()) == Some("TERMINATED")
             };
-            bar.suspend(|| parts.look(client, push.as_ref().is_some_and(ended)))?;
+            bar.suspend(|| parts.poll(client, push.as_ref().is_some_and(ended)))?;
             samples.take(controller, machines, arms, begin.elapsed());
             bar.set_position(u64::try_from(begin.elapsed().as_millis()).unwrap_or(u64::MAX));
         }
@@ -190,7 +190,7 @@ impl Demo {
         Ok(samples)
     }
 
-    /// Waits for all robots, and says for which: a youBot looks for its stops first, which takes some seconds.
+    /// Waits for all robots, and prints for which: a youBot searches its stops first, which takes some seconds.
     fn wait_until_ready(&self, controller: &Controller) -> anyhow::Result<()> {
         let until = Instant::now() + READY_WITHIN;
         let waiting = indicatif::ProgressBar::new_spinner();
@@ -209,7 +209,7 @@ impl Demo {
             let why = waits_for(controller, &device.name);
             if Instant::now() > until {
                 let why = why.unwrap_or_else(|| {
-                    "this host does not answer it in time; see how busy it is".to_owned()
+                    "this host does not answer it in time; check how busy it is".to_owned()
                 });
                 anyhow::bail!(
                     "{} is still {} after {READY_WITHIN:?}: {why}",
@@ -236,7 +236,7 @@ impl Demo {
             .unwrap_or(bar)
     }
 
-    fn tell(
+    fn print(
         &self,
         report: &Report,
         recorded: Option<u64>,
@@ -261,7 +261,7 @@ impl Demo {
     }
 }
 
-/// What the segment of a device waits for, if it says so.
+/// What the segment of a device waits for, if it reports it.
 fn waits_for(controller: &Controller, device: &str) -> Option<String> {
     let of = |segment: &Ethercat| segment.waits_for().filter(|_| segment.drives(device));
     let all = controller.with_drivers(of);

@@ -1,7 +1,6 @@
-//! `takt doctor`: whether a host is fit for real time, condition by condition, with what mends each.
+//! `takt doctor`: whether a host is fit for real time, condition by condition, each with a remedy.
 //!
-//! It looks at settings and rights and measures nothing: how late cycles are on this host `takt jitter`
-//! tells.
+//! It checks settings and rights and measures nothing; `takt jitter` measures the latency of cycles.
 
 mod apply;
 mod can;
@@ -35,10 +34,10 @@ use self::host::{Host, Subject};
 use crate::Verdict;
 use crate::output::say;
 
-/// Is this host fit for real time? One line per condition, and the command that mends it.
+/// Is this host fit for real time? One line per condition, and the command that fixes it.
 ///
 /// ok: as it should be. WARN: cycles run, but later or less surely than they could. FAIL: cycles do not run as they
-/// must. skip: does not exist here, or is not told.
+/// must. skip: does not exist here, or cannot be read.
 #[derive(Debug, Args)]
 pub(crate) struct Doctor {
     /// Examine a tree written by --save instead of this machine
@@ -47,10 +46,10 @@ pub(crate) struct Doctor {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-    /// Tell only what is not ok
+    /// Print only what is not ok
     #[arg(long)]
     quiet: bool,
-    /// List the settings that would mend conditions, ask, write them, and examine again
+    /// List the settings that would fix conditions, ask, write them, and examine again
     #[arg(long, conflicts_with_all = ["json", "save", "undo"])]
     apply: bool,
     /// Write without asking
@@ -91,7 +90,7 @@ impl Doctor {
         }
         if self.apply {
             let written = apply::apply(&host, &rows, self.yes)?;
-            // Anew: what was read before is remembered.
+            // From a new host: the first caches what it read.
             let rows = examine(&self.host()?);
             say(report::text(&rows, self.quiet).trim_end())?;
             return Ok(verdict(written && is_fit(&rows)));
@@ -116,7 +115,7 @@ impl Doctor {
             .with_context(|| format!("cannot read the tree {}", root.display()))?;
         if host.text("/proc/version").is_none() {
             anyhow::bail!(
-                "{} holds no saved host (no proc/version); write one by `takt doctor --save DIR`",
+                "{} holds no saved host (no proc/version)\nhint: write one by `takt doctor --save DIR`",
                 root.display()
             );
         }
@@ -132,8 +131,8 @@ fn verdict(good: bool) -> Verdict {
     if good { Verdict::Good } else { Verdict::Failed }
 }
 
-/// Into a folder of its own: among other files nobody could tell what was read. Interfaces are all saved, so that
-/// the tree can be asked about any of them.
+/// Saves to a new folder, so that it holds only what was read. All interfaces are saved, so that any of them can be
+/// examined in the tree.
 fn save(host: &mut Host, folder: &Path) -> anyhow::Result<Verdict> {
     let cannot = || format!("cannot save to {}", folder.display());
     fs::create_dir(folder).with_context(cannot)?;

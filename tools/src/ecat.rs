@@ -79,8 +79,8 @@ struct Target {
     #[arg(long, value_name = "IFACE")]
     second: Option<String>,
     /// How long slaves may take to reach their state.
-    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
-    patience: Duration,
+    #[arg(long, alias = "patience", value_name = "TIME", default_value = "10s", value_parser = span)]
+    timeout: Duration,
 }
 
 /// A segment that is measured, or a recording of one.
@@ -102,8 +102,8 @@ struct Source {
     #[arg(long, value_name = "NAME", requires = "config")]
     segment: Option<String>,
     /// How long slaves may take to reach their state.
-    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
-    patience: Duration,
+    #[arg(long, alias = "patience", value_name = "TIME", default_value = "10s", value_parser = span)]
+    timeout: Duration,
 }
 
 impl Source {
@@ -128,7 +128,7 @@ impl Source {
         let target = Target {
             interface: self.interface.clone().unwrap_or_default(),
             second,
-            patience: self.patience,
+            timeout: self.timeout,
         };
         target.open(config)
     }
@@ -168,7 +168,7 @@ impl Target {
         let ends = std::iter::once(self.interface.as_str()).chain(self.second.as_deref());
         crate::link::ready(ends, Medium::Ethernet)?;
         session.listen()?;
-        session.bring_up(self.patience)?;
+        session.bring_up(self.timeout)?;
         Ok(session)
     }
 }

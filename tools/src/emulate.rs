@@ -1,5 +1,5 @@
-//! `takt emulate`: the other end of a wire, for labs and tests. The protocols and robots are in
-//! the protocol crates.
+//! `takt emulate`: emulated robots and devices at a network or CAN interface, for labs and tests. Protocols and robots
+//! are in the protocol crates.
 
 mod drive;
 mod iiwa;
@@ -32,8 +32,8 @@ pub(crate) use service::Service;
 pub(crate) enum Emulate {
     /// A KRC with a KUKA LWR, speaking FRI 1.0 over UDP.
     ///
-    /// It bridges up to 100 missing answers and no quality ends its command mode: more patience than is
-    /// assumed of a real KRC, for hosts that stall; `--strict` takes it away.
+    /// It tolerates up to 100 missing answers, and no quality ends its command mode, so that it works on hosts that
+    /// stall; `--strict` applies the limits assumed of a real KRC.
     Lwr(lwr::Lwr),
     Iiwa(iiwa::Iiwa),
     /// A Segway power base on CAN or on its USB port.
@@ -61,8 +61,8 @@ impl Emulate {
 /// An arm in a posture in which every joint can move both ways.
 pub(crate) fn resting(period: Duration) -> KrcConfig {
     let joints = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
-    // A real KRC is taken to bridge fewer missing answers and to end command mode at a bad quality. A host
-    // without PREEMPT_RT stalls for longer now and then, and the demo is to show Takt, not the host.
+    // A real KRC is assumed to tolerate fewer missing answers and to end command mode at bad quality. A host without
+    // PREEMPT_RT sometimes stalls for longer, which the demo is not to show.
     let timing = emulator::Timing {
         misses_max: MISSES_MAX,
         bad_from: 0.0,
@@ -79,7 +79,7 @@ pub(crate) fn resting(period: Duration) -> KrcConfig {
 /// An emulated FRI controller in a thread of its own.
 #[derive(Debug)]
 pub(crate) struct Robot<C: Served = Krc> {
-    /// What it is doing.
+    /// Its state.
     pub(crate) status: Arc<Status<C>>,
     thread: Thread<std::io::Result<()>>,
     stop: Arc<AtomicBool>,
@@ -93,7 +93,7 @@ impl Robot {
 }
 
 impl<C: Served + 'static> Robot<C> {
-    /// Starts the controller that is made so for its time of start; its datagrams go to `target`.
+    /// Starts the controller that `controller` makes for its start time; its datagrams go to `target`.
     fn launch(
         name: &str,
         target: SocketAddr,
@@ -126,16 +126,16 @@ impl<C: Served + 'static> Robot<C> {
         })
     }
 
-    /// Says what changes until it is to end, then what it sent and was answered.
+    /// Prints changes of state until the end, then the counts of datagrams.
     fn watch(self, duration: Option<Duration>) -> anyhow::Result<Verdict> {
-        let mut told = None;
+        let mut printed = None;
         until_stopped(duration, || {
-            // The same reason once more is news, too.
+            // A repeated reason is a change, too.
             let now = (self.status.exits(), line(&self.status));
-            if told.as_ref() == Some(&now) {
+            if printed.as_ref() == Some(&now) {
                 return Ok(());
             }
-            say(&told.insert(now).1)
+            say(&printed.insert(now).1)
         })?;
         let status = self.stop()?;
         say(&format!(
@@ -148,7 +148,7 @@ impl<C: Served + 'static> Robot<C> {
         Ok(Verdict::Good)
     }
 
-    /// Ends it.
+    /// Ends the thread.
     pub(crate) fn stop(self) -> anyhow::Result<Arc<Status<C>>> {
         self.stop.store(true, Ordering::Relaxed);
         match self.thread.join() {
@@ -159,7 +159,7 @@ impl<C: Served + 'static> Robot<C> {
     }
 }
 
-/// What a controller does, in its own terms.
+/// The state of a controller, in its own terms.
 fn line<C: Served>(status: &Status<C>) -> String {
     let power = if status.has_power() { "on" } else { "off" };
     let fall = status.last_exit();

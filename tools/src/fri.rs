@@ -1,5 +1,5 @@
-//! `takt fri`: FRI connections of KUKA arms, live as the robot's partner, or in recordings. Datagrams are decoded and
-//! judged in `takt-fri`; the drivers of a cell are not here.
+//! `takt fri`: FRI connections of KUKA arms, live as FRI client, or in recordings. Datagrams are decoded and
+//! judged in `takt-fri`; the drivers of a cell are in `takt-core`.
 
 mod live;
 mod monitor;
@@ -18,7 +18,7 @@ use clap::Subcommand;
 
 use crate::Verdict;
 
-/// Look at FRI connections of KUKA arms: who is late, what was said; move one joint a little.
+/// Inspect FRI connections of KUKA arms: which side is late, what was sent; move one joint a little.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Fri {
     Monitor(monitor::Monitor),

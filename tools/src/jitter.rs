@@ -1,8 +1,7 @@
-//! `takt jitter`: how late cycles begin on this host, measured with the very thread, sleep and statistics
-//! that the controller runs on; compared with cyclictest if asked; judged by a stated budget.
+//! `takt jitter`: latency of cycles on this host, measured with the thread, sleep and statistics of the controller;
+//! optionally compared with cyclictest and with a budget.
 //!
-//! It tunes nothing but what the controller also asks for, and finds no causes: `takt doctor` looks at
-//! the host's settings.
+//! It changes only the settings that the controller changes, and finds no causes: `takt doctor` checks the host.
 
 mod cyclictest;
 mod histogram;
@@ -120,14 +119,14 @@ impl Jitter {
         };
         anyhow::ensure!(
             report.cycles() > 0,
-            "not one cycle ran; give it a longer --duration"
+            "no cycle ran\nhint: give a longer --duration"
         );
         let stored = report.budget_ns.map(Duration::from_nanos);
         report.judge(self.budget.or(stored));
         let picture = self.svg.as_ref();
         let drawn = picture.map_or(Ok(()), |path| save(path, svg::picture(&report)));
-        self.tell(&report)?;
-        // What was measured is printed though its picture cannot be written.
+        self.print(&report)?;
+        // The result is printed even if its picture cannot be written.
         drawn?;
         Ok(match report.verdict {
             Judgement::Fail => Verdict::Failed,
@@ -135,7 +134,7 @@ impl Jitter {
         })
     }
 
-    fn tell(&self, report: &Report) -> anyhow::Result<()> {
+    fn print(&self, report: &Report) -> anyhow::Result<()> {
         if self.json {
             return say(&serde_json::to_string(report)?);
         }
@@ -153,11 +152,11 @@ impl Jitter {
         const SHORTEST: Duration = Duration::from_micros(20);
         anyhow::ensure!(
             self.period >= SHORTEST,
-            "a period below {SHORTEST:?} leaves no time to sleep: --period 1ms"
+            "a period below {SHORTEST:?} leaves no time to sleep\nhint: --period 1ms"
         );
         anyhow::ensure!(
             self.duration >= self.period,
-            "the duration is shorter than one period: --duration 10s"
+            "the duration is shorter than one period\nhint: --duration 10s"
         );
         Ok(Plan {
             period: self.period,
@@ -176,17 +175,19 @@ impl Jitter {
             Some(CpuChoice::List(list)) => {
                 let wrong = list.iter().find(|cpu| !usable.contains(cpu));
                 if let Some(cpu) = wrong {
-                    anyhow::bail!("CPU {cpu} cannot be used here; those that can: {usable:?}");
+                    anyhow::bail!(
+                        "CPU {cpu} cannot be used here\nhint: those that can are {usable:?}"
+                    );
                 }
                 list.clone()
             }
-            // cyclictest keeps its thread on one processor, asked or not; so both are told which.
+            // cyclictest always pins its thread to one processor; so both are given the same.
             None if self.compare.is_some() => usable.into_iter().take(1).collect(),
             None => return Ok(vec![None]),
         };
         anyhow::ensure!(
             !chosen.is_empty(),
-            "cannot tell which CPUs can be used here"
+            "cannot determine which CPUs can be used here"
         );
         Ok(chosen.into_iter().map(Some).collect())
     }

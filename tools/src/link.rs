@@ -1,12 +1,11 @@
-//! What keeps an interface from carrying frames, as commands show it: cause and remedy in the words of the drivers. It
-//! sets nothing up.
+//! Faults of network interfaces, with the causes and remedies of the drivers. It changes no interface.
 
 use std::io;
 
 use anyhow::{anyhow, bail};
 use takt_rt::interface::{Interface, LinkFault, Medium};
 
-/// What keeps it from carrying frames now, if anything does.
+/// The present fault of an interface, if any.
 pub(crate) fn fault(interface: &str) -> Option<LinkFault> {
     Interface::open(interface).map_or(Some(LinkFault::Missing), |interface| interface.fault())
 }

@@ -28,11 +28,10 @@ use clap::{Parser, Subcommand};
 #[global_allocator]
 static ALLOCATOR: takt_rt::alloc::CountingAllocator = takt_rt::alloc::CountingAllocator;
 
-/// Robot control core: run it, try it without hardware, and look into it.
+/// Robot control core: run it, try it without hardware, inspect it.
 ///
-/// Exit status: 0 good; 1 the check failed or the controller refused; 2 wrong usage or environment; 78 the
-/// cell of `takt run` cannot be read or makes no sense.
-/// Durations are written with a unit: 250us, 1ms, 5s.
+/// Exit status: 0 good; 1 the check failed or the controller refused; 2 wrong usage or environment; 78 the cell of
+/// `takt run` cannot be read or is invalid. Durations are written with a unit: 250us, 1ms, 5s.
 #[derive(Debug, Parser)]
 #[command(name = "takt", version)]
 struct Arguments {
@@ -52,7 +51,7 @@ enum Command {
     Can(can::Can),
     #[command(subcommand)]
     Ecat(ecat::Ecat),
-    /// Be the other end of a wire: an emulated robot controller.
+    /// Emulate robots and devices at an interface.
     #[command(subcommand)]
     Emulate(emulate::Emulate),
     #[command(subcommand)]
@@ -69,12 +68,12 @@ enum Command {
     Manual(manual::Manual),
 }
 
-/// What a subcommand found out.
+/// Result of a subcommand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
     /// All is as it should be: exit status 0.
     Good,
-    /// The check failed, or what was asked for did not come to its end: exit status 1.
+    /// The check failed, or the request was not completed: exit status 1.
     Failed,
 }
 
@@ -104,8 +103,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Exit status of `takt run` with a cell that makes no sense, `EX_CONFIG` of sysexits(3): the service is not
-/// started again for it.
+/// Exit status of `takt run` with an invalid cell, `EX_CONFIG` of sysexits(3): the service is not restarted.
 const WRONG_CELL: u8 = 78;
 
 fn status_of(error: &anyhow::Error) -> u8 {
@@ -116,7 +114,7 @@ fn status_of(error: &anyhow::Error) -> u8 {
     }
 }
 
-/// Whether a controller could be asked and said no.
+/// Whether a controller answered with a refusal.
 fn is_refusal(error: &anyhow::Error) -> bool {
     let error = error.downcast_ref::<takt_server::Error>();
     matches!(error, Some(takt_server::Error::Refused { .. }))

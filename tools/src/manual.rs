@@ -1,5 +1,5 @@
-//! Manual pages and shell completions, made from the command line itself so that they cannot differ
-//! from it. For whoever packages `takt`; it installs nothing.
+//! Manual pages and shell completions, made from the command line itself so that they cannot differ from it. For
+//! packages of `takt`; it installs nothing.
 
 use std::path::{Path, PathBuf};
 
@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_subcommand_has_its_page_and_shells_complete() {
+    fn manual_covers_every_subcommand_and_shell() {
         let folder = std::env::temp_dir().join(format!("takt-manual-{}", std::process::id()));
         write(&folder).unwrap();
         let text = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();

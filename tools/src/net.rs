@@ -22,7 +22,7 @@ use crate::{Verdict, token};
 /// Check, load and control primitive nets.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Net {
-    /// Check a net without a controller: all faults, with the places.
+    /// Check a net without a controller: all faults, with their locations.
     Check(check::Check),
     /// Draw a net: an SVG on standard output.
     Dot(dot::Dot),
@@ -36,11 +36,11 @@ pub(crate) enum Net {
     Start(life::Target),
     /// Start a net in the cycle after another one.
     Schedule(life::Schedule),
-    /// Ask a running net to come to its end.
+    /// Request that a running net end.
     Cancel(life::Target),
     /// End a net at once; drivers brake what it moved.
     Abort(life::Target),
-    /// Forget a net that does not run.
+    /// Remove a net that does not run.
     Unload(life::Target),
     /// Follow states and values of a net until it ends.
     Watch(watch::Watch),
@@ -70,7 +70,7 @@ impl Net {
     }
 }
 
-/// Most bytes of a net's text: more than any controller takes in one message.
+/// Maximum size of a net's text, bytes: more than a controller accepts in one message.
 const NET_BYTES_MAX: u64 = 64 << 20;
 
 /// Where the controller listens.
@@ -78,8 +78,8 @@ const NET_BYTES_MAX: u64 = 64 << 20;
 struct Server {
     /// Where the controller listens: an address, or the path of its Unix socket; else the Unix socket of this
     /// account or of the service, else 127.0.0.1:8081.
-    #[arg(long, value_name = "HOST:PORT")]
-    server: Option<String>,
+    #[arg(long, alias = "server", value_name = "HOST:PORT")]
+    connect: Option<String>,
     /// File with the token that the controller asks for; else TAKT_TOKEN_FILE or TAKT_TOKEN.
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
@@ -87,8 +87,8 @@ struct Server {
 
 impl Server {
     fn connect(&self) -> anyhow::Result<Client> {
-        let token = token::of_client(self.token_file.as_deref(), self.server.as_deref())?;
-        Client::connect(self.server.as_deref(), token.as_ref())
+        let token = token::of_client(self.token_file.as_deref(), self.connect.as_deref())?;
+        Client::connect(self.connect.as_deref(), token.as_ref())
     }
 }
 
@@ -102,7 +102,7 @@ fn read(file: &Path) -> anyhow::Result<String> {
         .with_context(|| format!("cannot read {}", file.display()))
 }
 
-/// Tells all faults of a net, with their places.
+/// Prints all faults of a net, with their locations.
 fn complain_of(rejection: &Rejection, name: &str, text: &str) {
     complain(rejection.render(name, text).trim_end());
     let count = rejection.faults.len();

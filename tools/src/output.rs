@@ -1,5 +1,5 @@
-//! What subcommands say: text to standard output, complaints to standard error. A reader that has
-//! seen enough and closes the pipe is no failure.
+//! Output of subcommands: text to standard output, messages to standard error. A reader that closes the pipe is no
+//! error.
 
 use std::fs::{self, File};
 use std::io::{self, IsTerminal as _, Write as _};
@@ -16,13 +16,13 @@ pub(crate) fn say(line: &str) -> anyhow::Result<()> {
     Ok(out.flush()?)
 }
 
-/// Writes a line to standard error; there is nobody to tell if that fails.
+/// Writes a line to standard error; a failure of that cannot be reported.
 pub(crate) fn complain(line: &str) {
     let _ = writeln!(io::stderr().lock(), "{line}");
 }
 
-/// Writes a file whole or not at all: beside its place first, so that on a full disk what was there before is kept. What is
-/// no plain file, as a terminal, is written as it is.
+/// Writes a file whole or not at all: to a second file first, so that the old file is kept if the disk is full.
+/// Special files, such as a terminal, are written directly.
 pub(crate) fn save(path: &Path, bytes: impl AsRef<[u8]>) -> anyhow::Result<()> {
     let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let result = write_whole(&target, bytes.as_ref());
@@ -54,7 +54,7 @@ fn write_whole(target: &Path, bytes: &[u8]) -> io::Result<()> {
         .and_then(|()| before.map_or(Ok(()), |before| file.set_permissions(before.permissions())))
         .and_then(|()| fs::rename(&beside, target));
     if written.is_err() {
-        // The error of the writing says more than one of this.
+        // The error of the write is the cause.
         let _ = fs::remove_file(&beside);
     }
     written
@@ -78,7 +78,7 @@ pub(crate) fn is_terminal() -> bool {
     io::stderr().is_terminal()
 }
 
-/// Whether an error is only that the reader has gone.
+/// Whether an error is only a closed pipe.
 pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error
         .chain()
@@ -86,18 +86,18 @@ pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
         .any(|cause| cause.kind() == io::ErrorKind::BrokenPipe)
 }
 
-/// An error and its causes in one line. Causes that are already told are not told again.
+/// An error and its causes in one line. Causes that the text contains already are not repeated.
 pub(crate) fn chain(error: &anyhow::Error) -> String {
     error
         .chain()
         .map(ToString::to_string)
-        .fold(String::new(), |told, cause| {
-            if told.is_empty() {
+        .fold(String::new(), |text, cause| {
+            if text.is_empty() {
                 cause
-            } else if told.contains(&cause) {
-                told
+            } else if text.contains(&cause) {
+                text
             } else {
-                format!("{told}: {cause}")
+                format!("{text}: {cause}")
             }
         })
 }
@@ -142,7 +142,7 @@ mod tests {
     use super::{chain, save, share, time};
 
     #[test]
-    fn saved_file_replaces_the_one_before() {
+    fn save_replaces_existing_file() {
         let folder = std::env::temp_dir().join(format!("takt-save-{}", std::process::id()));
         fs::create_dir(&folder).unwrap();
         let path = folder.join("plot.svg");
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn full_disk_is_reported_with_its_remedy() {
+    fn save_full_disk_reports_hint() {
         let error = save("/dev/full".as_ref(), "text").unwrap_err();
         let text = chain(&error);
         assert!(
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn causes_are_told_once() {
+    fn chain_prints_each_cause_once() {
         let error = anyhow::anyhow!("no such file").context("a.toml: no such file");
         assert_eq!(chain(&error), "a.toml: no such file");
         let error = anyhow::anyhow!("no such file").context("cannot read a.toml");

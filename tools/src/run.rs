@@ -1,5 +1,5 @@
-//! `takt run`: the controller in the foreground, as a service runs it. What a cell is made of
-//! stands in its `cell.toml`; how the service manager is told stands in `service`.
+//! `takt run`: the controller in the foreground, as a service runs it. The cell is described by its `cell.toml`;
+//! `service` notifies the service manager.
 
 mod access;
 mod logging;
@@ -29,16 +29,16 @@ pub(crate) use self::access::Access;
 use self::logging::Logging;
 use self::service::Service;
 use crate::Verdict;
-use crate::output::{complain, say};
+use crate::output::{chain, complain, say};
 
 /// Run the controller.
 ///
-/// SIGHUP reads the cell anew: devices that are new or gone, and what is logged, change while nets run;
-/// the rest needs a restart. SIGTERM and Ctrl-C cancel all nets, wait until the robots are at rest, and
-/// end. Under systemd it tells its state and feeds the watchdog.
+/// SIGHUP reloads the cell: added and removed devices and the log level change while nets run; the rest needs a
+/// restart. SIGTERM and Ctrl-C cancel all nets, wait until the robots are at rest, and end. Under systemd it reports
+/// its state and feeds the watchdog.
 #[derive(Debug, Args)]
 pub(crate) struct Run {
-    /// What the cell is made of.
+    /// The cell file.
     #[arg(long, value_name = "FILE", default_value = "cell.toml")]
     config: PathBuf,
     /// Record everything that enters and leaves the net thread.
@@ -56,7 +56,7 @@ impl Run {
         let logging = Logging::start(cell.controller.log.as_deref(), &book)?;
         let access = Access::of_cell(&cell)?;
         let host = prepare(&HostConfig::default());
-        // Before all other threads, so that nothing keeps a stop away, and after memory is locked.
+        // Before all other threads, so that nothing delays a stop, and after memory is locked.
         let switch = StopSwitch::default();
         let channel = stop_channel(&cell, access.token(), &switch)?;
         if self.guard {
@@ -67,7 +67,7 @@ impl Run {
         }
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
         let controller = Controller::start_under(&cell, recording, switch).map_err(judged)?;
-        tell_grants(&host, &controller);
+        print_grants(&host, &controller);
         channel
             .grants()
             .iter()
@@ -95,7 +95,7 @@ impl Run {
     }
 }
 
-/// Starts the stop channel of a cell. Without a path in the cell its socket is where `takt stop` looks.
+/// Starts the stop channel of a cell. Without a path in the cell its socket is where `takt stop` searches.
 pub(crate) fn stop_channel(
     cell: &CellConfig,
     token: Option<&Token>,
@@ -130,7 +130,7 @@ pub(crate) fn stop_channel(
     Ok(StopChannel::start(config, switch.clone())?)
 }
 
-/// Where it can be stopped, for people.
+/// Addresses at which it can be stopped, as text.
 pub(crate) fn stop_addresses(channel: &StopChannel) -> Vec<String> {
     let socket = channel
         .socket()
@@ -141,7 +141,7 @@ pub(crate) fn stop_addresses(channel: &StopChannel) -> Vec<String> {
     socket.into_iter().chain(tcp).collect()
 }
 
-/// A cell that cannot be read or makes no sense: to start again is no remedy.
+/// A cell that cannot be read or is invalid: a restart does not help.
 #[derive(Debug)]
 pub(crate) struct WrongCell(anyhow::Error);
 
@@ -157,7 +157,8 @@ impl std::error::Error for WrongCell {
     }
 }
 
-/// Tells what is wrong with the cell from what the host lacks, which may come: an interface, an address.
+/// Distinguishes faults of the cell from missing resources of the host, such as an interface or an address, which may
+/// appear later.
 fn judged(error: takt_core::Error) -> anyhow::Error {
     use takt_core::Error as E;
     let is_of_the_cell = matches!(
@@ -176,15 +177,18 @@ fn judged(error: takt_core::Error) -> anyhow::Error {
     }
 }
 
-/// Reads a cell; one that does not exist yet is shown how to begin.
+/// Reads a cell; if the file is missing, the hint describes one.
 fn read_cell(path: &Path) -> anyhow::Result<CellConfig> {
     let missing = !path.exists();
     let cell = CellConfig::read(path);
     if missing {
-        return cell.context(
-            "no cell yet; an empty file is a controller without robots, and each robot is \
-             `[[device]]` with `name`, `type = \"kuka_lwr_fri\"`, `listen = \"0.0.0.0:49938\"`",
-        );
+        return cell.map_err(|error| {
+            anyhow::anyhow!(
+                "{}\nhint: an empty file is a controller without robots; each robot is `[[device]]` with `name`, \
+                 `type = \"kuka_lwr_fri\"`, `listen = \"0.0.0.0:49938\"`",
+                chain(&error.into())
+            )
+        });
     }
     Ok(cell?)
 }
@@ -201,7 +205,7 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Begins to listen where the cell says.
+    /// Listens at the addresses of the cell.
     pub(crate) fn start(
         cell: &CellConfig,
         controller: &Controller,
@@ -231,7 +235,7 @@ impl Server {
         let (http, tcp) = (server.http_address(), server.tcp_address());
         let (stop, stopped) = tokio::sync::oneshot::channel();
         let shutdown = async {
-            // A sender that is gone means the same as one that has sent.
+            // A dropped sender means the same as a message.
             let _ = stopped.await;
         };
         let task = runtime.spawn(server.run(controller.clone(), shutdown));
@@ -270,8 +274,8 @@ impl Server {
     }
 }
 
-/// Says which requests to the host were refused, once each.
-pub(crate) fn tell_grants(host: &takt_rt::host::Host, controller: &Controller) {
+/// Prints which requests to the host were refused, once each.
+pub(crate) fn print_grants(host: &takt_rt::host::Host, controller: &Controller) {
     let mut refused: Vec<String> = Vec::new();
     let threads = controller.grants().into_iter().map(|(_, grant)| grant);
     for grant in host.grants().iter().cloned().chain(threads) {
@@ -283,10 +287,10 @@ pub(crate) fn tell_grants(host: &takt_rt::host::Host, controller: &Controller) {
     }
 }
 
-/// Calls `look` ten times a second until Ctrl-C, a request to terminate, or the end of `duration`.
+/// Calls `poll` ten times a second until Ctrl-C, a request to terminate, or the end of `duration`.
 pub(crate) fn until_stopped(
     duration: Option<Duration>,
-    mut look: impl FnMut() -> anyhow::Result<()>,
+    mut poll: impl FnMut() -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -301,7 +305,7 @@ pub(crate) fn until_stopped(
             tokio::select! {
                 _ = tokio::signal::ctrl_c() => return Ok(()),
                 _ = terminate.recv() => return Ok(()),
-                _ = ticks.tick() => look()?,
+                _ = ticks.tick() => poll()?,
             }
             if end.is_some_and(|end| tokio::time::Instant::now() >= end) {
                 return Ok(());

@@ -1,4 +1,4 @@
-//! `takt stop`: stops controllers at once, over the channel that serves nothing else, and says what was stopped and
+//! `takt stop`: stops controllers at once, over the channel that serves nothing else, and prints what was stopped and
 //! when. It loads nothing and needs no cell; whether robots have come to rest is shown elsewhere.
 
 use std::io::{self, Read, Write};
@@ -31,7 +31,7 @@ pub(crate) struct Stop {
     /// Release the stop instead: programs may start nets again, and have to request them.
     #[arg(long, conflicts_with = "show")]
     release: bool,
-    /// Change nothing; say whether controllers are stopped, and by whom.
+    /// Change nothing; print whether controllers are stopped, and by which client.
     #[arg(long)]
     show: bool,
     /// The socket of one controller; else all that are found in /run/takt and in the user's own folders.
@@ -51,7 +51,7 @@ pub(crate) struct Stop {
     json: bool,
 }
 
-/// Where a controller is asked.
+/// The stop channel of a controller.
 #[derive(Clone, Debug)]
 enum Target {
     Socket(PathBuf),
@@ -82,9 +82,9 @@ struct ThreadState {
     withdrawn_at_ns: i64,
 }
 
-/// What came of one target.
+/// The outcome of one target.
 enum Outcome {
-    /// It answered, as this text, which says this.
+    /// It answered with this text, of this content.
     Answered(String, State),
     /// It refused, and why.
     Refused(String),
@@ -101,7 +101,7 @@ impl Stop {
             (false, true) => "GET /stop",
             (false, false) => "POST /stop",
         };
-        // All at once, and above what may keep the processors busy, where this user may.
+        // All at once, and with real-time priority where this user may, against busy processors.
         let ask = |target: &Target| {
             let (target, timeout) = (target.clone(), self.timeout);
             let config = ThreadConfig {
@@ -118,7 +118,7 @@ impl Stop {
                 Ok(Err(_)) => Outcome::Unreachable(anyhow::anyhow!("the request panicked")),
                 Err(error) => Outcome::Unreachable(error.into()),
             };
-            worst = worst.max(self.tell(target, &outcome, begin.0)?);
+            worst = worst.max(self.print(target, &outcome, begin.0)?);
         }
         match worst {
             0 => Ok(Verdict::Good),
@@ -140,18 +140,18 @@ impl Stop {
         let folders = socket_folders();
         let found: Vec<_> = folders.iter().flat_map(|folder| sockets(folder)).collect();
         if found.is_empty() {
-            let looked: Vec<_> = folders.iter().map(|f| f.display().to_string()).collect();
+            let searched: Vec<_> = folders.iter().map(|f| f.display().to_string()).collect();
             anyhow::bail!(
                 "no controller has a stop socket in {}\nhint: name it with --socket PATH, or its stop port with \
                  --connect HOST:PORT",
-                looked.join(", ")
+                searched.join(", ")
             );
         }
         Ok(found.into_iter().map(Target::Socket).collect())
     }
 
-    /// Prints what came of one target; returns the exit status it stands for.
-    fn tell(&self, target: &Target, outcome: &Outcome, begin_ns: i64) -> anyhow::Result<u8> {
+    /// Prints the outcome of one target; returns its exit status.
+    fn print(&self, target: &Target, outcome: &Outcome, begin_ns: i64) -> anyhow::Result<u8> {
         let name = target.name();
         match outcome {
             Outcome::Answered(text, state) => {
@@ -183,7 +183,7 @@ impl Stop {
         }
     }
 
-    /// The answer with what only the asker knows.
+    /// The answer with the figures of this side.
     fn json(&self, name: &str, text: &str, state: &State, begin_ns: i64) -> anyhow::Result<String> {
         let mut answer: serde_json::Value = serde_json::from_str(text)?;
         if let Some(members) = answer.as_object_mut() {
@@ -206,7 +206,7 @@ fn sockets(folder: &Path) -> Vec<PathBuf> {
         name.is_some_and(|name| name.starts_with("stop-") && name.ends_with(".sock"))
     };
     let paths = entries.map(|entry| entry.path()).filter(is_socket);
-    // What a controller left that is no more answers nobody.
+    // Sockets left by a controller that has ended refuse connections.
     let alive = |path: &PathBuf| {
         let refused = UnixStream::connect(path).err().map(|e| e.kind());
         !matches!(
@@ -295,7 +295,7 @@ fn converse(
     String::from_utf8(bytes).context("this is no stop channel")
 }
 
-/// What an answer says.
+/// The content of an answer.
 fn judge(answer: &str) -> Outcome {
     let Some((head, body)) = answer.split_once("\r\n\r\n") else {
         return Outcome::Unreachable(anyhow::anyhow!("the connection ended without an answer"));
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn refusal_and_nonsense_are_told_apart() {
+    fn stop_distinguishes_refusal_from_nonsense() {
         let refused = "HTTP/1.1 401 Unauthorized\r\n\r\n{\"error\":\"the token is wrong\"}\n";
         assert!(matches!(judge(refused), Outcome::Refused(why) if why == "the token is wrong"));
         for nonsense in ["", "HTTP/1.1 200 OK\r\n\r\n<html>"] {

@@ -1,5 +1,5 @@
-//! Where the token comes from that a controller asks for, and that tools give it. It is never shown, and
-//! it is no argument: those can be read by everybody on the host.
+//! The source of the token of a controller and its tools. It is never printed, and is no argument, since all users of
+//! the host can read those.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -18,9 +18,9 @@ const CREDENTIAL: &str = "takt-token";
 /// Name of the token file that a controller makes, in its state directory.
 const MADE: &str = "token";
 
-/// The token that a controller asks for: of the cell's file, else of the file that the environment
-/// names, the systemd credential, or the environment itself. If there is none and loopback needs one, of a
-/// file in the state directory, which is made once.
+/// The token that a controller requires: of the cell's file, else of the file that the environment names, the systemd
+/// credential, or the environment itself. If there is none and loopback needs one, of a file in the state directory,
+/// which is made once.
 pub(crate) fn of_controller(
     cell: Option<&Path>,
     loopback: Option<Loopback>,
@@ -103,7 +103,7 @@ mod tests {
     use std::os::unix::fs::PermissionsExt as _;
 
     #[test]
-    fn the_nearest_place_counts() {
+    fn token_first_source_wins() {
         let directory = std::env::temp_dir().join(format!("takt-tokens-{}", std::process::id()));
         std::fs::create_dir_all(&directory).unwrap();
         let file = |name: &str, token: &str| {
@@ -116,7 +116,7 @@ mod tests {
         let cell = file("cell", "of-the-cell-aaaaa");
         let named = file("named", "of-the-file-aaaaa");
         file(CREDENTIAL, "of-systemd-aaaaaa");
-        let look = |cell: Option<&Path>, credentials, known: &[&str]| {
+        let found = |cell: Option<&Path>, credentials, known: &[&str]| {
             let environment = |name: &str| match name {
                 _ if !known.contains(&name) => None,
                 TOKEN => Some("of-the-environment".into()),
@@ -129,17 +129,20 @@ mod tests {
         };
         let all = [TOKEN, TOKEN_FILE, CREDENTIALS];
         let text = |text: &str| Some(text.to_owned());
-        assert_eq!(look(Some(&cell), true, &all), text("of-the-cell-aaaaa"));
-        assert_eq!(look(None, true, &all), text("of-the-file-aaaaa"));
+        assert_eq!(found(Some(&cell), true, &all), text("of-the-cell-aaaaa"));
+        assert_eq!(found(None, true, &all), text("of-the-file-aaaaa"));
         let without_file = [TOKEN, CREDENTIALS];
-        assert_eq!(look(None, true, &without_file), text("of-systemd-aaaaaa"));
-        assert_eq!(look(None, false, &without_file), text("of-the-environment"));
-        assert_eq!(look(None, true, &[]), None);
+        assert_eq!(found(None, true, &without_file), text("of-systemd-aaaaaa"));
+        assert_eq!(
+            found(None, false, &without_file),
+            text("of-the-environment")
+        );
+        assert_eq!(found(None, true, &[]), None);
         std::fs::remove_dir_all(&directory).unwrap();
     }
 
     #[test]
-    fn made_token_file_stands_in_the_state_directory() {
+    fn token_file_is_made_in_state_directory() {
         let path = |known: &[(&str, &str)]| {
             let environment = |name: &str| {
                 let found = known.iter().find(|(n, _)| *n == name);
@@ -158,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_token_is_told_with_its_place() {
+    fn token_invalid_error_names_its_source() {
         let environment = |name: &str| (name == TOKEN).then(|| "short".into());
         let error = find(None, false, &environment).unwrap_err();
         assert!(

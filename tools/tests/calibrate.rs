@@ -18,7 +18,7 @@ fn table(cpu: &str, rows: &str) -> String {
 }
 
 #[test]
-fn a_measured_table_is_taken_by_check() {
+fn calibrate_table_is_accepted_by_check() {
     let folder = Folder::new();
     let (costs, net) = (folder.file("costs.toml"), folder.write("a.net", NET));
     let args = ["net", "calibrate", "--repetitions", "1", "--output", &costs];
@@ -30,39 +30,39 @@ fn a_measured_table_is_taken_by_check() {
 }
 
 #[test]
-fn a_net_that_costs_too_much_is_told_why() {
+fn calibrate_net_above_budget_is_rejected_with_costs() {
     let folder = Folder::new();
     let net = folder.write("a.net", NET);
     let rows = "\"Core::DoubleAdd\" = { first_ns = 0.0, ns = 900000.0, element_ns = 0.0 }\n\
-                \"Core::Gone\" = { first_ns = 0.0, ns = 1.0, element_ns = 0.0 }";
+                \"Core::Missing\" = { first_ns = 0.0, ns = 1.0, element_ns = 0.0 }";
     let costs = folder.write("costs.toml", &table("Z80", rows));
     let args = ["net", "check", &net, "--costs", &costs, "--period"];
     let output = run(&[&args[..], &["1ms"]].concat());
     expect_status(&output, 1);
-    let told = complaint(&output);
+    let text = complaint(&output);
     for part in [
         "costs up to 900.48",
         "the limit is 800µs of its period of 1ms",
         "1 `Core::DoubleAdd` 100 %",
         "takt net calibrate",
-        "primitives that do not exist: Core::Gone",
+        "primitives that do not exist: Core::Missing",
         "measured on `Z80`",
     ] {
-        assert!(told.contains(part), "{part} is not in:\n{told}");
+        assert!(text.contains(part), "{part} is not in:\n{text}");
     }
     expect_status(&run(&[&args[..], &["2ms"]].concat()), 0);
 }
 
 #[test]
-fn a_controller_refuses_the_table_of_another_processor() {
+fn run_cost_table_of_other_processor_is_refused() {
     let folder = Folder::new();
     folder.write("costs.toml", &table("Z80", ""));
     let cell = folder.write("cell.toml", "[controller]\ncosts = \"costs.toml\"\n");
     let output = run(&["run", "--config", &cell]);
     expect_status(&output, 78);
-    let told = complaint(&output);
+    let text = complaint(&output);
     assert!(
-        told.contains("Z80") && told.contains("measure again"),
-        "{told}"
+        text.contains("Z80") && text.contains("measured on"),
+        "{text}"
     );
 }

@@ -302,8 +302,8 @@ fn invalid_arguments_are_rejected_with_the_cause() {
             "`128` is not a node number; they are 1 to 127, or `all`",
         ),
         (
-            &["can", "nmt", "can0", "all", "stop", "--wait", "1s"],
-            "--wait needs one node",
+            &["can", "nmt", "can0", "all", "stop", "--timeout", "1s"],
+            "--timeout needs one node",
         ),
         (
             &["can", "sdo", "can0", "0", "upload", "1000"],
@@ -323,10 +323,7 @@ fn invalid_arguments_are_rejected_with_the_cause() {
             "no node number",
         ),
         (&["can", "rmp", "can0", "--jog", "9,0"], "too fast to jog"),
-        (
-            &["can", "rmp", "can0", "--config", "scale=3"],
-            "is no setting",
-        ),
+        (&["can", "rmp", "can0", "--set", "scale=3"], "is no setting"),
     ] {
         let output = run(arguments);
         expect_status(&output, 2);
@@ -351,12 +348,20 @@ fn rmp_at_serial_port_is_read_and_driven() {
         let refused = run(&["can", "rmp", "--serial", port, "--jog", "0.2"]);
         expect_status(&refused, 2);
         assert!(
-            complaint(&refused).contains("--confirm-motion"),
+            complaint(&refused).contains("with --yes"),
             "{}",
             complaint(&refused)
         );
         let driven = run(&[
-            "can", "rmp", "--serial", port, "--jog", "0.2", "--for", "1s", "--yes",
+            "can",
+            "rmp",
+            "--serial",
+            port,
+            "--jog",
+            "0.2",
+            "--duration",
+            "1s",
+            "--yes",
         ]);
         let output = expect_status(&driven, 0);
         assert!(output.contains("ok, drove and stands"), "{output}");

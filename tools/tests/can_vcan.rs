@@ -255,7 +255,7 @@ fn scan_nmt_and_sdo_reach_the_node() {
         (&node["profile"], &node["serial"]),
         (&"drive (CiA 402)".into(), &61.into())
     );
-    let preop = run(&["can", "nmt", vcan, "61", "preop", "--wait", "30s"]);
+    let preop = run(&["can", "nmt", vcan, "61", "preop", "--timeout", "30s"]);
     assert!(expect_status(&preop, 0).contains("node 61: pre-operational after"));
     let silent = run(&["can", "nmt", vcan, "60", "preop", "--wait", "300ms"]);
     assert!(expect_status(&silent, 1).contains("no answer within"));
@@ -284,7 +284,15 @@ fn drive_comes_up_turns_and_brakes() {
     };
     let _drive = drive(&vcan, "63");
     let jogged = eventually(&[
-        "can", "drive", &vcan, "63", "--jog", "20000", "--for", "500ms", "--json",
+        "can",
+        "drive",
+        &vcan,
+        "63",
+        "--jog",
+        "20000",
+        "--duration",
+        "500ms",
+        "--json",
     ]);
     let jogged: Value = serde_json::from_str(&jogged).unwrap();
     assert_eq!(
@@ -293,7 +301,14 @@ fn drive_comes_up_turns_and_brakes() {
     );
     // A Ctrl-C.
     let mut jog = Process::start(&[
-        "can", "drive", &vcan, "63", "--jog", "2000", "--for", "1min",
+        "can",
+        "drive",
+        &vcan,
+        "63",
+        "--jog",
+        "2000",
+        "--duration",
+        "1min",
     ]);
     jog.wait_for("s  operation enabled");
     jog.terminate();

@@ -141,7 +141,7 @@ fn net_is_scheduled_after_another() {
 }
 
 #[test]
-fn nets_outlive_the_clients_that_look_at_them() {
+fn nets_outlive_their_watching_clients() {
     let _alone = alone();
     let cell = Cell::start();
     let id = cell.load("{cancel=Cancel(), outTerminate=cancel.outCancel}");
@@ -156,7 +156,7 @@ fn nets_outlive_the_clients_that_look_at_them() {
 }
 
 #[test]
-fn client_says_that_the_controller_has_gone() {
+fn watch_reports_lost_controller() {
     let _alone = alone();
     let mut cell = Cell::start();
     let id = cell.load("{cancel=Cancel(), outTerminate=cancel.outCancel}");
@@ -174,7 +174,7 @@ fn client_says_that_the_controller_has_gone() {
 }
 
 #[test]
-fn controller_asked_to_end_brings_its_nets_to_an_end() {
+fn run_sigterm_ends_all_nets() {
     let _alone = alone();
     let cell = Cell::start();
     let id = cell.load("{cancel=Cancel(), outTerminate=cancel.outCancel}");
@@ -189,10 +189,10 @@ fn controller_asked_to_end_brings_its_nets_to_an_end() {
 }
 
 #[test]
-fn what_is_no_net_is_refused_with_its_faults() {
+fn load_invalid_net_is_refused_with_faults() {
     let _alone = alone();
     let cell = Cell::start();
-    let load = |text: &str| run_with_input(&["net", "load", "-", "--server", &cell.tcp], text);
+    let load = |text: &str| run_with_input(&["net", "load", "-", "--connect", &cell.tcp], text);
     let cases = [
         ("{clock=Core::Clock(,}", "-:1:20"),
         (
@@ -231,19 +231,19 @@ fn what_is_no_net_is_refused_with_its_faults() {
 }
 
 #[test]
-fn environment_that_is_not_there_is_named() {
-    let nobody = std::net::TcpListener::bind("127.0.0.1:0")
+fn missing_environment_is_named() {
+    let unused = std::net::TcpListener::bind("127.0.0.1:0")
         .unwrap()
         .local_addr()
         .unwrap();
-    let nobody = nobody.to_string();
+    let unused = unused.to_string();
     let cases: [(&[&str], &str); 4] = [
         (
-            &["net", "list", "--server", &nobody],
+            &["net", "list", "--connect", &unused],
             "hint: start the controller with `takt run`",
         ),
         (&["net", "check", "/nowhere.net"], "/nowhere.net"),
-        (&["demo", "--replay", "/nowhere.mcap"], "/nowhere.mcap"),
+        (&["demo", "--from", "/nowhere.mcap"], "/nowhere.mcap"),
         (&["demo", "--duration", "5"], "unit"),
     ];
     for (args, what) in cases {
@@ -259,7 +259,7 @@ fn environment_that_is_not_there_is_named() {
 
 /// What a service manager starts again, and what not.
 #[test]
-fn a_wrong_cell_has_a_status_of_its_own_and_an_address_that_is_missing_has_not() {
+fn run_wrong_cell_exits_78_missing_address_2() {
     let folder = Folder::new();
     // An address of the documentation, which no host has.
     let missing = "[[device]]\nname = 'left'\ntype = 'kuka_lwr_fri'\nlisten = '192.0.2.1:49938'\n";
@@ -267,7 +267,7 @@ fn a_wrong_cell_has_a_status_of_its_own_and_an_address_that_is_missing_has_not()
     for (text, status, what) in [
         ("nonsense", 78, "nonsense"),
         ("[[device]]\nname = 'a'\ntype = 'teapot'\n", 78, "teapot"),
-        ("[controller]\nfollow = 'nobody'\n", 78, "nobody"),
+        ("[controller]\nfollow = 'missing'\n", 78, "missing"),
         (missing, 2, "left"),
         (bus, 2, "nocan7"),
     ] {

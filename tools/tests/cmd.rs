@@ -1,5 +1,4 @@
-//! Help texts and all `console` blocks of the README, run and compared. What needs a robot stands
-//! in `text` blocks there.
+//! Help texts and all `console` blocks of the README, run and compared. Examples that need a robot are in `text` blocks there.
 
 #[test]
 fn console_blocks_and_help_are_as_written() {

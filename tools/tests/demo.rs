@@ -24,7 +24,7 @@ fn demo(args: &[&str]) -> (Value, bool) {
     (serde_json::from_str(&report).unwrap(), good)
 }
 
-/// A host that stalls makes a demo fail, and honestly so. Such a run says nothing about Takt.
+/// A demo fails on a host that stalls; such a run is no evidence about Takt.
 fn good_demo(args: &[&str]) -> Value {
     steady(|| {
         let (report, good) = demo(args);
@@ -72,9 +72,9 @@ fn demo_reports_what_was_promised() {
 }
 
 #[test]
-fn a_factory_moves_two_lwrs_a_tx90_and_a_youbot() {
+fn demo_factory_moves_two_lwrs_tx90_and_youbot() {
     let _alone = alone();
-    let report = good_demo(&["--cell", "factory"]);
+    let report = good_demo(&["--robots", "factory"]);
     let robots = report["robots"].as_array().unwrap();
     let of = |key: &str| -> Vec<_> { robots.iter().map(|robot| robot[key].clone()).collect() };
     assert_eq!(of("name"), ["left", "right", "tx90", "arm", "base"]);
@@ -107,7 +107,7 @@ fn wait_for_motion(demo: &mut Process, device: &str) {
 fn factory_after(upset: impl Fn(&mut Process)) -> (Value, String) {
     let folder = Folder::new();
     let svg = folder.file("demo.svg");
-    let args = ["demo", "--cell", "factory", "--json", "--svg", &svg];
+    let args = ["demo", "--robots", "factory", "--json", "--svg", &svg];
     let mut demo = Process::start(&[&args[..], &["--duration", "20s"]].concat());
     demo.wait_for("the motion begins");
     upset(&mut demo);
@@ -204,7 +204,7 @@ fn demo_replayed_gives_every_byte_as_recorded() {
     let recording = folder.file("demo.mcap");
     // A demo that failed is replayed just the same, if its net ran at all.
     steady(|| assert!(demo(&["--record", &recording]).0["cycles"].is_u64()));
-    let replay = run(&["demo", "--replay", &recording]);
+    let replay = run(&["demo", "--from", &recording]);
     let text = expect_status(&replay, 0);
     assert!(text.contains("every byte as recorded"), "{text}");
 
@@ -212,7 +212,7 @@ fn demo_replayed_gives_every_byte_as_recorded() {
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(&recording, bytes).unwrap();
-    let replay = run(&["demo", "--replay", &recording]);
+    let replay = run(&["demo", "--from", &recording]);
     assert!(!replay.status.success(), "a changed recording passes");
     assert!(
         complaint(&replay).contains("demo.mcap"),

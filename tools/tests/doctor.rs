@@ -60,7 +60,7 @@ fn patient(name: &str) -> PathBuf {
 }
 
 #[test]
-fn reports_of_a_good_and_a_bad_host_are_as_written() {
+fn doctor_reports_match_goldens() {
     let package = env!("CARGO_MANIFEST_DIR");
     std::env::set_current_dir(format!("{package}/..")).unwrap();
     trycmd::TestCases::new().case(format!("{package}/tests/doctor/*.trycmd"));
@@ -95,19 +95,19 @@ fn json_has_exactly_the_promised_keys() {
 }
 
 #[test]
-fn only_what_was_listed_is_written_and_it_can_be_taken_back() {
+fn doctor_apply_writes_listed_changes_undo_restores_them() {
     let root = patient("doctor-apply");
     let root_text = root.to_str().unwrap();
     let before = files(&root);
 
     let output = doctor(&["--root", root_text, "--apply"]);
-    assert_eq!(output.status.code(), Some(2), "nobody to ask");
+    assert_eq!(output.status.code(), Some(2), "no terminal");
     assert_eq!(files(&root), before);
 
     let output = doctor(&["--root", root_text, "--apply", "--yes", "--quiet"]);
-    assert_eq!(output.status.code(), Some(1), "not all can be mended so");
-    let told = text(&output);
-    let listed: BTreeMap<PathBuf, (String, String)> = told
+    assert_eq!(output.status.code(), Some(1), "not all can be fixed so");
+    let printed = text(&output);
+    let listed: BTreeMap<PathBuf, (String, String)> = printed
         .lines()
         .filter_map(|line| line.split_once(" -> "))
         .map(|(head, new)| {
@@ -116,7 +116,7 @@ fn only_what_was_listed_is_written_and_it_can_be_taken_back() {
             (path, (old.to_owned(), new.to_owned()))
         })
         .collect();
-    assert!(listed.len() >= 20, "{told}");
+    assert!(listed.len() >= 20, "{printed}");
     let mut after = files(&root);
     after.retain(|path, _| !path.ends_with("var/lib/takt/doctor-undo.json"));
     let changed: Vec<&PathBuf> = after
@@ -129,9 +129,9 @@ fn only_what_was_listed_is_written_and_it_can_be_taken_back() {
         assert!(before[path].contains(old.as_str()), "{}", path.display());
         assert_eq!(after[path].trim(), new);
     }
-    assert!(!told.contains("swappiness  "), "mended: {told}");
+    assert!(!printed.contains("swappiness  "), "fixed: {printed}");
 
-    // Somebody has his own opinion meanwhile.
+    // Another program changes a setting meanwhile.
     let opinion = root.join("proc/sys/vm/stat_interval");
     fs::write(&opinion, "42\n").unwrap();
     let output = doctor(&["--root", root_text, "--undo"]);
@@ -141,13 +141,13 @@ fn only_what_was_listed_is_written_and_it_can_be_taken_back() {
         let expected = if *path == opinion { "42" } else { old };
         assert_eq!(undone[path].trim(), expected, "{}", path.display());
     }
-    assert_eq!(undone.len(), before.len(), "the undo file is gone");
+    assert_eq!(undone.len(), before.len(), "the undo file is removed");
     let output = doctor(&["--root", root_text, "--undo"]);
     assert_eq!(text(&output), "nothing to undo\n");
 }
 
 #[test]
-fn writing_twice_still_leads_back_to_the_beginning() {
+fn doctor_undo_after_two_writes_restores_first_value() {
     let root = patient("doctor-twice");
     let setting = root.join("proc/sys/vm/swappiness");
     let apply = ["--root", root.to_str().unwrap(), "--apply", "--yes"];
@@ -159,7 +159,7 @@ fn writing_twice_still_leads_back_to_the_beginning() {
 }
 
 #[test]
-fn nothing_is_written_where_the_old_values_cannot_be_kept() {
+fn doctor_unwritable_undo_file_writes_nothing() {
     let root = patient("doctor-no-undo");
     fs::write(root.join("var"), "a file in the way of the folder").unwrap();
     let before = files(&root);
@@ -169,7 +169,7 @@ fn nothing_is_written_where_the_old_values_cannot_be_kept() {
 }
 
 #[test]
-fn this_host_can_be_examined_and_saved_for_elsewhere() {
+fn doctor_save_of_this_host_gives_same_report() {
     let names = |output: &Output| -> Vec<String> {
         let object: Value = serde_json::from_slice(&output.stdout).unwrap();
         let conditions = object["conditions"].as_array().unwrap().iter();

@@ -1,5 +1,5 @@
-//! `takt fri` live, against emulated controllers over UDP on the loopback. What is asserted is what is said, never how
-//! fast a host is; networks that are wrong are in `fri_network`.
+//! `takt fri` live, against emulated controllers over UDP on the loopback. Texts are asserted, never how fast a host
+//! is; networks that are wrong are in `fri_network`.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -28,11 +28,11 @@ fn listening(words: &[&str]) -> (Process, String) {
 }
 
 fn lwr(target: &str, more: &[&str]) -> Process {
-    Process::start(&[&["emulate", "lwr", "--target", target], more].concat())
+    Process::start(&[&["emulate", "lwr", "--connect", target], more].concat())
 }
 
 fn iiwa(target: &str, dialect: &str) -> Process {
-    Process::start(&["emulate", "iiwa", "--target", target, "--dialect", dialect])
+    Process::start(&["emulate", "iiwa", "--connect", target, "--dialect", dialect])
 }
 
 /// The JSON report among the lines of a process that has ended.
@@ -42,7 +42,7 @@ fn report(lines: &[String]) -> Value {
 }
 
 #[test]
-fn monitor_is_the_partner_of_whoever_comes() {
+fn monitor_answers_every_controller() {
     let _alone = alone();
     let (mut monitor, address) = listening(&["monitor"]);
     let mut arm = lwr(&address, &[]);
@@ -59,7 +59,7 @@ fn monitor_is_the_partner_of_whoever_comes() {
 }
 
 #[test]
-fn stat_judges_an_arm_as_its_partner() {
+fn stat_judges_live_arm() {
     let _alone = alone();
     let (stat, address) = listening(&["stat", "--duration", "2s", "--json"]);
     let _arm = iiwa(&address, "v2");
@@ -130,7 +130,7 @@ fn move_moves_one_joint_of_either_robot() {
 }
 
 #[test]
-fn move_brakes_when_told_to_end() {
+fn move_brakes_on_sigint() {
     steady(|| {
         let _alone = alone();
         let words = [
@@ -159,10 +159,17 @@ fn move_brakes_when_told_to_end() {
 }
 
 #[test]
-fn move_refuses_what_is_not_safe() {
+fn move_refuses_unsafe_requests() {
     let _alone = alone();
     let (process, address) = listening(&[
-        "move", "--joint", "1", "--by", "5deg", "--yes", "--within", "3s",
+        "move",
+        "--joint",
+        "1",
+        "--by",
+        "5deg",
+        "--yes",
+        "--ready-timeout",
+        "3s",
     ]);
     let arm = lwr(&address, &["--drop", "0.5"]);
     let (lines, status) = process.end();
@@ -174,21 +181,19 @@ fn move_refuses_what_is_not_safe() {
         "{lines:#?}"
     );
     drop(arm);
-    // Nobody to ask, and not told that it is safe.
+    // No terminal to ask on, and no --yes.
     let (process, address) = listening(&["move", "--joint", "1", "--by", "5deg"]);
     let _arm = lwr(&address, &[]);
     let (lines, status) = process.end();
     assert_eq!(status, Some(2), "{lines:#?}");
     assert!(
-        lines
-            .iter()
-            .any(|line| line.contains("say --confirm-motion")),
+        lines.iter().any(|line| line.contains("with --yes")),
         "{lines:#?}"
     );
 }
 
 #[test]
-fn ports_that_cannot_be_had_are_explained() {
+fn listen_on_unavailable_port_names_cause() {
     let (first, address) = listening(&["monitor"]);
     let second = run(&["fri", "stat", "--listen", &address]);
     expect_status(&second, 2);
@@ -211,14 +216,17 @@ fn ports_that_cannot_be_had_are_explained() {
 
 #[test]
 fn silence_is_explained() {
-    let silent = run(&["fri", "stat", "--listen", "127.0.0.1:0", "--wait", "1s"]);
+    let silent = run(&["fri", "stat", "--listen", "127.0.0.1:0", "--timeout", "1s"]);
     let text = expect_status(&silent, 1);
-    assert!(text.contains("nothing comes to 127.0.0.1:"), "{text}");
+    assert!(
+        text.contains("no measurement arrives at 127.0.0.1:"),
+        "{text}"
+    );
     assert!(text.contains("has the robot program opened FRI"), "{text}");
 }
 
 #[test]
-fn what_comes_instead_of_measurements_is_named() {
+fn stat_names_datagrams_other_than_measurements() {
     let _alone = alone();
     let (stat, address) = listening(&["stat", "--expect", "v1"]);
     let arm = iiwa(&address, "v3");
@@ -257,7 +265,7 @@ fn what_comes_instead_of_measurements_is_named() {
 }
 
 #[test]
-fn two_controllers_with_one_target_are_told_apart() {
+fn two_controllers_with_one_target_are_distinguished() {
     let _alone = alone();
     let (stat, address) = listening(&["stat", "--duration", "2s"]);
     let _arms = [lwr(&address, &[]), lwr(&address, &[])];
@@ -272,7 +280,7 @@ fn two_controllers_with_one_target_are_told_apart() {
 }
 
 #[test]
-fn a_strict_krc_leaves_command_mode_after_ten_missing_answers() {
+fn krc_strict_loses_10_answers_leaves_command_mode() {
     let _alone = alone();
     let (mut monitor, address) = listening(&["monitor"]);
     let mut arm = lwr(&address, &["--strict"]);
@@ -286,7 +294,7 @@ fn a_strict_krc_leaves_command_mode_after_ten_missing_answers() {
 }
 
 #[test]
-fn a_krc_with_a_handshake_starts_only_when_asked() {
+fn krc_with_handshake_starts_on_request_only() {
     let _alone = alone();
     let (_monitor, address) = listening(&["monitor"]);
     let words = ["--handshake", "kuka-lwr", "--duration", "3s"];

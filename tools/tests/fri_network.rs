@@ -1,5 +1,5 @@
-//! `takt fri` on networks that are wrong: robot and host are two network namespaces with a cable between them. Where
-//! nobody may make such, each test notes that it was skipped.
+//! `takt fri` on misconfigured networks: robot and host are two network namespaces with a cable between them. Where
+//! namespaces are not permitted, each test reports that it was skipped.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod common;
@@ -35,7 +35,7 @@ fn shell(script: &str) -> Command {
     command
 }
 
-/// Whether such networks can be made here; if not, that is noted for those who can make them elsewhere.
+/// Whether such networks can be made here; if not, the test is reported as skipped.
 fn is_possible(test: &str) -> bool {
     let made = shell(CABLE).output();
     if made.is_ok_and(|made| made.status.success()) {
@@ -45,21 +45,21 @@ fn is_possible(test: &str) -> bool {
     false
 }
 
-/// What `takt fri stat` says of an arm that sends to `target`, on a network that `network` makes; and its status.
+/// Output and status of `takt fri stat` for an arm that sends to `target`, on a network that `network` sets up.
 fn stat(network: &str, target: &str, listen: &str) -> std::process::Output {
     let takt = env!("CARGO_BIN_EXE_takt");
     let script = format!(
         "{CABLE}\n{network}\n\
-         nsenter --net=/proc/$pid/ns/net {takt} emulate lwr --period 10ms --target {target} --duration 30s >/dev/null 2>&1 &\n\
+         nsenter --net=/proc/$pid/ns/net {takt} emulate lwr --period 10ms --connect {target} --duration 30s >/dev/null 2>&1 &\n\
          emulator=$!\n\
          set +e\n\
-         {takt} fri stat --listen {listen} --duration 3s --wait 4s\n\
+         {takt} fri stat --listen {listen} --duration 3s --timeout 4s\n\
          exit $?\n"
     );
     shell(&script).output().unwrap()
 }
 
-/// What it says where it has to find a fault.
+/// Output of a run that has to find a fault.
 #[track_caller]
 fn fault(network: &str, target: &str) -> String {
     expect_status(&stat(network, target, "0.0.0.0:49938"), 1)
@@ -69,8 +69,8 @@ const SOUND: &str =
     "ip addr add 192.168.0.5/24 dev host0; robot ip addr add 192.168.0.20/24 dev robot0";
 
 #[test]
-fn arm_is_seen_through_a_sound_network() {
-    if !is_possible("arm_is_seen_through_a_sound_network") {
+fn fri_stat_sees_arm_on_sound_network() {
+    if !is_possible("fri_stat_sees_arm_on_sound_network") {
         return;
     }
     let _alone = alone();
@@ -89,8 +89,8 @@ fn wrong_address_at_the_controller_is_found() {
     let text = fault(SOUND, "192.168.0.99:49938");
     assert_eq!(
         text,
-        "192.168.0.20 looks for 192.168.0.99 in vain, which is no address of this host (192.168.0.5/24 on host0): \
-         correct the address that the controller sends to, or this host's\n"
+        "192.168.0.20 requests 192.168.0.99, which is no address of this host (192.168.0.5/24 on host0)\n\
+         hint: correct the address that the controller sends to, or this host's\n"
     );
 }
 
@@ -102,7 +102,7 @@ fn wrong_port_at_the_controller_is_found() {
     let _alone = alone();
     let text = fault(SOUND, "192.168.0.5:30200");
     assert!(
-        text.starts_with("192.168.0.20 sends to port 30200 of this host: listen there"),
+        text.starts_with("192.168.0.20 sends to port 30200 of this host\nhint: listen there"),
         "{text}"
     );
 }
@@ -117,7 +117,7 @@ fn wrong_address_to_listen_at_is_found() {
     let output = stat(&two, "192.168.0.5:49938", "192.168.0.6:49938");
     assert_eq!(
         expect_status(&output, 1),
-        "192.168.0.20 sends to 192.168.0.5, another address of this host: --listen 192.168.0.5:49938\n"
+        "192.168.0.20 sends to 192.168.0.5, another address of this host\nhint: --listen 192.168.0.5:49938\n"
     );
 }
 
@@ -135,9 +135,9 @@ fn wrong_netmask_of_the_host_is_found() {
         let text = fault(&network, "192.168.0.5:49938");
         assert!(text.contains("netmask"), "filter {filter}: {text}");
         assert!(
-            ["no way there", "no route back", "leaves it out"]
+            ["no route to it", "no route back", "excludes it"]
                 .iter()
-                .any(|what| text.contains(what)),
+                .any(|part| text.contains(part)),
             "filter {filter}: {text}"
         );
     }
@@ -157,15 +157,15 @@ fn firewall_of_the_host_is_found() {
     let text = fault(&dropping, "192.168.0.5:49938");
     assert!(
         text.starts_with(
-            "measurements of 192.168.0.20 reach this host and are dropped by it: let its firewall pass UDP port 49938"
+            "measurements of 192.168.0.20 reach this host and are dropped by it\nhint: let its firewall pass UDP port 49938"
         ),
         "{text}"
     );
 }
 
 #[test]
-fn unplugged_arm_is_told_from_a_wrong_network() {
-    if !is_possible("unplugged_arm_is_told_from_a_wrong_network") {
+fn unplugged_arm_is_distinguished_from_wrong_network() {
+    if !is_possible("unplugged_arm_is_distinguished_from_wrong_network") {
         return;
     }
     let _alone = alone();

@@ -56,7 +56,7 @@ fn signal(name: &str, process: u32) {
 }
 
 #[test]
-fn a_run_reports_what_was_promised() {
+fn jitter_report_has_promised_keys() {
     let _alone = alone();
     let folder = Folder::new();
     let svg = folder.file("jitter.svg");
@@ -92,7 +92,7 @@ fn a_run_reports_what_was_promised() {
 }
 
 #[test]
-fn the_budget_decides_the_status() {
+fn jitter_budget_sets_exit_status() {
     let _alone = alone();
     let judged = |budget| {
         let args = ["jitter", "--duration", "50ms", "--quiet", "--budget"];
@@ -117,9 +117,9 @@ fn the_budget_decides_the_status() {
 }
 
 #[test]
-fn what_cannot_be_measured_is_refused_with_a_remedy() {
+fn jitter_impossible_measurement_is_refused_with_hint() {
     for (args, remedy) in [
-        (&["--cpu", "1023"][..], "those that can"),
+        (&["--cpu", "1023"][..], "those that can are"),
         (&["--cpu", "x"], "no list of processors"),
         (&["--period", "1us"], "--period 1ms"),
         (&["--duration", "1us"], "--duration 10s"),
@@ -142,7 +142,7 @@ fn what_cannot_be_measured_is_refused_with_a_remedy() {
 }
 
 #[test]
-fn a_break_prints_the_flight_recorder() {
+fn jitter_break_prints_flight_recorder() {
     let _alone = alone();
     let output = run(&["jitter", "--duration", "1h", "--break", "1ns"]);
     let text = expect_status(&output, 1);
@@ -162,7 +162,7 @@ fn a_break_prints_the_flight_recorder() {
 }
 
 #[test]
-fn an_interrupted_run_keeps_what_it_measured() {
+fn jitter_interrupted_run_keeps_figures() {
     let _alone = alone();
     for (name, budget, status) in [("INT", "1h", 0), ("TERM", "1ns", 1)] {
         let args = ["jitter", "--duration", "1h", "--json", "--budget", budget];
@@ -180,7 +180,7 @@ fn an_interrupted_run_keeps_what_it_measured() {
 }
 
 #[test]
-fn the_load_ends_with_the_measurement_even_if_that_is_killed() {
+fn jitter_load_ends_when_measurement_is_killed() {
     let _alone = alone();
     let args = ["jitter", "--duration", "1h", "--load", "2", "--json"];
     let mut child = takt(&args)
@@ -197,7 +197,7 @@ fn the_load_ends_with_the_measurement_even_if_that_is_killed() {
     child.wait().unwrap();
     let is_gone = |worker: &String| {
         let stat = std::fs::read_to_string(format!("/proc/{worker}/stat")).unwrap_or_default();
-        // Gone, or dead and not yet buried by whoever inherits it.
+        // Ended and reaped, or a zombie.
         stat.rsplit(')')
             .next()
             .is_none_or(|rest| rest.trim_start().starts_with('Z'))
@@ -239,7 +239,7 @@ fn folder_of(folder: &Folder) -> std::path::PathBuf {
 }
 
 #[test]
-fn a_comparison_gives_ratios() {
+fn jitter_comparison_gives_ratios() {
     let _alone = alone();
     let output = std::fs::read_to_string(kept("cyclictest.json")).unwrap();
     let folder = fake(&output, 0);
@@ -265,7 +265,7 @@ fn a_comparison_gives_ratios() {
 }
 
 #[test]
-fn a_comparison_that_fails_says_why() {
+fn jitter_failed_comparison_names_cause() {
     let _alone = alone();
     let nothing = Folder::new();
     let absent = compare(&folder_of(&nothing));
@@ -284,7 +284,7 @@ fn a_comparison_that_fails_says_why() {
 }
 
 #[test]
-fn the_real_cyclictest_is_understood() {
+fn jitter_reads_real_cyclictest() {
     let _alone = alone();
     let path = std::env::var_os("PATH").unwrap_or_default();
     let found = std::env::split_paths(&path).any(|folder| folder.join("cyclictest").exists());
@@ -299,7 +299,7 @@ fn the_real_cyclictest_is_understood() {
     let output = run(&[&args[..], &["--duration", "400ms"]].concat());
     let is_refused = complaint(&output).contains("cyclictest ended with");
     if !found || is_refused {
-        let test = "the_real_cyclictest_is_understood";
+        let test = "jitter_reads_real_cyclictest";
         return skip(test, "needs cyclictest (rt-tests)");
     }
     let report = json(&output, 0);
@@ -307,9 +307,9 @@ fn the_real_cyclictest_is_understood() {
     assert_eq!(report["compare"]["threads"][0]["cycles"], 400);
 }
 
-/// The picture and the JSON of a kept report; `TRYCMD=overwrite` writes the picture anew.
+/// The picture and the JSON of a kept report; `TRYCMD=overwrite` writes the picture again.
 #[test]
-fn pictures_of_kept_reports_are_as_they_were() {
+fn jitter_pictures_match_goldens() {
     let folder = Folder::new();
     for name in ["takt", "compare"] {
         let file = kept(&format!("{name}.json"));

@@ -1,5 +1,5 @@
-//! `takt run` over interfaces that go down, lose their cable and come back: what its log says, and that it says it once.
-//! Each test is in a network namespace of its own; where nobody may make such, it notes that it was skipped.
+//! `takt run` over interfaces that go down, lose their cable and come back: its log reports each change once. Each
+//! test is in a network namespace of its own; where namespaces are not permitted, it reports that it was skipped.
 
 mod common;
 #[path = "common/network.rs"]

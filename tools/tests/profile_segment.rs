@@ -64,7 +64,7 @@ fn bring_up(test: &str, slower: &str) {
         "ecat",
         "sim",
         "far",
-        "--segment",
+        "--devices",
         DEVICES,
         "--slower",
         slower,

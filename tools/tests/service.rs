@@ -1,5 +1,5 @@
-//! `takt run` as a service manager sees it: what it is told over its socket, what a reload changes, what
-//! a crash leaves behind. systemd itself is met in the virtual machine.
+//! `takt run` as a service manager sees it: notifications over its socket, the effect of a reload and of
+//! a crash. systemd itself is tested in the virtual machine.
 
 #![expect(
     clippy::unwrap_used,
@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 use common::{Folder, expect_status, run, run_with_input};
 
 /// After this time a test gives up; far longer than anything takes on a busy host.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A cell without robots that listens where the system likes.
 const CELL: &str = "[controller]\nwebsocket = \"127.0.0.1:0\"\ntcp = \"127.0.0.1:PORT\"\n";
@@ -28,15 +28,15 @@ const PATIENT: &str = "{cancel=Cancel(), outTerminate=cancel.outCancel}";
 struct Service {
     child: Child,
     socket: UnixDatagram,
-    /// Everything told so far.
-    told: Vec<String>,
+    /// Notifications so far.
+    received: Vec<String>,
     folder: Folder,
     server: String,
 }
 
 impl Service {
     fn start(folder: Folder) -> Self {
-        // The port must be known here, and the log is not looked at.
+        // The port must be known here, and the log is not read.
         let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let port = free.local_addr().unwrap().port();
         drop(free);
@@ -59,11 +59,11 @@ impl Service {
             .spawn()
             .unwrap();
         let server = format!("127.0.0.1:{port}");
-        let told = Vec::new();
+        let received = Vec::new();
         let mut service = Self {
             child,
             socket,
-            told,
+            received,
             folder,
             server,
         };
@@ -71,23 +71,23 @@ impl Service {
         service
     }
 
-    /// Waits until something is told that contains `what`.
+    /// Waits for a notification that contains `part`.
     #[track_caller]
-    fn wait_for(&mut self, what: &str) -> String {
-        let until = Instant::now() + PATIENCE;
+    fn wait_for(&mut self, part: &str) -> String {
+        let until = Instant::now() + TIMEOUT;
         while Instant::now() < until {
             let mut buffer = [0; 4096];
             match self.socket.recv(&mut buffer) {
                 Ok(len) => self
-                    .told
+                    .received
                     .push(String::from_utf8_lossy(&buffer[..len]).into_owned()),
                 Err(error) => assert_eq!(error.kind(), ErrorKind::WouldBlock),
             }
-            if let Some(last) = self.told.last().filter(|last| last.contains(what)) {
+            if let Some(last) = self.received.last().filter(|last| last.contains(part)) {
                 return last.clone();
             }
         }
-        panic!("{what} was not told; this was: {:#?}", self.told);
+        panic!("no notification with {part}, only: {:#?}", self.received);
     }
 
     fn signal(&self, name: &str) {
@@ -112,13 +112,13 @@ impl Service {
     }
 
     fn start_net(&self) -> String {
-        let load = ["net", "load", "--start", "-", "--server", &self.server];
+        let load = ["net", "load", "--start", "-", "--connect", &self.server];
         let output = run_with_input(&load, PATIENT);
         expect_status(&output, 0).trim().to_owned()
     }
 
     fn nets(&self) -> String {
-        expect_status(&run(&["net", "list", "--server", &self.server]), 0)
+        expect_status(&run(&["net", "list", "--connect", &self.server]), 0)
     }
 
     fn state(&self) -> String {
@@ -145,7 +145,7 @@ fn watchdog_is_fed_and_status_follows_the_nets() {
 }
 
 #[test]
-fn stopped_service_leaves_nothing_to_tell() {
+fn stopped_service_marks_state_file_as_stopped() {
     let mut service = Service::start(Folder::new());
     let net = service.start_net();
     service.wait_for(&format!("STATUS={net} runs"));
@@ -161,7 +161,7 @@ fn stopped_service_leaves_nothing_to_tell() {
 }
 
 #[test]
-fn start_after_a_crash_tells_what_was_broken_off() {
+fn start_after_crash_reports_interrupted_nets() {
     let mut service = Service::start(Folder::new());
     let net = service.start_net();
     service.wait_for(&format!("STATUS={net} runs"));
@@ -169,16 +169,16 @@ fn start_after_a_crash_tells_what_was_broken_off() {
     service.child.wait().unwrap();
     let folder = std::mem::replace(&mut service.folder, Folder::new());
     let mut next = Service::start(folder);
-    let told = next
-        .told
+    let status = next
+        .received
         .iter()
-        .find(|told| told.starts_with("STATUS="))
+        .find(|text| text.starts_with("STATUS="))
         .unwrap();
     assert!(
-        told.contains(&format!("broken off while running {net}")),
-        "{told}"
+        status.contains(&format!("broken off while running {net}")),
+        "{status}"
     );
-    assert!(told.contains("no net runs"), "{told}");
+    assert!(status.contains("no net runs"), "{status}");
     assert_eq!(next.nets(), "no nets\n");
     next.wait_for("WATCHDOG=1");
 }

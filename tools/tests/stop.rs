@@ -43,7 +43,7 @@ fn answer(output: &Output) -> Value {
     serde_json::from_str(text.trim()).unwrap()
 }
 
-/// The end of a net as `takt net list` tells it.
+/// The end of a net as `takt net list` prints it.
 fn end_of(cell: &Cell, id: &str) -> String {
     let list = expect_status(&cell.net(&["list"]), 0);
     let line = list.lines().find(|line| line.starts_with(id));
@@ -77,7 +77,7 @@ fn stop_ends_a_motion_and_release_starts_nothing() {
                 "{end}"
             );
         }
-        // A second stop changes nothing and says so.
+        // A second stop changes nothing and reports that.
         let again = expect_status(&stop(&cell, &[]), 0);
         assert!(again.contains("stopped since"), "{again}");
         let next = cell.load(&net("swing"));
@@ -238,7 +238,7 @@ fn foreign_user_may_not_stop() {
     let _alone = alone();
     let cell = Cell::start();
     let mut command = takt(&["stop", "--socket", &cell.stop]);
-    // nobody
+    // The user `nobody`.
     let output = command.uid(65_534).gid(65_534).output();
     let output = match output {
         Ok(output) => output,
@@ -262,9 +262,9 @@ fn controller_that_does_not_answer_is_reported() {
     let _alone = alone();
     let cell = Cell::start();
     let missing = format!("{}-none", cell.stop);
-    let nobody = run(&["stop", "--socket", &missing]);
-    expect_status(&nobody, 2);
-    assert!(complaint(&nobody).contains("emergency stop of the robot"));
+    let missed = run(&["stop", "--socket", &missing]);
+    expect_status(&missed, 2);
+    assert!(complaint(&missed).contains("emergency stop of the robot"));
     cell.process.signal("STOP");
     let silent = stop(&cell, &["--timeout", "300ms"]);
     cell.process.signal("CONT");

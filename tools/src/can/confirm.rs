@@ -1,5 +1,5 @@
 //! Frames that can set something in motion are sent only when somebody stands by it: asked on a terminal,
-//! or told by `--confirm-motion`. It decides by what a frame can do, not by what is connected.
+//! or told by `--yes`. It decides by what a frame can do, not by what is connected.
 
 use takt_can::AnyFrame;
 use takt_can::canopen::{Message, NmtCommand};

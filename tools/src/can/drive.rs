@@ -33,7 +33,7 @@ use session::{Jog, Plan, Session, Step};
   takt can drive can0 5 --watch
   takt can drive can0 5
   takt can drive can0 5 --axis 1 --reset --hold 5s
-  takt can drive can0 5 --jog 1000 --for 2s --yes")]
+  takt can drive can0 5 --jog 1000 --duration 2s --yes")]
 pub(crate) struct Drive {
     /// The CAN interface.
     interface: String,
@@ -59,8 +59,8 @@ pub(crate) struct Drive {
     #[arg(long, value_name = "VELOCITY", allow_hyphen_values = true)]
     jog: Option<i32>,
     /// How long to turn it.
-    #[arg(long = "for", value_name = "TIME", default_value = "1s", value_parser = span, requires = "jog")]
-    time: Duration,
+    #[arg(long, alias = "for", value_name = "TIME", default_value = "1s", value_parser = span, requires = "jog")]
+    duration: Duration,
     /// Jog although the drive cannot watch the heartbeat of this program.
     #[arg(long, requires = "jog")]
     unguarded: bool,
@@ -71,7 +71,7 @@ pub(crate) struct Drive {
     #[arg(long)]
     json: bool,
     /// It is safe that the machine moves.
-    #[arg(long, visible_alias = "yes")]
+    #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
 
@@ -123,7 +123,7 @@ impl Drive {
             hold: self.hold.unwrap_or(HOLD),
             jog: self.jog.map(|velocity| Jog {
                 velocity,
-                time: self.time,
+                time: self.duration,
                 unguarded: self.unguarded,
             }),
             profile: MasterOptions::default().with_quirks(&self.quirks),

@@ -16,11 +16,11 @@ use crate::output::{say, span};
 
 /// Start, stop or reset nodes.
 ///
-/// Exit status: 0 the command was sent, and with --wait executed; 1 the node did not execute it; 2 it could not be
+/// Exit status: 0 the command was sent, and with --timeout executed; 1 the node did not execute it; 2 it could not be
 /// tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  takt can nmt can0 5 reset --wait 5s
+  takt can nmt can0 5 reset --timeout 5s
   takt can nmt can0 all stop")]
 pub(crate) struct Nmt {
     /// The CAN interface.
@@ -31,13 +31,13 @@ pub(crate) struct Nmt {
     /// The command.
     command: Word,
     /// Wait at most this long until its heartbeat, or its answer to node guarding, shows the state.
-    #[arg(long, value_name = "TIME", value_parser = span)]
-    wait: Option<Duration>,
+    #[arg(long, alias = "wait", value_name = "TIME", value_parser = span)]
+    timeout: Option<Duration>,
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
     /// It is safe that a machine moves.
-    #[arg(long)]
+    #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
 
@@ -145,13 +145,13 @@ impl Nmt {
             Target::All => None,
         };
         anyhow::ensure!(
-            node.is_some() || self.wait.is_none(),
-            "--wait needs one node\nhint: `takt can scan` shows the states of all"
+            node.is_some() || self.timeout.is_none(),
+            "--timeout needs one node\nhint: `takt can scan` shows the states of all"
         );
         let frame = self.command.command().frame(node);
         let mut wire = Live::open(&self.interface)?;
         confirm::motion(&self.interface, &[frame.into()], self.confirm_motion)?;
-        let (Some(node), Some(wait)) = (node, self.wait) else {
+        let (Some(node), Some(timeout)) = (node, self.timeout) else {
             wire.send(&frame)?;
             let sent = Message::decode(&frame);
             say(&match self.json {
@@ -160,7 +160,7 @@ impl Nmt {
             })?;
             return Ok(Verdict::Good);
         };
-        let outcome = command(&mut wire, node, self.command, wait)?;
+        let outcome = command(&mut wire, node, self.command, timeout)?;
         let text = match self.json {
             true => to_json(outcome).to_string(),
             false => outcome.to_string(),

@@ -41,10 +41,10 @@ pub(crate) struct Replay {
     #[arg(long, conflicts_with = "speed")]
     at_once: bool,
     /// How long to wait for room in the send queue.
-    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = span)]
-    wait: Duration,
+    #[arg(long, alias = "wait", value_name = "TIME", default_value = "1s", value_parser = span)]
+    timeout: Duration,
     /// It is safe that a machine moves.
-    #[arg(long)]
+    #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
 
@@ -78,7 +78,7 @@ impl Replay {
             "no frame of the recording matches --channel and --filter"
         );
         let options = Options {
-            queue: QueuePolicy::Wait(self.wait),
+            queue: QueuePolicy::Wait(self.timeout),
             ..Options::default()
         };
         let link = SocketCan::open(&self.interface, &options);

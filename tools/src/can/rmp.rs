@@ -22,14 +22,14 @@ use session::{Jog, Plan, Session, View};
 
 /// Look at a Segway power base, set its scales, jog it.
 ///
-/// Without --config and --jog it only listens. Exit status: 0 it is heard, and did what was asked; 1 not, with the
+/// Without --set and --jog it only listens. Exit status: 0 it is heard, and did what was asked; 1 not, with the
 /// reason; 2 it could not be tried. Ctrl-C brakes.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can rmp can0
   takt can rmp --serial /dev/ttyUSB0 --model rmp50 --duration 5s --json
-  takt can rmp can0 --config velocity=16,turn=16
-  takt can rmp can0 --jog 0.2,0 --for 2s --yes")]
+  takt can rmp can0 --set velocity=16,turn=16
+  takt can rmp can0 --jog 0.2,0 --duration 2s --yes")]
 pub(crate) struct Rmp {
     /// The CAN interface.
     #[arg(required_unless_present = "serial", conflicts_with = "serial")]
@@ -40,24 +40,22 @@ pub(crate) struct Rmp {
     /// `rmp50`, `rmp100`, `rmp200` or `rmp400`: what its counts mean.
     #[arg(long, default_value = "rmp200", value_parser = model)]
     model: Model,
-    /// How long to look; without it, until Ctrl-C on a terminal, and 2s elsewhere.
-    #[arg(long, value_name = "TIME", value_parser = span, conflicts_with = "jog")]
+    /// How long to observe it, by default until Ctrl-C on a terminal and 2s elsewhere; with --jog, how long to drive it,
+    /// by default 1s.
+    #[arg(long, alias = "for", value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
     /// Set what it stores: velocity, acceleration, turn (sixteenths, 0 to 16), current (0 to 256), gain (0 to 2),
     /// as in velocity=16,turn=16.
     #[arg(long, value_name = "NAME=VALUE,..", value_parser = configs)]
-    config: Option<Configs>,
+    set: Option<Configs>,
     /// Drive it: metres per second forward and radians per second counter-clockwise.
     #[arg(long, value_name = "M/S,RAD/S", value_parser = velocity, allow_hyphen_values = true)]
     jog: Option<Velocity>,
-    /// How long to drive it.
-    #[arg(long = "for", value_name = "TIME", default_value = "1s", value_parser = span, requires = "jog")]
-    time: Duration,
     /// Print one JSON object at the end instead.
     #[arg(long)]
     json: bool,
     /// It is safe that the machine moves.
-    #[arg(long, visible_alias = "yes")]
+    #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
 
@@ -74,6 +72,8 @@ const SPEED_MAX: f64 = 1.5;
 const ROTATION_MAX: f64 = 1.5;
 /// How long to look where nobody can press Ctrl-C.
 const LOOK: Duration = Duration::from_secs(2);
+/// How long to drive it unless the command line says otherwise.
+const JOG: Duration = Duration::from_secs(1);
 
 fn model(text: &str) -> Result<Model, String> {
     Model::named(text).ok_or_else(|| {
@@ -145,14 +145,14 @@ impl Rmp {
         let live = is_terminal() && !self.json;
         let plan = Plan {
             model: self.model,
-            look: self.duration.or_else(|| (!live).then_some(LOOK)),
-            configs: self
-                .config
-                .clone()
-                .map_or_else(Vec::new, |configs| configs.0),
+            look: self
+                .duration
+                .filter(|_| self.jog.is_none())
+                .or_else(|| (!live).then_some(LOOK)),
+            configs: self.set.clone().map_or_else(Vec::new, |configs| configs.0),
             jog: self.jog.map(|Velocity(velocity)| Jog {
                 velocity,
-                time: self.time,
+                time: self.duration.unwrap_or(JOG),
             }),
         };
         let mut show = |view: &View| {

@@ -23,7 +23,7 @@ use crate::output::{say, span};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can scan can0
-  takt can scan can0 --nodes 1-10,32 --listen 5s
+  takt can scan can0 --nodes 1-10,32 --observe 5s
   takt can scan can0 --lss --json")]
 pub(crate) struct Scan {
     /// The CAN interface.
@@ -33,10 +33,10 @@ pub(crate) struct Scan {
     nodes: Numbers,
     /// How long to listen for heartbeats before the queries.
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = span)]
-    listen: Duration,
+    observe: Duration,
     /// How long to wait for answers.
-    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = span)]
-    wait: Duration,
+    #[arg(long, alias = "wait", value_name = "TIME", default_value = "500ms", value_parser = span)]
+    timeout: Duration,
     /// Also find devices without a number (LSS fast scan, CiA 305).
     #[arg(long)]
     lss: bool,
@@ -80,8 +80,8 @@ impl Scan {
         let mut wire = Live::open(&self.interface)?;
         let plan = survey::Plan {
             nodes: self.nodes.0,
-            listen: self.listen,
-            wait: self.wait,
+            listen: self.observe,
+            wait: self.timeout,
             lss: self.lss,
         };
         let report = survey::survey(&mut wire, &plan)?;

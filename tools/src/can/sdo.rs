@@ -69,8 +69,8 @@ pub(super) enum Action {
         #[arg(long = "type", value_name = "TYPE", value_parser = data_type)]
         data_type: Option<DataType>,
         /// Write its bytes to a file.
-        #[arg(long, value_name = "FILE")]
-        out: Option<PathBuf>,
+        #[arg(long, alias = "out", value_name = "FILE")]
+        output: Option<PathBuf>,
         /// Print one JSON object.
         #[arg(long)]
         json: bool,
@@ -95,7 +95,7 @@ pub(super) enum Action {
         #[arg(long = "type", value_name = "TYPE", value_parser = data_type)]
         data_type: Option<DataType>,
         /// It is safe that a machine moves.
-        #[arg(long)]
+        #[arg(long = "yes", alias = "confirm-motion")]
         confirm_motion: bool,
         #[command(flatten)]
         transfer: Transfer,
@@ -223,7 +223,7 @@ pub(super) fn perform<W: Wire>(
         Action::Upload {
             object,
             data_type,
-            out,
+            output,
             json,
             transfer,
         } => upload(
@@ -231,7 +231,7 @@ pub(super) fn perform<W: Wire>(
             node,
             object,
             *data_type,
-            out.as_deref(),
+            output.as_deref(),
             *json,
             transfer,
         ),

@@ -22,7 +22,7 @@ use crate::output::{say, span};
   takt can send can0 605#4041600000000000         SDO: read the statusword of node 5
   takt can send can0 705#R                        request the state of node 5
   takt can send vcan0 123##1AABBCC 18FEF100#01    CAN FD, and 29 bits
-  takt can send can0 080# --period 10ms --count 100 --confirm-motion")]
+  takt can send can0 080# --period 10ms --count 100 --yes")]
 pub(crate) struct Send {
     /// The CAN interface.
     interface: String,
@@ -36,10 +36,10 @@ pub(crate) struct Send {
     #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = span)]
     period: Duration,
     /// How long to wait for room in the send queue.
-    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = span)]
-    wait: Duration,
+    #[arg(long, alias = "wait", value_name = "TIME", default_value = "1s", value_parser = span)]
+    timeout: Duration,
     /// It is safe that a machine moves.
-    #[arg(long)]
+    #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
 
@@ -50,7 +50,7 @@ fn frame(text: &str) -> Result<AnyFrame, String> {
 impl Send {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let options = Options {
-            queue: QueuePolicy::Wait(self.wait),
+            queue: QueuePolicy::Wait(self.timeout),
             ..Options::default()
         };
         let link = SocketCan::open(&self.interface, &options);

@@ -20,13 +20,13 @@ use takt_rt::stats::stalls;
 use super::motion;
 use crate::emulate::{Robot, Service, resting};
 
-/// The larger cell, in the form in which users write theirs.
+/// The larger cell, as users write theirs.
 const FACTORY: &str = include_str!("factory.toml");
 /// Address of the master in a segment that has no other.
 const MASTER: [u8; 6] = [2, 0, 0, 0, 0, 1];
 /// Longest wait of an emulated segment for a frame, so that a stop is seen soon.
 const WAIT: Duration = Duration::from_millis(5);
-/// A turn that takes so long has stood still: what it waits for, and four cycles of the segments.
+/// A turn of this length counts as a stall: its wait, and four cycles of the segments.
 const STALL: Nanos = Nanos::from_millis(13);
 
 /// A cell to show: two KUKA LWRs, or these beside a Stäubli TX90 and a KUKA youBot, each on an EtherCAT segment.
@@ -181,15 +181,16 @@ impl Machines {
             return Ok(slaves);
         }
         let mut tx90 = ServoConfig::tx90();
-        // A host without PREEMPT_RT misses SYNC0 now and then, and the demo is to show Takt, not the host.
+        // A host without PREEMPT_RT sometimes misses SYNC0, which the demo is not to show.
         for axis in &mut tx90.axes {
             axis.quirks.missing_set_points = None;
         }
-        let (drives, _) = ServoDrive::slave(tx90).context("the drive makes no sense")?;
+        let (drives, _) =
+            ServoDrive::slave(tx90).context("the configuration of the drive is invalid")?;
         Ok(Segment::line([Coupler::slave(), drives]))
     }
 
-    /// Where the joints of an arm are, as it tells; or how far the wheels of a base turned, in truth.
+    /// Joint positions as an arm reports them, or the angles of the emulated wheels of a base.
     pub(super) fn positions(&self, controller: &Controller, arm: Arm) -> Vec<f64> {
         if arm.name == BASE.name {
             return self
@@ -201,7 +202,7 @@ impl Machines {
         let state = controller.arm_state(arm.name).unwrap_or_default();
         let joints = state.joints.iter().take(arm.joints.len());
         joints
-            .map(|told| told.measured_position.unwrap_or(f64::NAN))
+            .map(|joint| joint.measured_position.unwrap_or(f64::NAN))
             .collect()
     }
 
@@ -224,7 +225,7 @@ fn segment(
 ) -> anyhow::Result<Service<Server<CableEnd>>> {
     let slaves = SharedSegment::new(slaves);
     let (near, far) = cable();
-    // An emulated segment that stands still gives its devices faults, as one that lost its power does.
+    // An emulated segment that stalls puts its devices into fault, as one without power does.
     let (mut stalls, stood_still) = stalls();
     controller.watch_stalls(&format!("emulated {}", config.name), stood_still);
     let mut last = takt_rt::monotonic();

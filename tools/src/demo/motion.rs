@@ -1,5 +1,5 @@
-//! The nets of the demo: arms swing all joints about where they stand, in step, and come back.
-//! They are ordinary nets: `takt demo --print-net` shows them, `takt net load` takes them.
+//! The nets of the demo: arms swing all joints about their positions, in step, and return. They are ordinary nets:
+//! `takt demo --print-net` shows them, `takt net load` takes them.
 
 use std::f64::consts::TAU;
 use std::time::Duration;
@@ -28,7 +28,7 @@ pub(super) fn of(moved: &[Arm], duration: Duration) -> String {
     }
 }
 
-/// The net that leads arms from where they are back to where they began, by joint of each, rad.
+/// The net that moves arms back to their start, by joint of each, rad.
 pub(super) fn back(moved: &[Arm], home: &[Vec<f64>], duration: Duration) -> String {
     let seconds = duration.as_secs_f64().max(0.1);
     let joint = |robot: &str, (axis, home): (usize, &f64)| {
@@ -73,7 +73,7 @@ pub(super) fn back(moved: &[Arm], home: &[Vec<f64>], duration: Duration) -> Stri
 /// The net for a motion of these arms of that length.
 fn swing(moved: &[Arm], duration: Duration) -> String {
     let seconds = duration.as_secs_f64().max(0.1);
-    // As many swings as fit without more speed; where the time is short, smaller ones.
+    // As many swings as fit at the same speed; in a short time, smaller ones.
     let repeats = (seconds / 5.0).round().max(1.0);
     let scale = (seconds / (5.0 * repeats)).powi(2).min(1.0);
     let arms: Vec<String> = moved
@@ -210,7 +210,7 @@ mod tests {
     use crate::demo::cell::Kind;
 
     #[test]
-    fn nets_of_all_parts_are_taken_back_and_forth() {
+    fn demo_nets_of_all_parts_load() {
         let cell = Kind::Factory;
         for arms in cell.parts() {
             let home: Vec<_> = arms

@@ -1,5 +1,4 @@
-//! The picture of a demo: joints over time, and how late cycles began. An SVG, so that it is text
-//! and needs no viewer of its own. It judges nothing.
+//! The picture of a demo: joints over time, and how late cycles began. An SVG, so that browsers show it.
 
 use std::path::Path;
 
@@ -19,10 +18,10 @@ const SIZE: (u32, u32) = (900, 260);
 /// The library draws on whole numbers, which makes steps of slow curves: so they are fractions of
 /// a pixel.
 const SCALE: u32 = 8;
-/// Points of a curve; more cannot be told apart.
+/// Points of a curve; more are not distinguishable.
 const POINTS_MAX: usize = 900;
 
-/// Colours that also people who see few colours can tell apart, in the order of joints.
+/// Colours that are distinguishable with colour blindness, in the order of joints.
 const COLOURS: [RGBColor; takt_fri::lwr::AXES] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -128,7 +127,7 @@ fn legend(area: &Area<'_>, number: usize, name: &str, line: ShapeStyle) -> Drawn
     Ok(())
 }
 
-/// Latencies from 1 us to 100 ms; what is shorter or longer stands at the edge.
+/// Latencies from 1 us to 100 ms; shorter and longer ones are counted in the first and last bar.
 const EDGES_US: (f64, f64) = (1.0, 100_000.0);
 /// Bars for each decade of latency.
 const BARS_PER_DECADE: f64 = 20.0;

@@ -1,6 +1,6 @@
-//! What the demo does about faults of devices: it reports each when it happens, with the stall that caused it, waits
-//! until the device follows commands again, leads its arms back to where they began, and requests the rest of the
-//! motion. It brings no device back: drivers do that, and nothing resumes that is not requested here.
+//! Faults of devices in the demo: it reports each with the stall that caused it, waits until the device follows
+//! commands again, moves its arms back to their start, and requests the rest of the motion. Drivers recover the
+//! devices; motion resumes only on the requests made here.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -13,51 +13,51 @@ use super::motion;
 use crate::client::Client;
 use crate::output::complain;
 
-/// How long arms take back to where they began, at least.
+/// Shortest time for arms to return to their start.
 const RETURN: Duration = Duration::from_secs(3);
 /// How fast a joint goes back on average, rad/s.
 const RETURN_SPEED: f64 = 0.3;
-/// Nearer than this to where they began, joints are there, rad.
+/// Distance below which joints have reached their start, rad.
 const HOME: f64 = 0.05;
-/// A rest of the motion that is shorter is left out.
+/// A shorter rest of the motion is left out.
 const REST_MIN: Duration = Duration::from_secs(1);
 /// Between two attempts to start a net.
 const AGAIN: Duration = Duration::from_millis(200);
-/// Between two looks at all nets, in case the end of one was not pushed.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Between two polls of all nets, in case the end of one was not pushed.
+const POLL_EVERY: Duration = Duration::from_secs(1);
 /// Failures that are kept for the report; of others only the number.
 const FAILURES_MAX: usize = 16;
 
-/// What became of the motion.
+/// Result of the motion.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Outcome {
     /// How often a net ended before its time.
     pub(super) interrupted: u64,
     /// After how many of these its devices moved again at the demo's request, or nothing was left to do.
     pub(super) requested_again: u64,
-    /// What no fault of a device and no stall of the host explains, and what was not requested again.
+    /// Interruptions without a fault of a device or a stall of the host, and motion that was not requested again.
     pub(super) failures: Vec<String>,
     /// Failures beyond those.
     pub(super) more: u64,
 }
 
 impl Outcome {
-    fn fail(&mut self, what: String) {
+    fn fail(&mut self, failure: String) {
         if self.failures.len() < FAILURES_MAX {
-            self.failures.push(what);
+            self.failures.push(failure);
         } else {
             self.more += 1;
         }
     }
 }
 
-/// What a part of the cell does.
+/// State of a part of the cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Moving,
     /// Its arms go back to where they began.
     Returning,
-    /// Its devices are waited for, after which it goes back first, if it was interrupted on its way.
+    /// It waits for its devices; if it was interrupted in motion, it returns to its start first.
     Waiting {
         returns: bool,
     },
@@ -76,7 +76,7 @@ struct Part {
     faults: u64,
     /// When and why it was interrupted, as long as its motion is not requested again.
     interrupted: Option<(Instant, String)>,
-    /// Before that it is not tried to start a net.
+    /// No net is started before this time.
     not_before: Instant,
 }
 
@@ -87,7 +87,7 @@ impl Part {
     }
 }
 
-/// All parts, and what became of them.
+/// All parts and their results.
 #[derive(Debug)]
 pub(super) struct Parts<'c> {
     controller: &'c Controller,
@@ -95,8 +95,8 @@ pub(super) struct Parts<'c> {
     outcome: Outcome,
     begin: Instant,
     duration: Duration,
-    looked: Instant,
-    /// The last fault that was reported, and those whose end is still to be.
+    polled: Instant,
+    /// The last fault reported, and faults that are not over.
     reported: u64,
     open: VecDeque<u64>,
 }
@@ -124,18 +124,18 @@ impl<'c> Parts<'c> {
             outcome: Outcome::default(),
             begin: now,
             duration,
-            looked: now,
+            polled: now,
             reported: controller.faults().last().map_or(0, |fault| fault.number),
             open: VecDeque::new(),
         }
     }
 
-    /// Whether all have come to their end.
+    /// Whether all parts have ended.
     pub(super) fn are_done(&self) -> bool {
         self.parts.iter().all(|part| part.state == State::Done)
     }
 
-    /// What became of them. One that is not done was not requested again.
+    /// The result. A part that is not done was not requested again.
     pub(super) fn finish(mut self) -> Outcome {
         for part in &mut self.parts {
             let names = part.names();
@@ -160,11 +160,11 @@ impl<'c> Parts<'c> {
         self.duration.saturating_sub(self.begin.elapsed())
     }
 
-    /// Reports faults that are new or over, looks at nets that ended, and goes on with those whose devices are back.
-    pub(super) fn look(&mut self, client: &mut Client, ended: bool) -> anyhow::Result<()> {
+    /// Reports faults that are new or over, handles nets that ended, and resumes those whose devices recovered.
+    pub(super) fn poll(&mut self, client: &mut Client, ended: bool) -> anyhow::Result<()> {
         self.report_faults();
-        if ended || self.looked.elapsed() >= LOOK_EVERY {
-            self.looked = Instant::now();
+        if ended || self.polled.elapsed() >= POLL_EVERY {
+            self.polled = Instant::now();
             for net in client.nets()? {
                 let part = self.parts.iter().position(|part| part.net == net.id);
                 if let Some(number) = part.filter(|_| net.state == "TERMINATED") {
@@ -208,7 +208,7 @@ impl<'c> Parts<'c> {
         part.net.clear();
         let is_whole = end.is_empty() && (part.state == State::Returning || left.is_zero());
         if is_whole {
-            // What refused set-points on its way back is not there yet.
+            // A part whose set-points were refused on its return has not arrived.
             let is_away = part.state == State::Returning && distance(self.controller, part) > HOME;
             part.state = State::Waiting { returns: is_away };
             return;
@@ -264,7 +264,7 @@ impl<'c> Parts<'c> {
             part.faults = faults_of(self.controller, part.arms);
             let id = load(client, &net)?;
             if client.command("nest", &id).is_err() {
-                // A device was lost again on the way.
+                // A device was lost again meanwhile.
                 client.command("neun", &id)?;
                 return Ok(());
             }
@@ -275,13 +275,13 @@ impl<'c> Parts<'c> {
         if let Some((at, _)) = part.interrupted.take() {
             self.outcome.requested_again += 1;
             let after_s = at.elapsed().as_secs_f64();
-            let what = match part.state {
+            let event = match part.state {
                 State::Done => "no motion is left for",
                 State::Moving | State::Returning | State::Waiting { .. } => {
                     "motion is requested again for"
                 }
             };
-            complain(&format!("{what} {}, {after_s:.1} s after", part.names()));
+            complain(&format!("{event} {}, {after_s:.1} s after", part.names()));
         }
         Ok(())
     }
@@ -324,18 +324,18 @@ fn commanded(controller: &Controller, arm: &Arm) -> Vec<f64> {
         .collect()
 }
 
-/// How far the farthest joint of a part is from where it began, rad.
+/// Largest distance of a joint of a part from its start, rad.
 fn distance(controller: &Controller, part: &Part) -> f64 {
     let arms = part.arms.iter().zip(&part.home);
-    let ways = arms.flat_map(|(arm, home)| {
+    let distances = arms.flat_map(|(arm, home)| {
         let now = commanded(controller, arm);
-        let ways = now.into_iter().zip(home.clone());
-        ways.map(|(now, home)| (home - now).abs())
+        let distances = now.into_iter().zip(home.clone());
+        distances.map(|(now, home)| (home - now).abs())
     });
-    ways.fold(0.0, f64::max)
+    distances.fold(0.0, f64::max)
 }
 
-/// How long a part takes to go back there.
+/// Time that a part takes to return to its start.
 fn way_back(controller: &Controller, part: &Part) -> Duration {
     Duration::try_from_secs_f64(distance(controller, part) / RETURN_SPEED)
         .unwrap_or(RETURN)

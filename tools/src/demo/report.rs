@@ -51,25 +51,25 @@ struct RobotReport {
     name: String,
     protocol: &'static str,
     period_ns: u64,
-    /// What it is.
+    /// Kind of robot.
     make: &'static str,
     /// How far the farthest joint moved, or the wheel that turned most, rad.
     moved_rad_max: f64,
-    /// How far that brought a base, m.
+    /// Distance that a base moved, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     moved_m: Option<f64>,
     #[serde(flatten)]
     wire: WireReport,
 }
 
-/// What is told of the wire of a robot.
+/// Figures of the wire of a robot.
 #[derive(Debug, Serialize)]
 #[serde(untagged)]
 enum WireReport {
     Fri {
         /// Measurements received.
         datagrams: u64,
-        /// Measurements that never came and cycles in which the robot had no answer in time.
+        /// Measurements lost, and cycles in which the robot had no answer in time.
         lost: u64,
         quality: String,
         tracking_error_rad_max: f64,
@@ -81,9 +81,9 @@ enum WireReport {
     Ethercat {
         /// Frames with process data.
         frames: u64,
-        /// Those whose answer did not come in their cycle.
+        /// Frames not answered within their cycle.
         lost: u64,
-        /// How far cycles began from their place before SYNC0; `None` without SYNC0.
+        /// Deviation of cycle starts from their phase before SYNC0; `None` without SYNC0.
         sync0_error_ns: Option<Quantiles>,
     },
 }
@@ -120,7 +120,7 @@ impl WireReport {
         }
     }
 
-    /// A line or two for people.
+    /// As one or two lines of text.
     fn text(&self) -> (String, String) {
         match self {
             Self::Fri {
@@ -151,7 +151,7 @@ impl WireReport {
 }
 
 impl RobotReport {
-    /// What the driver of that arm tells; nothing if there is none.
+    /// Figures of the driver of that arm; `None` without one.
     fn new(
         controller: &Controller,
         krcs: &[(String, Robot)],
@@ -188,7 +188,7 @@ impl RobotReport {
         let period = time(self.period_ns.cast_signed());
         let (first, more) = self.wire.text();
         let moved = match self.moved_m {
-            Some(way) => format!("went {way:.2} m"),
+            Some(distance) => format!("went {distance:.2} m"),
             None => format!("moved {:.2} rad", self.moved_rad_max),
         };
         format!(
@@ -202,7 +202,7 @@ fn nanoseconds(span: Duration) -> u64 {
     u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// What there was before the motion began.
+/// Counts before the motion began.
 #[derive(Debug)]
 pub(super) struct Baseline {
     faults: BTreeMap<String, FaultCounts>,
@@ -213,7 +213,7 @@ pub(super) struct Baseline {
 
 impl Baseline {
     pub(super) fn take(controller: &Controller, krcs: &[(String, Robot)]) -> Self {
-        // Faults first: a fall between the two is neither taken for one that no fault explains.
+        // Faults first, so that a fall between the two readings is not counted as unexplained.
         let faults = controller.fault_counts();
         let exits = krcs.iter();
         let exits = exits.map(|(name, robot)| (name.clone(), robot.status.exits()));
@@ -233,7 +233,7 @@ struct DeviceReport {
     faults: u64,
     /// After how many of these it followed again.
     recovered: u64,
-    /// Those before which this host did not stall.
+    /// Faults without a stall of this host before them.
     without_stall: u64,
     /// The longest time until it followed again, s.
     recovered_after_s_max: Option<f64>,
@@ -272,7 +272,7 @@ impl DeviceReport {
     }
 }
 
-/// Resident memory of this process, KiB; `None` if the system does not say.
+/// Resident memory of this process, KiB; `None` if the system does not report it.
 fn resident_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status
@@ -285,17 +285,17 @@ fn resident_kib() -> Option<u64> {
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
     pub(super) ok: bool,
-    /// Why it is not.
+    /// Reasons why it is not good.
     faults: Vec<String>,
     /// Faults of devices while the motion lasted; those that recovered are no reason why it is not.
     devices: Vec<DeviceReport>,
     /// How often the motion of a part of the cell ended before its time, and how often it was requested again.
     interrupted: u64,
     requested_again: u64,
-    /// How often threads of the controller stood still for four of their cycles, and the longest time, since they began.
+    /// How often threads of the controller stalled for four of their cycles, and the longest stall, since their start.
     stalls: u64,
     longest_stall_ns: u64,
-    /// The thread of that one.
+    /// The thread of the longest stall.
     longest_stall_thread: String,
     /// Resident memory when the motion began and when it ended.
     memory_start_kib: Option<u64>,
@@ -306,9 +306,9 @@ pub(super) struct Report {
     execution_ns: Quantiles,
     /// Device whose clock the cycles of nets follow.
     followed: String,
-    /// How far they began from their places on that clock, while it was known.
+    /// Deviation of cycle starts from the grid of that clock, while it was known.
     phase_error_ns: Quantiles,
-    /// In how many cycles it was.
+    /// Number of cycles in which it was known.
     phase_known: u64,
     rt_allocations: u64,
     rt_page_faults: u64,
@@ -348,7 +348,7 @@ impl Report {
             faults.push(format!("{rt_page_faults} page faults in real-time threads"));
         }
         for (name, robot) in krcs {
-            // One that the controller saw is a fault of the device.
+            // An exit that the controller observed is a fault of the device.
             let exits = robot.status.exits() - before.exits.get(name).copied().unwrap_or(0);
             let mut seen = devices.iter().filter(|device| device.name == *name);
             let seen = seen.next().map_or(0, |device| device.faults);
@@ -424,7 +424,7 @@ impl Report {
 }
 
 impl Report {
-    /// What matters of a long run, for people.
+    /// Figures of a long run, as text.
     fn long_run(&self) -> String {
         let mib = |kib: Option<u64>| {
             kib.map_or_else(|| "unknown".to_owned(), |kib| format!("{} MiB", kib / 1024))
@@ -470,7 +470,7 @@ fn devices(controller: &Controller, before: &Baseline) -> Vec<DeviceReport> {
         .collect()
 }
 
-/// Why a run is not good, as far as devices and their motion go: whatever did not recover.
+/// Devices and motion that did not recover: reasons why a run is not good.
 fn unrecovered(
     controller: &Controller,
     devices: &[DeviceReport],
@@ -506,7 +506,7 @@ fn is_memory_locked(host: &Host) -> bool {
     grants.any(|grant| grant.item == takt_rt::host::MEMORY && !grant.is_refused())
 }
 
-/// Whether nothing was refused that real-time threads ask for. The kernel is told apart.
+/// Whether all real-time permissions were granted. The kernel is reported separately.
 fn is_real_time(controller: &Controller, host: &Host) -> bool {
     let threads = controller.grants();
     let kernel = |grant: &&takt_rt::Grant| grant.item == takt_rt::host::KERNEL;

@@ -1,5 +1,4 @@
-//! Joints over time, for the plot: as many samples as a picture can show, however long the demo takes. It draws
-//! nothing.
+//! Joints over time, for the plot: as many samples as a picture can show, however long the demo takes.
 
 use std::time::Duration;
 
@@ -7,7 +6,7 @@ use takt_core::Controller;
 
 use super::cell::{Arm, Machines};
 
-/// Most samples. When there are as many, every other one goes, and from then on they are taken half as often.
+/// Maximum number of samples. At that number every other one is dropped, and the sampling rate is halved.
 const SAMPLES_MAX: usize = 4096;
 
 /// Joints over time.
@@ -19,7 +18,7 @@ pub(super) struct Samples {
     pub(super) joints: Vec<Vec<Vec<f64>>>,
     /// By arm and joint: lowest and highest position of all that were offered.
     ranges: Vec<Vec<[f64; 2]>>,
-    /// One in so many is kept.
+    /// One of this many samples is kept.
     every: u64,
     offered: u64,
 }
@@ -52,7 +51,7 @@ impl Samples {
     fn offer(&mut self, time_s: f64, positions: &[Vec<f64>]) {
         for (ranges, arm) in self.ranges.iter_mut().zip(positions) {
             for ([low, high], position) in ranges.iter_mut().zip(arm) {
-                // What is not known is no number, and changes neither.
+                // An unknown position is NaN and changes neither.
                 (*low, *high) = (low.min(*position), high.max(*position));
             }
         }
@@ -121,7 +120,7 @@ mod tests {
         let gaps = samples.time_s.windows(2).map(|pair| pair[1] - pair[0]);
         let (least, most) = gaps.fold((f64::MAX, 0.0_f64), |(a, b), gap| (a.min(gap), b.max(gap)));
         assert!(most - least < 1e-6, "evenly spaced: {least} to {most}");
-        // What was left out of the picture counts all the same.
+        // Samples left out of the picture count, too.
         assert_eq!(samples.moved()[0].to_bits(), 1.0_f64.to_bits());
     }
 }

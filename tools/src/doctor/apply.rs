@@ -1,7 +1,7 @@
 //! Writing settings of the running system, and taking them back.
 //!
-//! It writes nothing that it did not list before, only to files that exist, and only after the values they
-//! had are safely in the undo file. What needs a boot or a package is not its business.
+//! It writes only what it listed before, only to files that exist, and only after the old values are in the undo file.
+//! Remedies that need a boot or a package are left to the user.
 
 use std::fs;
 use std::io::{self, IsTerminal as _, Write as _};
@@ -32,7 +32,7 @@ struct UndoFile {
     changes: Vec<Written>,
 }
 
-/// What is in force now; of alternatives the chosen one.
+/// The current value; of alternatives the chosen one.
 fn present(host: &Host, path: &str) -> Option<String> {
     host.text(path).map(|text| chosen(&text).to_owned())
 }
@@ -92,7 +92,7 @@ pub(super) fn apply(host: &Host, rows: &[Row], yes: bool) -> anyhow::Result<bool
 
 fn confirmed() -> anyhow::Result<bool> {
     if !io::stdin().is_terminal() {
-        anyhow::bail!("nothing was written: nobody to ask here; add --yes");
+        anyhow::bail!("nothing was written: standard input is no terminal\nhint: add --yes");
     }
     let mut out = io::stdout().lock();
     out.write_all(b"write these? [y/N] ")?;
@@ -102,8 +102,8 @@ fn confirmed() -> anyhow::Result<bool> {
     Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
 }
 
-/// Adds to what is kept from earlier, or corrects it: of a setting written twice the first old value is the
-/// one to go back to, unless somebody else changed it in between.
+/// Adds to the kept changes, or corrects them: of a setting written twice the first old value is restored, unless
+/// another program changed it in between.
 fn remember(file: &Path, plan: &[Written]) -> anyhow::Result<()> {
     let mut undo = load(file)?;
     for written in plan {
@@ -121,13 +121,13 @@ fn remember(file: &Path, plan: &[Written]) -> anyhow::Result<()> {
 fn load(file: &Path) -> anyhow::Result<UndoFile> {
     match fs::read_to_string(file) {
         Ok(text) => serde_json::from_str(&text)
-            .with_context(|| format!("{} is damaged; remove it", file.display())),
+            .with_context(|| format!("{} is damaged\nhint: remove it", file.display())),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(UndoFile::default()),
         Err(error) => Err(error).with_context(|| format!("cannot read {}", file.display())),
     }
 }
 
-/// By way of a second file, so that no crash leaves half of it.
+/// Writes a second file and renames it, so that no crash leaves half of it.
 fn store(file: &Path, undo: &UndoFile) -> anyhow::Result<()> {
     let text = serde_json::to_string_pretty(undo)? + "\n";
     let next = file.with_extension("json.new");
@@ -141,7 +141,7 @@ fn store(file: &Path, undo: &UndoFile) -> anyhow::Result<()> {
     write().with_context(|| format!("cannot keep what would be changed in {}", file.display()))
 }
 
-/// Writes the old values back, the latest first. A setting that somebody has changed since is left alone.
+/// Writes the old values back, the latest first. A setting that another program has changed since is left alone.
 /// False if something was refused; that stays in the undo file.
 pub(super) fn undo(host: &Host) -> anyhow::Result<bool> {
     let file = host.own_file(UNDO);
@@ -155,7 +155,7 @@ pub(super) fn undo(host: &Host) -> anyhow::Result<bool> {
         let Written { path, old, new } = &written;
         let now = present(host, path);
         if now.as_deref() != Some(new) {
-            let now = now.unwrap_or_else(|| "gone".to_owned());
+            let now = now.unwrap_or_else(|| "missing".to_owned());
             say(&format!("  {path}: is {now} by now, left alone"))?;
         } else if let Err(error) = host.write(path, old) {
             complain(&format!("takt: {path} does not take {old}: {error}"));

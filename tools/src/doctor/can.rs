@@ -1,6 +1,6 @@
 //! CAN interfaces: state of the controller, bit rate, recovery, queue.
 //!
-//! What nodes there are on the bus, and what they say, is for `takt can`.
+//! Nodes and frames on the bus are shown by `takt can`.
 
 use super::condition::{Condition, Finding, advice, command};
 use super::host::Host;
@@ -21,7 +21,7 @@ pub(super) const CONDITIONS: &[Condition] = &[
     Condition::can(
         "can-restart",
         restart,
-        "A controller that went off the bus stays off until somebody restarts it.",
+        "A controller in bus-off stays off the bus until it is restarted.",
     ),
     Condition::can(
         "can-queue",
@@ -31,12 +31,12 @@ pub(super) const CONDITIONS: &[Condition] = &[
     Condition::can(
         "can-errors",
         errors,
-        "The controller counts frames that were disturbed or that nobody acknowledged.",
+        "The controller counts disturbed and unacknowledged frames.",
     ),
     Condition::can(
         "can-error-reports",
         error_reports,
-        "With reports of single bus errors `takt can` tells what disturbs the bus.",
+        "With bus error reports `takt can` shows what disturbs the bus.",
     ),
 ];
 
@@ -57,7 +57,7 @@ fn facts(host: &Host, interface: &str) -> String {
     host.fact(&format!("can/{interface}")).unwrap_or_default()
 }
 
-const VIRTUAL: &str = "virtual, or its driver does not tell";
+const VIRTUAL: &str = "virtual, or not reported by its driver";
 
 /// Parameters can be set only while the interface is down.
 fn reconfigure(interface: &str, parameters: &str) -> String {
@@ -70,7 +70,7 @@ fn reconfigure(interface: &str, parameters: &str) -> String {
 fn state(host: &Host, interface: &str) -> Finding {
     let facts = facts(host, interface);
     if facts.is_empty() {
-        return Finding::skip("the interface was not asked");
+        return Finding::skip("the interface was not probed");
     }
     if entry(&facts, "up") != Some("yes") {
         let remedy = match entry(&facts, "state") {
@@ -82,7 +82,7 @@ fn state(host: &Host, interface: &str) -> Finding {
         };
         return Finding::fail("down", remedy);
     }
-    let wires = "look at bit rates, wires and the two terminating resistors (60 ohms between CAN_H \
+    let wires = "check bit rates, wires and the two terminating resistors (60 ohms between CAN_H \
                  and CAN_L); a lone node gets no acknowledgement";
     match entry(&facts, "state") {
         None => Finding::ok("up, virtual"),
@@ -141,7 +141,7 @@ fn restart(host: &Host, interface: &str) -> Finding {
     }
 }
 
-/// Set-points and SYNC of a cycle for eight drives of four PDOs each, and some room.
+/// Set-points and SYNC of a cycle for eight drives of four PDOs each, and a margin.
 const QUEUE_MIN: i64 = 64;
 
 fn queue(host: &Host, interface: &str) -> Finding {
@@ -176,7 +176,7 @@ fn errors(host: &Host, interface: &str) -> Finding {
         return Finding::ok(read);
     }
     let remedy = command(format!(
-        "takt can dump {interface}    # look at error frames, then at wires"
+        "takt can dump {interface}    # check error frames, then wires"
     ));
     Finding::warn(read, remedy)
 }

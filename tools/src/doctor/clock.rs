@@ -1,6 +1,6 @@
 //! Whether time can be read cheaply and timers fire exactly.
 //!
-//! How well this clock follows another one is not its business: cycles run from the monotonic clock.
+//! It does not check synchronization with other clocks: cycles run from the monotonic clock.
 
 use super::condition::{Condition, Finding, advice, boot_with};
 use super::host::Host;
@@ -43,7 +43,7 @@ fn source(host: &Host) -> Finding {
         "riscv_clocksource",
     ];
     let Some(current) = host.value(&format!("{CLOCKSOURCE}/current_clocksource")) else {
-        return Finding::skip("this kernel does not tell");
+        return Finding::skip("not reported by this kernel");
     };
     if GOOD.contains(&&*current) {
         return Finding::ok(current);
@@ -55,7 +55,7 @@ fn source(host: &Host) -> Finding {
         .find(|good| available.split_whitespace().any(|name| name == **good));
     let remedy = match better {
         Some(better) => boot_with(format!("clocksource={better}")),
-        None => advice("look in the kernel's log why it gave up the processor's own clock"),
+        None => advice("check the kernel's log for why it abandoned the processor's own clock"),
     };
     Finding::fail(current, remedy)
 }
@@ -85,7 +85,7 @@ fn tsc(host: &Host) -> Finding {
     Finding::warn(format!("without {}", missing.join(", ")), remedy)
 }
 
-/// The list of timers is for root; the configuration tells almost as surely.
+/// Only root can read the list of timers; the kernel configuration is almost as reliable.
 fn resolution(host: &Host) -> Finding {
     let cmdline = host.text("/proc/cmdline").unwrap_or_default();
     let remedy = || advice("boot without `highres=off`, with a kernel built with HIGH_RES_TIMERS");

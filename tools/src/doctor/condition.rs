@@ -1,12 +1,10 @@
-//! What a condition is: a name, why it matters, and a function from a host to a finding. The tables stand in
-//! the modules of the groups; adding a condition is adding a row and its function there.
-//!
-//! Nothing here reads or changes a host.
+//! A condition: a name, why it matters, and a function from a host to a finding. The tables are in the modules of the
+//! groups; a new condition is a row and its function there. Nothing here reads or changes a host.
 
 use super::host::Host;
 use super::{can, clock, irq, isolation, kernel, memory, nic, power, rights, service};
 
-/// How a condition stands.
+/// The result of a condition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Status {
     Ok,
@@ -14,7 +12,7 @@ pub(super) enum Status {
     Warn,
     /// Cycles do not run as they must.
     Fail,
-    /// What the condition is about does not exist here, or is not told.
+    /// The subject of the condition does not exist here, or cannot be read.
     Skip,
 }
 
@@ -34,13 +32,13 @@ impl Status {
     }
 }
 
-/// What mends a condition.
+/// What fixes a condition.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Remedy {
     None,
     /// A line for a shell.
     Command(String),
-    /// What a person must do.
+    /// Instructions for a person.
     Advice(String),
 }
 
@@ -53,18 +51,18 @@ impl Remedy {
     }
 }
 
-/// A setting of the running system that would mend a condition.
+/// A setting of the running system that would fix a condition.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Change {
     pub(super) path: String,
     pub(super) new: String,
 }
 
-/// What was found.
+/// The result of a check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Finding {
     pub(super) status: Status,
-    /// What was read; for a skipped condition, why.
+    /// The value read; for a skipped condition, the reason.
     pub(super) read: String,
     pub(super) remedy: Remedy,
     pub(super) changes: Vec<Change>,
@@ -96,7 +94,7 @@ impl Finding {
         Self::new(Status::Fail, read, remedy)
     }
 
-    /// The same, mended by writing these.
+    /// The same, fixed by writing these.
     pub(super) fn with_changes(mut self, changes: Vec<Change>) -> Self {
         self.changes = changes;
         self
@@ -144,7 +142,7 @@ fn setting(path: &str, value: &str) -> Remedy {
     })
 }
 
-/// What a condition is asked of.
+/// The subject of a condition.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Check {
     Host(fn(&Host) -> Finding),
@@ -205,7 +203,7 @@ pub(super) const GROUPS: &[(&str, &[Condition])] = &[
     ("CAN", can::CONDITIONS),
 ];
 
-/// A condition with what was found of it.
+/// A condition with its finding.
 #[derive(Clone, Debug)]
 pub(super) struct Row {
     pub(super) group: &'static str,
@@ -215,17 +213,17 @@ pub(super) struct Row {
     pub(super) finding: Finding,
 }
 
-/// Asks all conditions of a host.
+/// Checks all conditions of a host.
 pub(super) fn examine(host: &Host) -> Vec<Row> {
     let rows = GROUPS.iter().flat_map(|(group, conditions)| {
         conditions
             .iter()
-            .flat_map(move |condition| ask(host, group, condition))
+            .flat_map(move |condition| check(host, group, condition))
     });
     rows.collect()
 }
 
-fn ask(host: &Host, group: &'static str, condition: &Condition) -> Vec<Row> {
+fn check(host: &Host, group: &'static str, condition: &Condition) -> Vec<Row> {
     let row = |name: String, finding| Row {
         group,
         name,

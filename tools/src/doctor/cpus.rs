@@ -82,7 +82,7 @@ impl Cpus {
         other.0.is_subset(&self.0)
     }
 
-    pub(super) fn meets(&self, other: &Self) -> bool {
+    pub(super) fn overlaps(&self, other: &Self) -> bool {
         !self.0.is_disjoint(&other.0)
     }
 

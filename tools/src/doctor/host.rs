@@ -1,8 +1,7 @@
-//! The host as the conditions see it: paths with text behind them, of this machine or of a tree that was saved
-//! from another one.
+//! A host as a tree of paths with texts: this machine, or a tree saved from another one.
 //!
-//! What was read is remembered, so that saving a host is writing down what its examination read. It
-//! never judges, and it writes only to files that exist.
+//! Texts are cached, so that a saved host holds what its examination read. It never judges, and it writes only to files
+//! that exist.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -13,17 +12,17 @@ use std::path::{Path, PathBuf};
 use super::cpus::Cpus;
 use super::probe;
 
-/// What only asking the kernel tells is read under this folder, which no real host has: probed on a live
-/// host, a file in a saved tree.
+/// Facts that no file shows are read under this folder, which no real host has: probed on a live host, a file in a saved
+/// tree.
 pub(super) const FACTS: &str = "/takt-doctor/";
 
-/// Of a file no more is read: `/proc/interrupts` of the largest machines fits.
+/// Bytes read of a file at most: `/proc/interrupts` of the largest machines fits.
 const BYTES_MAX: u64 = 4 << 20;
 
 /// Paths that exist and may not be read are listed here in a saved tree.
 const DENIED: &str = "/takt-doctor/denied";
 
-/// What stands at a path.
+/// The entry at a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Entry {
     Text(String),
@@ -41,12 +40,12 @@ pub(super) enum Entry {
 enum Source {
     Live,
     Tree(PathBuf),
-    /// Nowhere but in what is known already.
+    /// Only in the cache.
     #[cfg(test)]
     Known,
 }
 
-/// What to look at beside what every host has.
+/// Interfaces and service to examine.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Subject {
     /// Interfaces to examine; empty for all that could carry a field bus.
@@ -100,9 +99,9 @@ impl Host {
         matches!(self.source, Source::Live)
     }
 
-    /// The text of a file, `None` if there is none to be had.
+    /// The text of a file, `None` if it cannot be read.
     pub(super) fn text(&self, path: &str) -> Option<String> {
-        match self.look(path, |host| host.read(path)) {
+        match self.cached(path, |host| host.read(path)) {
             Entry::Text(text) => Some(text),
             Entry::Names(_) | Entry::Link(_) | Entry::Denied | Entry::Absent => None,
         }
@@ -123,19 +122,19 @@ impl Host {
         Cpus::from_list(&self.text(path)?)
     }
 
-    /// What a probe found out; see [`probe::fact`] for the names.
+    /// The result of a probe; see [`probe::fact`] for the names.
     pub(super) fn fact(&self, name: &str) -> Option<String> {
         self.text(&format!("{FACTS}{name}"))
     }
 
     /// Whether a file exists that this user may not read.
     pub(super) fn is_denied(&self, path: &str) -> bool {
-        self.look(path, |host| host.read(path)) == Entry::Denied
+        self.cached(path, |host| host.read(path)) == Entry::Denied
     }
 
     /// Names in a folder, sorted; none if there is no such folder.
     pub(super) fn names(&self, path: &str) -> Vec<String> {
-        match self.look(path, |host| host.list(path)) {
+        match self.cached(path, |host| host.list(path)) {
             Entry::Names(names) => names,
             Entry::Text(_) | Entry::Link(_) | Entry::Denied | Entry::Absent => Vec::new(),
         }
@@ -143,7 +142,7 @@ impl Host {
 
     /// The last part of where a symbolic link leads, such as the name of a driver.
     pub(super) fn link(&self, path: &str) -> Option<String> {
-        match self.look(path, |host| host.target(path)) {
+        match self.cached(path, |host| host.target(path)) {
             Entry::Link(target) => target.rsplit('/').next().map(str::to_owned),
             Entry::Text(_) | Entry::Names(_) | Entry::Denied | Entry::Absent => None,
         }
@@ -151,15 +150,18 @@ impl Host {
 
     /// Replaces the text of a file that exists.
     pub(super) fn write(&self, path: &str, value: &str) -> io::Result<()> {
-        let place = self.place(path).ok_or(io::ErrorKind::NotFound)?;
-        let mut file = OpenOptions::new().write(true).truncate(true).open(place)?;
-        // One call: a setting of the kernel takes each write for a value of its own.
+        let resolved = self.resolved(path).ok_or(io::ErrorKind::NotFound)?;
+        let mut file = OpenOptions::new()
+            .write(true)
+            .truncate(true)
+            .open(resolved)?;
+        // One call: a setting of the kernel takes each write as one value.
         file.write_all(format!("{value}\n").as_bytes())?;
         self.seen.borrow_mut().remove(path);
         Ok(())
     }
 
-    /// Where a file of the doctor's own is kept, below the same root.
+    /// Path of a file of the doctor's own, below the same root.
     pub(super) fn own_file(&self, path: &str) -> PathBuf {
         match &self.source {
             Source::Tree(root) => root.join(path.trim_start_matches('/')),
@@ -169,7 +171,7 @@ impl Host {
         }
     }
 
-    /// Writes all that was read so far below `root`, at the paths it was read from.
+    /// Writes all entries read so far below `root`, at the paths it was read from.
     pub(super) fn save(&self, root: &Path) -> io::Result<usize> {
         let seen = self.seen.borrow();
         let mut denied = String::new();
@@ -185,8 +187,8 @@ impl Host {
             }
             saved += 1;
         }
-        // Last: most names were read, and are there by now. Of the others only the name counts; files,
-        // as no archive loses an empty one.
+        // Last: most names were read and exist by now. Of the others only the name counts; they become files, as some
+        // archives lose empty folders.
         for (path, entry) in seen.iter() {
             if let Entry::Names(names) = entry {
                 let folder = root.join(path.trim_start_matches('/'));
@@ -200,7 +202,7 @@ impl Host {
         Ok(saved)
     }
 
-    fn look(&self, path: &str, read: impl FnOnce(&Self) -> Entry) -> Entry {
+    fn cached(&self, path: &str, read: impl FnOnce(&Self) -> Entry) -> Entry {
         if let Some(entry) = self.seen.borrow().get(path) {
             return entry.clone();
         }
@@ -217,11 +219,12 @@ impl Host {
         {
             return probe::fact(name).map_or(Entry::Absent, Entry::Text);
         }
-        let Some(place) = self.place(path) else {
+        let Some(resolved) = self.resolved(path) else {
             return Entry::Absent;
         };
         let mut bytes = Vec::new();
-        let read = File::open(place).and_then(|file| file.take(BYTES_MAX).read_to_end(&mut bytes));
+        let read =
+            File::open(resolved).and_then(|file| file.take(BYTES_MAX).read_to_end(&mut bytes));
         match read {
             Ok(_) => Entry::Text(String::from_utf8_lossy(&bytes).into_owned()),
             Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Entry::Denied,
@@ -234,7 +237,10 @@ impl Host {
         if matches!(self.source, Source::Known) {
             return self.known_names(path);
         }
-        let Some(folder) = self.place(path).and_then(|place| fs::read_dir(place).ok()) else {
+        let Some(folder) = self
+            .resolved(path)
+            .and_then(|resolved| fs::read_dir(resolved).ok())
+        else {
             return Entry::Absent;
         };
         let names = folder.filter_map(|item| item.ok()?.file_name().into_string().ok());
@@ -270,7 +276,7 @@ impl Host {
     }
 
     /// The file behind a path, resolved; `None` if it does not exist or lies outside the root.
-    fn place(&self, path: &str) -> Option<PathBuf> {
+    fn resolved(&self, path: &str) -> Option<PathBuf> {
         self.inside(&self.unresolved(path)?)
     }
 
@@ -311,7 +317,7 @@ fn make_link(to: &Path, target: &str) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    /// An empty folder of this test's own, gone at the end.
+    /// An empty folder of this test's own, removed at the end.
     struct Folder(PathBuf);
 
     impl Folder {
@@ -330,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_out_of_a_tree_is_neither_read_nor_written() {
+    fn host_link_out_of_tree_is_not_followed() {
         let folder = Folder::new("doctor-outside");
         fs::write(folder.0.join("secret"), "outside").unwrap();
         let root = folder.0.join("tree");
@@ -349,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_read_is_what_is_saved() {
+    fn host_save_writes_what_was_read() {
         let folder = Folder::new("doctor-save");
         let files = [
             ("/proc/a", "1\n"),

@@ -1,4 +1,4 @@
-//! Which interrupts come to the processors of cycles, and who moves them about.
+//! Which interrupts arrive at the processors of cycles, and which service moves them.
 //!
 //! The interrupts of a field bus adapter belong to the group of the network.
 
@@ -35,8 +35,8 @@ pub(super) struct Routed {
     pub(super) cpus: Cpus,
 }
 
-/// Every numbered interrupt with where it goes: in effect if the chip tells, else as set. A new setting is
-/// in effect only from the next interrupt on, so where both contradict the setting counts.
+/// Every numbered interrupt with where it goes: the effective processors if the chip reports them, else those set. A new setting
+/// takes effect with the next interrupt, so where both contradict the setting counts.
 pub(super) fn routed(host: &Host) -> Vec<Routed> {
     let text = host.text("/proc/interrupts").unwrap_or_default();
     let (_, found) = interrupts(&text);
@@ -49,7 +49,7 @@ pub(super) fn routed(host: &Host) -> Vec<Routed> {
             number: interrupt.number,
             name: name.unwrap_or_default().to_owned(),
             cpus: match (effective.filter(|cpus| !cpus.is_empty()), set) {
-                (Some(effective), Some(set)) if !effective.meets(&set) => set,
+                (Some(effective), Some(set)) if !effective.overlaps(&set) => set,
                 (effective, set) => effective.or(set).unwrap_or_default(),
             },
         }
@@ -78,7 +78,7 @@ fn affinity(host: &Host) -> Finding {
     let ours = |name: &str| host.subject.interfaces.iter().any(|i| name.contains(&**i));
     let stray: Vec<Routed> = routed(host)
         .into_iter()
-        .filter(|irq| irq.cpus.meets(&isolated) && !ours(&irq.name))
+        .filter(|irq| irq.cpus.overlaps(&isolated) && !ours(&irq.name))
         .collect();
     let Some(first) = stray.first() else {
         return Finding::ok(format!("none goes to {isolated}"));
@@ -117,7 +117,7 @@ fn default_affinity(host: &Host) -> Finding {
     let Some(mask) = host.text(MASK).and_then(|text| Cpus::from_mask(&text)) else {
         return Finding::skip(format!("no {MASK}"));
     };
-    if mask.meets(&isolated) {
+    if mask.overlaps(&isolated) {
         let rest = online(host).without(&isolated);
         let read = format!("includes isolated {}", mask.and(&isolated));
         return Finding::warn_setting(read, MASK, rest.mask());
@@ -125,11 +125,10 @@ fn default_affinity(host: &Host) -> Finding {
     Finding::ok(format!("processors {}", mask.and(&online(host))))
 }
 
-/// It spares isolated processors by itself unless told otherwise, but without isolation there are none to
-/// spare.
+/// By default it excludes isolated processors; without isolation it excludes none.
 fn irqbalance(host: &Host) -> Finding {
     let Some(tasks) = tasks(host) else {
-        return Finding::skip("tasks are not told");
+        return Finding::skip("no task list");
     };
     if !tasks.iter().any(|task| task.name == "irqbalance") {
         return Finding::ok("does not run");

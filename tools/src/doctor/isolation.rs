@@ -1,8 +1,8 @@
 //! Whether some processors are kept for cycles alone: from the scheduler, the tick, RCU, and others' real-time
 //! threads.
 //!
-//! Interrupts are a group of their own. Without isolated processors the finer conditions are skipped,
-//! as one missing thing should be told once.
+//! Interrupts are a group of their own. Without isolated processors the finer conditions are skipped: the missing
+//! isolation is reported once.
 
 use super::condition::{Condition, Finding, advice, boot_with, change, command};
 use super::cpus::Cpus;
@@ -42,7 +42,7 @@ pub(super) const CONDITIONS: &[Condition] = &[
         "rt-rivals",
         rivals,
         "A real-time thread of another program at the priority of drivers or above delays cycles \
-         for as long as it likes.",
+         for as long as it runs.",
     ),
     Condition::host(
         "lockup-detectors",
@@ -69,7 +69,7 @@ pub(super) fn online(host: &Host) -> Cpus {
         .unwrap_or_default()
 }
 
-/// The processors of a condition that asks only about isolated ones, or why it is skipped.
+/// The processors of a condition about isolated ones, or why it is skipped.
 pub(super) fn isolated_or_skip(host: &Host) -> Result<Cpus, Finding> {
     let cpus = isolated(host);
     match cpus.is_empty() {
@@ -93,7 +93,7 @@ fn isolation(host: &Host) -> Finding {
         };
         let read = format!("none of processors {online}");
         let others = online.without(&Cpus::from_iter([last]));
-        // Kernels without it take the parameter for a mistake.
+        // Kernels without it reject the parameter.
         let tickless = match host.text(NOHZ_FULL) {
             Some(_) => format!("nohz_full={last} "),
             None => String::new(),
@@ -170,7 +170,7 @@ fn workqueues(host: &Host) -> Finding {
     let Some(mask) = host.text(MASK).and_then(|text| Cpus::from_mask(&text)) else {
         return Finding::skip(format!("no {MASK}"));
     };
-    if mask.meets(&isolated) {
+    if mask.overlaps(&isolated) {
         let rest = online(host).without(&isolated);
         let read = format!("may run on isolated {}", mask.and(&isolated));
         return Finding::warn_setting(read, MASK, rest.mask());
@@ -183,7 +183,7 @@ fn smt(host: &Host) -> Finding {
     let control = host.value(&format!("{FOLDER}/smt/control"));
     let active = host.value(&format!("{FOLDER}/smt/active"));
     let Some(active) = active else {
-        return Finding::skip("this kernel does not tell");
+        return Finding::skip("not reported by this kernel");
     };
     if active != "1" {
         return Finding::ok(match control.as_deref() {
@@ -233,11 +233,10 @@ fn task(line: &str) -> Option<Task> {
     })
 }
 
-/// The kernel's own threads are left out: those above drivers, `migration` for one, work for moments and
-/// cannot be done without.
+/// Kernel threads are left out: those above drivers, such as `migration`, run briefly and are indispensable.
 fn rivals(host: &Host) -> Finding {
     let Some(tasks) = tasks(host) else {
-        return Finding::skip("tasks are not told");
+        return Finding::skip("no task list");
     };
     let (isolated, online) = (isolated(host), online(host));
     let cycles = if isolated.is_empty() {
@@ -248,7 +247,7 @@ fn rivals(host: &Host) -> Finding {
     let rival = |task: &&Task| {
         let urgent = task.policy == "deadline" || task.priority >= u32::from(PRIORITY);
         let ours = task.name.starts_with("takt");
-        task.policy != "other" && !task.is_kernel && urgent && !ours && task.cpus.meets(&cycles)
+        task.policy != "other" && !task.is_kernel && urgent && !ours && task.cpus.overlaps(&cycles)
     };
     let Some(first) = tasks.iter().find(rival) else {
         return Finding::ok(format!("none at {PRIORITY} or above on {cycles}"));
@@ -278,7 +277,7 @@ fn lockup_detectors(host: &Host) -> Finding {
     let isolated = isolated(host);
     let watched = host.cpus("/proc/sys/kernel/watchdog_cpumask");
     let watched = watched.unwrap_or_else(|| online(host));
-    let soft = soft == Some(1) && watched.meets(&isolated);
+    let soft = soft == Some(1) && watched.overlaps(&isolated);
     let mut changes = Vec::new();
     if hard {
         changes.push(change(HARD, "0"));
@@ -307,7 +306,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_task_may_have_spaces_in_its_name() {
+    fn task_name_with_spaces_is_read() {
         let task = task("71 fifo 50 kernel 2-3 irq/24-can rx").unwrap();
         assert_eq!((task.id, task.priority, task.is_kernel), (71, 50, true));
         assert_eq!(task.name, "irq/24-can rx");

@@ -1,7 +1,6 @@
-//! The kernel itself: how it preempts, how much real time it grants, and whether there is another
-//! system beneath it.
+//! The kernel: preemption, real-time throttling, and whether it runs under a hypervisor.
 //!
-//! It does not look at what keeps processors busy; see the groups of isolation and interrupts.
+//! Other load of the processors is checked in the groups of isolation and interrupts.
 
 use super::condition::{Condition, Finding, advice, change, command};
 use super::host::Host;
@@ -45,7 +44,7 @@ pub(super) const CONDITIONS: &[Condition] = &[
 const RT_KERNEL: &str = "install and boot a PREEMPT_RT kernel (Debian: linux-image-rt-amd64; \
                          Ubuntu: pro enable realtime-kernel)";
 
-/// The version string alone is no witness of the mode: `PREEMPT_DYNAMIC` says that it can be chosen.
+/// The version string alone does not show the mode: with `PREEMPT_DYNAMIC` it can be chosen.
 fn preemption(host: &Host) -> Finding {
     let version = host.text("/proc/version").unwrap_or_default();
     let release = host.value("/proc/sys/kernel/osrelease");
@@ -77,7 +76,7 @@ fn preemption(host: &Host) -> Finding {
     }
 }
 
-/// The mode in force and where that stands, the surest witness first.
+/// The mode in force and its source, the most reliable source first.
 fn mode(host: &Host, version: &str) -> Option<(String, &'static str)> {
     if let Some(text) = host.text("/sys/kernel/debug/sched/preempt") {
         return Some((chosen(&text).to_owned(), "debugfs"));
@@ -197,7 +196,7 @@ fn group_budget(host: &Host, group: &str) -> Finding {
     }
 }
 
-/// Whether a hypervisor says it is there, and which machine the firmware claims to be.
+/// Whether a hypervisor reports itself, and which machine the firmware claims to be.
 fn virtual_machine(host: &Host) -> Finding {
     let Some(cpuinfo) = host.text("/proc/cpuinfo") else {
         return Finding::skip("no /proc/cpuinfo");

@@ -1,6 +1,6 @@
-//! What the kernel does with memory behind a program's back: swapping, merging, moving, compacting.
+//! Background work of the kernel on memory: swapping, merging, migration, compaction.
 //!
-//! Whether Takt may lock its own memory is a matter of rights, in a group of its own.
+//! The right to lock memory is a condition of the group of rights.
 
 use super::condition::{Condition, Finding, advice, change, command};
 use super::host::Host;
@@ -21,7 +21,7 @@ pub(super) const CONDITIONS: &[Condition] = &[
     Condition::host(
         "free-memory",
         free_memory,
-        "Without free memory the kernel searches for some on behalf of whoever asks.",
+        "Without free memory the kernel reclaims pages during an allocation.",
     ),
     Condition::host(
         "huge-pages",
@@ -36,7 +36,7 @@ pub(super) const CONDITIONS: &[Condition] = &[
     Condition::host(
         "numa-balancing",
         numa_balancing,
-        "To find out who uses a page the kernel unmaps it, so that the next access faults.",
+        "To sample the use of a page the kernel unmaps it, so that the next access faults.",
     ),
     Condition::host(
         "compaction",

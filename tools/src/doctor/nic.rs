@@ -1,6 +1,6 @@
 //! Adapters that could carry EtherCAT or FRI: link, delays that the adapter adds, interrupts.
 //!
-//! It changes no adapter: a new setting may drop the link, so the command is only told.
+//! It changes no adapter: a new setting may drop the link, so the command is only printed.
 
 use super::condition::{Condition, Finding, advice, change, command};
 use super::host::Host;
@@ -43,7 +43,7 @@ pub(super) const CONDITIONS: &[Condition] = &[
     Condition::nic(
         "nic-timestamps",
         timestamps,
-        "With time stamps one sees whether a late frame was late on the wire or on the way up.",
+        "Time stamps show whether a frame was late on the wire or in the kernel.",
     ),
     Condition::nic(
         "nic-interrupts",
@@ -114,7 +114,7 @@ const CARRIER_CHANGES_MAX: i64 = 20;
 fn link(host: &Host, interface: &str) -> Finding {
     let of = |file: &str| format!("/sys/class/net/{interface}/{file}");
     if kind(host, interface).is_none() {
-        let remedy = command("ip -brief link    # tells which there are");
+        let remedy = command("ip -brief link    # lists the interfaces");
         return Finding::fail("no such interface", remedy);
     }
     if carrier(host, interface) != Some(1) {
@@ -122,7 +122,7 @@ fn link(host: &Host, interface: &str) -> Finding {
         let state = state.unwrap_or_else(|| "unknown".to_owned());
         let read = format!("no link, state {state}");
         let remedy = command(format!(
-            "ip link set {interface} up    # and look at the cable"
+            "ip link set {interface} up    # and check the cable"
         ));
         return match is_named(host, interface) {
             true => Finding::fail(read, remedy),
@@ -149,13 +149,13 @@ fn link(host: &Host, interface: &str) -> Finding {
     Finding::ok(read)
 }
 
-/// The facts of an adapter; with the word for what is not told.
+/// The facts of an adapter, or why it is skipped.
 fn facts(host: &Host, interface: &str) -> Result<String, Finding> {
     let facts = host.fact(&format!("nic/{interface}"));
-    facts.ok_or_else(|| Finding::skip("the adapter was not asked"))
+    facts.ok_or_else(|| Finding::skip("the adapter was not probed"))
 }
 
-/// A delay at which nobody complains, in µs.
+/// The longest acceptable delay, in µs.
 const COALESCING_US: u32 = 3;
 
 fn coalescing(host: &Host, interface: &str) -> Finding {
@@ -165,7 +165,7 @@ fn coalescing(host: &Host, interface: &str) -> Finding {
     };
     let number = |key| entry(&facts, key).and_then(|value| value.parse::<u32>().ok());
     let Some(usecs) = number("rx-usecs") else {
-        return Finding::skip("the driver does not tell");
+        return Finding::skip("not reported by the driver");
     };
     let adaptive = entry(&facts, "adaptive-rx") == Some("on");
     let each_frame = number("rx-frames") == Some(1);
@@ -203,14 +203,14 @@ fn offloads(host: &Host, interface: &str) -> Finding {
         Ok(facts) => facts,
         Err(skip) => return skip,
     };
-    let told: Vec<(&str, &str)> = ["gro", "lro"]
+    let settings: Vec<(&str, &str)> = ["gro", "lro"]
         .into_iter()
         .filter_map(|name| entry(&facts, name).map(|value| (name, value)))
         .collect();
-    if told.is_empty() {
-        return Finding::skip("the driver does not tell");
+    if settings.is_empty() {
+        return Finding::skip("not reported by the driver");
     }
-    let names = told.iter().filter(|(_, value)| *value == "on");
+    let names = settings.iter().filter(|(_, value)| *value == "on");
     let on: Vec<&str> = names.map(|(name, _)| *name).collect();
     if on.is_empty() {
         return Finding::ok("frames are not merged");
@@ -246,7 +246,7 @@ fn pause(host: &Host, interface: &str) -> Finding {
         Err(skip) => return skip,
     };
     let (Some(rx), Some(tx)) = (entry(&facts, "pause-rx"), entry(&facts, "pause-tx")) else {
-        return Finding::skip("the driver does not tell");
+        return Finding::skip("not reported by the driver");
     };
     if (rx, tx) == ("off", "off") {
         return Finding::ok("no flow control");
@@ -261,12 +261,12 @@ fn timestamps(host: &Host, interface: &str) -> Finding {
         Err(skip) => return skip,
     };
     let Some(received) = entry(&facts, "software-receive") else {
-        return Finding::skip("the kernel does not tell");
+        return Finding::skip("not reported by the kernel");
     };
     let both = |kind: &str| {
         ["transmit", "receive"]
             .iter()
-            .all(|way| entry(&facts, &format!("{kind}-{way}")) == Some("on"))
+            .all(|direction| entry(&facts, &format!("{kind}-{direction}")) == Some("on"))
     };
     match (both("hardware"), both("software")) {
         (true, _) => {
@@ -309,7 +309,7 @@ fn interrupts_of(host: &Host, interface: &str) -> Vec<Routed> {
 fn interrupts(host: &Host, interface: &str) -> Finding {
     let ours = interrupts_of(host, interface);
     let Some(first) = ours.first() else {
-        return Finding::skip("the kernel does not tell which are its own");
+        return Finding::skip("the kernel does not report which are its own");
     };
     let handlers = |irq: &Routed| host.value(&format!("/sys/kernel/irq/{}/actions", irq.number));
     let shared = ours
@@ -333,7 +333,7 @@ const PRIORITY_DEFAULT: u32 = 50;
 
 fn irq_thread(host: &Host, interface: &str) -> Finding {
     let Some(tasks) = tasks(host) else {
-        return Finding::skip("tasks are not told");
+        return Finding::skip("no task list");
     };
     let ours = interrupts_of(host, interface);
     let threads = tasks.iter().filter(|task| {

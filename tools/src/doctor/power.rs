@@ -1,6 +1,6 @@
 //! Whether processors keep their frequency and stay awake: governor, turbo, idle states.
 //!
-//! What a controller asks for while it runs, such as the latency of sleep, counts as given if it may ask.
+//! Settings that a controller requests while it runs, such as the latency of sleep, count as set if it may request them.
 
 use super::condition::{Change, Condition, Finding, advice, change, command};
 use super::host::Host;
@@ -148,7 +148,7 @@ fn deepest(host: &Host) -> Option<(String, i64)> {
     states.max_by_key(|(_, latency)| *latency)
 }
 
-/// The exit latency that is no trouble at a cycle of 250 µs.
+/// The longest acceptable exit latency, for cycles of 250 µs.
 const LATENCY_US: i64 = 10;
 
 fn idle_states(host: &Host) -> Finding {
@@ -157,7 +157,7 @@ fn idle_states(host: &Host) -> Finding {
         return Finding::skip("no cpuidle driver");
     }
     let Some((name, latency)) = deepest(host) else {
-        return Finding::skip("no idle states are told");
+        return Finding::skip("no idle states reported");
     };
     if latency <= LATENCY_US {
         return Finding::ok(format!("{name} at most, {latency} us to wake"));

@@ -1,7 +1,7 @@
-//! What no file tells: asked of the kernel, or found by trying, and put into text so that it can be saved.
+//! Facts that no file shows: read by system calls, or found by trials, as text that can be saved.
 //!
-//! Trying is what counts: limits, capabilities, cgroups and system call filters decide together, and each of
-//! them read alone has misled many a checker. Nothing here outlasts the probe.
+//! Permissions are tried, since limits, capabilities, cgroups and system call filters decide together. Nothing here
+//! outlasts the probe.
 
 use std::fmt::{Display, Write as _};
 use std::fs::{self, File, OpenOptions};
@@ -19,7 +19,7 @@ use takt_rt::{Grant, Outcome};
 /// The priority that is tried: that of the driver threads of a controller.
 pub(super) const PRIORITY: u8 = 85;
 
-/// The fact of that name; `None` if there is no such fact or this host does not tell it.
+/// The fact of that name; `None` if there is no such fact or this host does not report it.
 ///
 /// | name | lines |
 /// |---|---|
@@ -46,7 +46,7 @@ pub(super) fn fact(name: &str) -> Option<String> {
     }
 }
 
-/// As a controller asks when it starts, plus its sockets.
+/// The permissions that a controller requests at its start, and its sockets.
 fn permissions() -> String {
     let config = HostConfig {
         heap_bytes: 0,
@@ -162,7 +162,7 @@ fn task_stat(stat: &str) -> Option<(&str, u32, &str, &str)> {
     Some((policy, number(37)?, kind, name))
 }
 
-/// Options that conditions ask for.
+/// Options that conditions read.
 pub(super) const OPTIONS: &[&str] = &[
     "HIGH_RES_TIMERS",
     "KASAN",
@@ -204,7 +204,7 @@ fn config_of_running() -> io::Result<String> {
     Ok(text)
 }
 
-/// Parts of the lines that conditions look for.
+/// Parts of the lines that conditions search for.
 const LOG: &[&str] = &["Dynamic Preempt:", "Marking clocksource", "TSC unstable"];
 
 /// Each read of the log gives one record; the text comes after the first semicolon.
@@ -234,7 +234,7 @@ fn kernel_log() -> Option<String> {
     Some(lines)
 }
 
-/// A line is missing where the driver refuses the question.
+/// A line is missing where the driver refuses the request.
 fn nic(interface: &str) -> Option<String> {
     let adapter = Ethtool::open(interface).ok()?;
     let on = |on: bool| if on { "on" } else { "off" };
@@ -293,7 +293,7 @@ fn nic(interface: &str) -> Option<String> {
     Some(lines)
 }
 
-/// A line is missing where the driver does not tell; a virtual interface tells nothing.
+/// A line is missing where the driver does not report the value; a virtual interface reports none.
 fn can(interface: &str) -> Option<String> {
     let details = CanInterface::open(interface).ok()?.details().ok()?;
     let can = details.can;
@@ -335,7 +335,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_task_with_parentheses_in_its_name_is_read() {
+    fn task_name_with_parentheses_is_read() {
         let mut fields = vec!["0"; 39];
         fields[0] = "S";
         fields[6] = "2097152";
@@ -349,7 +349,7 @@ mod tests {
         assert_eq!(task_stat("12 (x) S"), None);
     }
 
-    /// Whatever the rights of who runs this: each question has an answer.
+    /// With any rights of the user: each request has an answer.
     #[test]
     fn permissions_are_tried_and_answered() {
         let text = fact("permissions").unwrap();

@@ -1,6 +1,4 @@
-//! Rows as a person reads them, within 80 columns, and as a program does.
-//!
-//! It knows no condition by name.
+//! Rows as text within 80 columns, and as JSON. It knows no condition by name.
 
 use serde::Serialize;
 
@@ -72,7 +70,7 @@ fn lines(row: &Row) -> String {
     text
 }
 
-/// A comment does not go on behind a backslash; where it does not fit it gets lines of its own.
+/// A comment cannot be continued behind a backslash; where it does not fit it gets lines of its own.
 fn command(text: &str) -> String {
     const MARK: &str = "$ ";
     let whole = format!("{:NAMES$}{MARK}{text}\n", "");
@@ -101,12 +99,12 @@ fn block(text: &str, mark: &str, more: &str) -> String {
 /// The text in lines of at most `width` less `indent` characters, broken between words. Several blanks in a row,
 /// as before a comment, stay.
 fn wrapped(text: &str, indent: usize, width: usize) -> impl Iterator<Item = String> {
-    let room = width.saturating_sub(indent).max(20);
+    let available = width.saturating_sub(indent).max(20);
     let mut lines: Vec<String> = vec![String::new()];
     for word in text.split(' ') {
         if let Some(line) = lines.last_mut() {
             let first = line.is_empty();
-            if first || line.chars().count() + 1 + word.chars().count() <= room {
+            if first || line.chars().count() + 1 + word.chars().count() <= available {
                 if !first {
                     line.push(' ');
                 }
@@ -132,17 +130,17 @@ fn summary(rows: &[Row]) -> String {
         _ => "not fit for real time",
     };
     let mut text = format!("{verdict}: {ok} ok, {warn} WARN, {fail} FAIL, {skip} skip\n");
-    let mendable = rows.iter().filter(|row| !row.finding.changes.is_empty());
-    match mendable.count() {
+    let fixable = rows.iter().filter(|row| !row.finding.changes.is_empty());
+    match fixable.count() {
         0 => {}
-        n => text += &format!("takt doctor --apply can mend {n} of them until the next boot\n"),
+        n => text += &format!("takt doctor --apply can fix {n} of them until the next boot\n"),
     }
     text
 }
 
 #[derive(Debug, Serialize)]
 struct Document<'a> {
-    /// Of this form; grows when a reader of an older one would be misled.
+    /// Version of this form; increased when readers of an older one would misread it.
     version: u32,
     conditions: Vec<Entry<'a>>,
     summary: Summary,
@@ -188,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_good_row_is_one_line_and_a_bad_one_has_its_remedy_on_its_own() {
+    fn report_good_row_is_one_line_bad_has_remedy() {
         let rows = [
             row("first", Finding::ok("7")),
             row(
@@ -203,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_comment_is_not_broken_by_a_backslash() {
+    fn report_comment_is_not_continued_by_backslash() {
         let text = format!("run it{}    # for {}", " x".repeat(20), "good ".repeat(8));
         let shown = command(text.trim());
         assert!(!shown.contains('\\'), "{shown}");
@@ -212,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn long_texts_stay_within_the_width_and_commands_stay_commands() {
+    fn report_long_texts_wrap_within_width() {
         let long = "word ".repeat(40);
         let rows = [
             row(

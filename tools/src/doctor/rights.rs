@@ -1,7 +1,7 @@
 //! What this user may do: become real-time, lock memory, keep processors awake, send raw frames, trace.
 //!
-//! Trying decides; limits and capabilities only explain. A tree without the trial's results is judged
-//! by those.
+//! A trial decides; limits and capabilities only explain. A tree without results of trials is judged by limits and
+//! capabilities.
 
 use super::condition::{Condition, Finding, Remedy, advice, command};
 use super::host::Host;
@@ -12,7 +12,7 @@ pub(super) const CONDITIONS: &[Condition] = &[
     Condition::host(
         "realtime-priority",
         priority,
-        "Without it a cycle waits its turn like any other thread.",
+        "Without it a cycle waits like any ordinary thread.",
     ),
     Condition::host(
         "memory-lock",
@@ -42,7 +42,7 @@ pub(super) const CONDITIONS: &[Condition] = &[
     Condition::host(
         "tracing",
         tracing,
-        "With the kernel's tracer one sees what ran instead of a late cycle.",
+        "The kernel's tracer shows what ran instead of a late cycle.",
     ),
     Condition::host(
         "login-limits",
@@ -60,7 +60,7 @@ const CAP_NET_RAW: u32 = 13;
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
 
-/// The answer of the probe to one question.
+/// The answer of the probe to one request.
 fn tried(host: &Host, question: &str) -> Option<Result<(), String>> {
     let answers = host.fact("permissions")?;
     Some(match entry(&answers, question)? {
@@ -78,7 +78,7 @@ fn soft_limit(host: &Host, name: &str) -> Option<Option<u64>> {
     limit(&host.text("/proc/self/limits")?, name)
 }
 
-fn told(limit: Option<Option<u64>>) -> String {
+fn limit_text(limit: Option<Option<u64>>) -> String {
     match limit {
         None => "unknown".to_owned(),
         Some(None) => "unlimited".to_owned(),
@@ -99,7 +99,7 @@ fn priority(host: &Host) -> Finding {
     let enough = limit.is_some_and(|limit| limit.is_none_or(|max| max >= u64::from(PRIORITY)));
     let read = match able {
         true => "CAP_SYS_NICE".to_owned(),
-        false => format!("limit {}", told(limit)),
+        false => format!("limit {}", limit_text(limit)),
     };
     match tried(host, "fifo") {
         Some(Ok(())) => Finding::ok(format!("SCHED_FIFO {PRIORITY} granted ({read})")),
@@ -129,7 +129,7 @@ fn memory_lock(host: &Host) -> Finding {
     let read = match (able, limit) {
         (true, _) => "CAP_IPC_LOCK".to_owned(),
         (false, Some(Some(bytes))) => format!("limit {} KiB", bytes / 1024),
-        (false, limit) => format!("limit {}", told(limit)),
+        (false, limit) => format!("limit {}", limit_text(limit)),
     };
     match tried(host, "memory-lock") {
         Some(Ok(())) => Finding::ok(format!("granted ({read})")),
@@ -310,7 +310,7 @@ mod tests {
 
     use super::*;
 
-    fn somebody() -> User {
+    fn user() -> User {
         User {
             name: "ada".into(),
             is_root: false,
@@ -319,9 +319,9 @@ mod tests {
     }
 
     #[test]
-    fn limits_apply_to_users_and_groups_and_the_last_counts() {
+    fn limits_apply_to_users_and_groups_last_wins() {
         let text = "# @realtime - rtprio 1\n@realtime - rtprio 95 # x\n@video - rtprio 3\nbob soft rtprio 7\n";
-        let given = |text: &str| granted(text, &somebody(), "rtprio");
+        let given = |text: &str| granted(text, &user(), "rtprio");
         assert_eq!(given(text).as_deref(), Some("95"));
         assert_eq!(
             given("ada soft rtprio 7\n* - rtprio 8\n").as_deref(),
@@ -333,7 +333,7 @@ mod tests {
     proptest! {
         #[test]
         fn any_limits_are_read(text in "[@*a-z0-9# \\n-]{0,80}|\\PC{0,80}") {
-            let _ = granted(&text, &somebody(), "rtprio");
+            let _ = granted(&text, &user(), "rtprio");
         }
     }
 }

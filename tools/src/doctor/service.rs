@@ -1,6 +1,6 @@
-//! What the service's unit allows: the same rights as in the group before, as systemd will grant them.
+//! The rights that the unit of the service grants.
 //!
-//! It reads unit files, with what was dropped in later, and does not ask systemd: on a saved tree there is none.
+//! It reads unit files and their drop-ins rather than ask systemd, which a saved tree does not have.
 
 use super::condition::{Condition, Finding, Remedy, advice};
 use super::host::Host;
@@ -15,12 +15,12 @@ pub(super) const CONDITIONS: &[Condition] = &[
     Condition::host(
         "service-priority",
         priority,
-        "Cycle threads of the service raise themselves, if the unit lets them.",
+        "The service raises its cycle threads to real time, if the unit permits it.",
     ),
     Condition::host(
         "service-memory",
         memory,
-        "The service locks its memory, if the unit lets it.",
+        "The service locks its memory, if the unit permits it.",
     ),
     Condition::host(
         "service-scheduling",
@@ -30,7 +30,7 @@ pub(super) const CONDITIONS: &[Condition] = &[
     Condition::host(
         "service-sandbox",
         sandbox,
-        "Some ways of shutting a service in take real time from it.",
+        "Some sandbox settings of a unit forbid real-time scheduling.",
     ),
     Condition::host(
         "service-sockets",
@@ -47,7 +47,7 @@ const FOLDERS: &[&str] = &[
     "/lib/systemd/system",
 ];
 
-/// The section `[Service]` of a unit, with what was dropped in.
+/// The section `[Service]` of a unit, with its drop-ins.
 #[derive(Debug, Default)]
 struct Unit {
     path: String,
@@ -267,8 +267,8 @@ fn sandbox(host: &Host) -> Finding {
         if wrong.is_empty() {
             return Finding::ok("leaves scheduler, devices and network alone");
         }
-        let (read, mend): (Vec<&str>, Vec<&str>) = wrong.into_iter().unzip();
-        let remedy = edit(host, &format!("[Service] {}", mend.join("; ")));
+        let (read, fixes): (Vec<&str>, Vec<&str>) = wrong.into_iter().unzip();
+        let remedy = edit(host, &format!("[Service] {}", fixes.join("; ")));
         Finding::fail(read.join(", "), remedy)
     })
 }
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_service_section_counts_and_lines_go_on() {
+    fn unit_only_service_section_is_read_with_continuations() {
         let text = "[Unit]\nUser=x\n[Service]\n# User=y\nUser = z\nEnvironment=a \\\n b\n[Install]\nUser=w\n";
         let settings = service_section(text);
         assert_eq!(settings.len(), 2);
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn capabilities_are_those_given_and_not_bounded_away() {
+    fn unit_capabilities_are_ambient_within_bounding_set() {
         let given = "User=takt\nAmbientCapabilities=CAP_NET_RAW CAP_SYS_NICE\n";
         assert!(service(given).has("CAP_SYS_NICE"));
         assert!(

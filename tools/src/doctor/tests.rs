@@ -1,4 +1,4 @@
-//! Every condition on a good and on a bad host, and all of them over files that say anything.
+//! Every condition on a good and on a bad host, and all of them on random files.
 //!
 //! How the command line shows them is tested from outside, in `tests/doctor.rs`.
 
@@ -147,19 +147,19 @@ const FALLS: &[Case<'_>] = &[
 ];
 
 #[test]
-fn one_thing_wrong_is_told_by_its_condition() {
+fn doctor_single_fault_fails_only_its_condition() {
     for case in FALLS {
         let row = row_of(case);
-        let told = (row.finding.status, row.finding.read.as_str());
+        let found = (row.finding.status, row.finding.read.as_str());
         assert!(
-            told.0 == case.2 && told.1.contains(case.3),
-            "{case:?}: {told:?}"
+            found.0 == case.2 && found.1.contains(case.3),
+            "{case:?}: {found:?}"
         );
     }
 }
 
 #[test]
-fn every_condition_is_ok_on_some_host_and_bad_on_another() {
+fn doctor_every_condition_has_good_and_bad_host() {
     let mut rows = examine(&Host::known(GOOD.clone()));
     rows.extend(examine(&Host::known(BAD.clone())));
     rows.extend(FALLS.iter().map(row_of));
@@ -182,7 +182,7 @@ fn every_condition_is_ok_on_some_host_and_bad_on_another() {
 }
 
 #[test]
-fn what_is_bad_has_a_remedy_and_what_is_good_has_none() {
+fn doctor_bad_findings_have_remedy_good_have_none() {
     let mut rows = examine(&Host::known(GOOD.clone()));
     rows.extend(examine(&Host::known(BAD.clone())));
     rows.extend(FALLS.iter().map(row_of));
@@ -196,7 +196,7 @@ fn what_is_bad_has_a_remedy_and_what_is_good_has_none() {
 }
 
 #[test]
-fn a_host_of_which_nothing_is_known_is_skipped_without_a_guess() {
+fn doctor_unknown_host_skips_all_conditions() {
     for row in examine(&Host::known(Files::new())) {
         let expected = match base(&row) {
             // Nothing is what one reads where nothing runs.
@@ -207,19 +207,19 @@ fn a_host_of_which_nothing_is_known_is_skipped_without_a_guess() {
     }
 }
 
-/// What each change writes mends the condition that wants it.
+/// Each change fixes its condition.
 #[test]
-fn the_changes_of_a_condition_make_it_good() {
+fn doctor_changes_fix_their_condition() {
     let files = BAD.clone();
     for row in examine(&Host::known(files.clone())) {
         if row.finding.changes.is_empty() {
             continue;
         }
-        let mut mended = files.clone();
+        let mut fixed = files.clone();
         for change in &row.finding.changes {
-            set(&mut mended, &change.path, Some(&change.new));
+            set(&mut fixed, &change.path, Some(&change.new));
         }
-        let rows = examine(&Host::known(mended));
+        let rows = examine(&Host::known(fixed));
         let now = rows.iter().find(|now| now.name == row.name).unwrap();
         assert_eq!(now.finding.status, Status::Ok, "{row:?}: {now:?}");
     }
@@ -240,7 +240,7 @@ proptest! {
 
     /// Any file, any content: numbers out of range, lists that never end, text in the wrong place.
     #[test]
-    fn nothing_in_a_file_brings_the_doctor_down(
+    fn doctor_random_files_do_not_panic(
         contents in prop::collection::vec((junk(), 0..4_usize), 250),
         bad: bool,
     ) {

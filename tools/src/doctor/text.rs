@@ -151,7 +151,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_chosen_alternative_stands_in_brackets() {
+    fn text_chosen_alternative_is_in_brackets() {
         assert_eq!(chosen("always [madvise] never\n"), "madvise");
         assert_eq!(chosen("none voluntary (full)"), "full");
         assert_eq!(chosen("performance\n"), "performance");

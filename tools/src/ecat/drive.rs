@@ -39,7 +39,7 @@ use way::Way;
 #[command(after_help = "Examples:
   takt ecat drive enp2s0 3
   takt ecat drive enp2s0 3 --axis 1 --sync0 --reset --hold 5s
-  takt ecat drive enp2s0 3 --jog 4096 --for 2s --yes")]
+  takt ecat drive enp2s0 3 --by 4096 --duration 2s --yes")]
 pub(crate) struct Drive {
     #[command(flatten)]
     target: Segment,
@@ -62,10 +62,10 @@ pub(crate) struct Drive {
     hold: Duration,
     /// Move it by so many increments, smoothly, from where it stands.
     #[arg(long, value_name = "INCREMENTS", allow_hyphen_values = true)]
-    jog: Option<i32>,
+    by: Option<i32>,
     /// How long the move takes; from rest to rest.
-    #[arg(long = "for", value_name = "TIME", default_value = "2s", value_parser = span)]
-    time: Duration,
+    #[arg(long, alias = "for", value_name = "TIME", default_value = "2s", value_parser = span)]
+    duration: Duration,
     /// A quirk of the drive: no_follow_bit, sod_as_0020 or mode_after_enable; may be repeated.
     #[arg(long = "quirk", value_name = "QUIRK")]
     quirks: Vec<Quirk>,
@@ -73,7 +73,7 @@ pub(crate) struct Drive {
     #[arg(long, value_name = "INDEX", value_delimiter = ',', value_parser = mirrored)]
     not_mirrored: Vec<Object>,
     /// Do not ask whether what moves is safe.
-    #[arg(long, visible_alias = "yes")]
+    #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
 
@@ -98,8 +98,8 @@ impl Drive {
             sync0: self.sync0,
             reset: self.reset,
             hold: self.hold,
-            jog: self.jog.map(|increments| (increments, self.time)),
-            patience: self.target.patience,
+            jog: self.by.map(|increments| (increments, self.duration)),
+            patience: self.target.timeout,
             profile: MasterOptions::default().with_quirks(&self.quirks),
             not_mirrored: {
                 let mut all = Objects::default();
@@ -182,7 +182,7 @@ fn too_fast(limits: &Limits, order: &Order) -> Option<String> {
     let longer = time.as_secs_f64().max(0.01) * order.speed() / error.allowed;
     let seconds = (longer * 10.0).ceil() / 10.0;
     Some(format!(
-        "axis {}: {error}\n      hint: give it more time (--for {seconds:.1}s) or fewer increments",
+        "axis {}: {error}\n      hint: give it more time (--duration {seconds:.1}s) or fewer increments",
         order.axis
     ))
 }

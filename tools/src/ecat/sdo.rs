@@ -23,7 +23,7 @@ use crate::{Verdict, confirm};
 #[command(after_help = "Examples:
   takt ecat sdo enp2s0 3 list
   takt ecat sdo enp2s0 3 upload 1018:01
-  takt ecat sdo enp2s0 EL3104 download 8000:06 true --type bool --confirm-motion")]
+  takt ecat sdo enp2s0 EL3104 download 8000:06 true --type bool --yes")]
 pub(crate) struct Sdo {
     #[command(flatten)]
     target: Target,
@@ -69,7 +69,7 @@ pub(super) enum Action {
         #[arg(long)]
         complete: bool,
         /// It is safe that a machine moves.
-        #[arg(long)]
+        #[arg(long = "yes", alias = "confirm-motion")]
         confirm_motion: bool,
     },
 }

@@ -55,8 +55,8 @@ pub(crate) struct Sii {
     #[arg(long)]
     yes: bool,
     /// How long slaves may take to reach their state.
-    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
-    patience: Duration,
+    #[arg(long, alias = "patience", value_name = "TIME", default_value = "10s", value_parser = span)]
+    timeout: Duration,
 }
 
 impl Sii {
@@ -70,7 +70,7 @@ impl Sii {
         let target = Target {
             interface: self.interface.unwrap_or_default(),
             second: None,
-            patience: self.patience,
+            timeout: self.timeout,
         };
         let change = match (&self.write, self.alias) {
             (Some(path), _) => Some(Change::Image(file(path)?)),

@@ -27,11 +27,11 @@ use plan::{Emulation, Plan};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ip link add near type veth peer name far && ip link set near up && ip link set far up
-  takt ecat sim near --segment tx90
-  takt ecat sim near --segment ek1100,el1004,el2004,el2889,el3004,akd --slower 2
-  takt ecat sim tap:ecat0 --segment cell/line.toml --strict
-  takt ecat sim near --cell /etc/takt/cell.toml --name cell1
-  echo 'cut 2' | takt ecat sim near --segment youbot --duration 1min
+  takt ecat sim near --devices tx90
+  takt ecat sim near --devices ek1100,el1004,el2004,el2889,el3004,akd --slower 2
+  takt ecat sim tap:ecat0 --devices line.toml --strict
+  takt ecat sim near --config /etc/takt/cell.toml --segment cell1
+  echo 'cut 2' | takt ecat sim near --devices youbot --duration 1min
 
 A file has one [[slave]] for each slave: kind = coupler, digital, analogue, drive, tx90 or a device; outputs, inputs,
 looped (terminals); axes (drive); behind = [slave, port]; alias, vendor, product, name, drift_ppm.
@@ -47,15 +47,15 @@ pub(crate) struct Sim {
     #[arg(
         long,
         value_name = "FILE|tx90|youbot|DEVICE,...",
-        required_unless_present = "cell"
+        required_unless_present = "config"
     )]
-    segment: Option<String>,
+    devices: Option<String>,
     /// Emulate the slaves that a segment of this cell expects, with the channels that the cell uses.
-    #[arg(long, value_name = "FILE", conflicts_with = "segment")]
-    cell: Option<PathBuf>,
+    #[arg(long, value_name = "FILE", conflicts_with = "devices")]
+    config: Option<PathBuf>,
     /// Which segment of the cell; needed if it has several.
-    #[arg(long, value_name = "NAME", requires = "cell")]
-    name: Option<String>,
+    #[arg(long, value_name = "NAME", requires = "config")]
+    segment: Option<String>,
     /// Factor on the times that devices take for states, mailboxes and EEPROMs, 1 to 100.
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u64).range(1..=100))]
     slower: u64,
@@ -96,11 +96,11 @@ impl Sim {
     }
 
     fn emulation(&self) -> anyhow::Result<Emulation> {
-        if let Some(path) = &self.cell {
+        if let Some(path) = &self.config {
             let cell = CellConfig::read(path)?;
-            return plan::of_cell(&cell, self.name.as_deref(), self.strict);
+            return plan::of_cell(&cell, self.segment.as_deref(), self.strict);
         }
-        match self.segment.as_deref().unwrap_or_default() {
+        match self.devices.as_deref().unwrap_or_default() {
             "tx90" => Ok(Emulation::plain(segment::tx90(self.strict)?)),
             "youbot" => {
                 let (segment, _) = YouBot::segment(&YouBotConfig::default());

@@ -26,7 +26,7 @@ use crate::{Verdict, confirm};
   takt ecat stat enp2s0 --duration 1min --json
   takt ecat stat enp2s0 --config /etc/takt/cell.toml --segment cell1
   takt ecat stat --from fault.pcap
-  takt ecat stat enp2s0 --state op --confirm-motion    with working counters; all outputs are zero")]
+  takt ecat stat enp2s0 --state op --yes    with working counters; all outputs are zero")]
 pub(crate) struct Stat {
     #[command(flatten)]
     source: Source,
@@ -40,7 +40,7 @@ pub(crate) struct Stat {
     #[arg(long, value_name = "STATE", default_value = "safe-op")]
     state: State,
     /// It is safe that a machine moves (OP).
-    #[arg(long)]
+    #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
     /// Print one JSON object instead of the report.
     #[arg(long)]

@@ -46,7 +46,7 @@ const MOVING: [&str; 7] = [
   takt ecat youbot enp2s0 get 6 max_current
   takt ecat youbot enp2s0 set 6 max_current 2000
   takt ecat youbot enp2s0 parameters
-  takt ecat youbot enp2s0 home 6 7 8 9 10 --confirm-motion")]
+  takt ecat youbot enp2s0 home 6 7 8 9 10 --yes")]
 pub(crate) struct YouBot {
     #[command(flatten)]
     target: Target,
@@ -85,12 +85,9 @@ enum What {
         /// Keep it beyond power-off, in the drive's EEPROM.
         #[arg(long)]
         store: bool,
-        /// Do not ask whether it may be kept.
+        /// Do not ask whether what moves is safe, and whether the value may be kept.
         #[arg(long)]
         yes: bool,
-        /// Do not ask whether what moves is safe.
-        #[arg(long)]
-        confirm_motion: bool,
     },
     /// Move joints to their stops and set their encoders to 0 there.
     Home {
@@ -98,7 +95,7 @@ enum What {
         #[arg(required = true, num_args = 1..=5)]
         slaves: Vec<usize>,
         /// Do not ask whether what moves is safe.
-        #[arg(long)]
+        #[arg(long = "yes", alias = "confirm-motion")]
         confirm_motion: bool,
     },
 }
@@ -134,12 +131,11 @@ impl YouBot {
                 bar,
                 store,
                 yes,
-                confirm_motion,
             } => {
                 let parameter = named(parameter)?;
                 let requests = writing(parameter, *bar, *value, *store)?;
                 if MOVING.contains(&parameter.name) {
-                    confirm::motion(&format!("writing {}", parameter.name), *confirm_motion)?;
+                    confirm::motion(&format!("writing {}", parameter.name), *yes)?;
                 }
                 if *store {
                     let what = format!("{} lasts beyond power-off", parameter.name);

@@ -44,7 +44,7 @@ pub(crate) struct DriveArgs {
     quirk: Vec<String>,
     /// Write its data sheet and end.
     #[arg(long, value_name = "FILE.eds")]
-    eds: Option<PathBuf>,
+    write_eds: Option<PathBuf>,
     /// End after this time; without it, at Ctrl-C.
     #[arg(long, value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
@@ -62,13 +62,14 @@ impl DriveArgs {
         for name in &self.quirk {
             config.add_quirk(name);
         }
-        if let Some(path) = &self.eds {
+        if let Some(path) = &self.write_eds {
             save(path, config.eds().print())?;
             return Ok(Verdict::Good);
         }
         let mut socket = SocketCan::open(&self.interface, &Options::default())
             .with_context(|| format!("cannot open {}; is it a CAN interface?", self.interface))?;
-        let node = DriveNode::power_on(config, monotonic()).context("the drive makes no sense")?;
+        let node = DriveNode::power_on(config, monotonic())
+            .context("the configuration of the drive is invalid")?;
         say(&format!("drive {} on {}", self.node, self.interface))?;
         let service = Service::start("drive", node, move |node| {
             turn(node, &mut socket).context("the interface failed")

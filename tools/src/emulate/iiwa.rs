@@ -20,15 +20,15 @@ use crate::output::{say, span};
 
 /// A Sunrise cabinet with a KUKA LBR iiwa, speaking FRI 1.x, 2.x or 2.7 over UDP.
 ///
-/// Its robot program holds the arm with an overlay, of joint positions unless `--overlay` says otherwise, and starts
-/// again when that ends. It bridges up to 100 missing answers and calls quality good when half of them are in time:
-/// more patience than is assumed of a real cabinet, for hosts that stall; `--strict` takes it away.
+/// Its robot program holds the arm with an overlay, of joint positions by default, and starts again when that ends. It
+/// tolerates up to 100 missing answers and calls quality good when half of them are in time, so that it works on hosts
+/// that stall; `--strict` applies the limits assumed of a real cabinet.
 #[derive(Debug, Args)]
 pub(crate) struct Iiwa {
     /// Where the controller listens; datagrams are sent there.
-    #[arg(long, value_name = "IP:PORT", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
-    target: SocketAddr,
-    /// What its FRI option speaks.
+    #[arg(long, alias = "target", value_name = "IP:PORT", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
+    connect: SocketAddr,
+    /// Version of its FRI option.
     #[arg(long, value_enum, default_value = "v1")]
     dialect: Version,
     /// Which arm.
@@ -37,13 +37,13 @@ pub(crate) struct Iiwa {
     /// Time from one message to the next, 1ms to 100ms.
     #[arg(long, value_name = "TIME", default_value = "2ms", value_parser = span)]
     period: Duration,
-    /// Every how many messages an answer is wanted, 1 to 100.
+    /// Messages per answer that the controller expects, 1 to 100.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     receive_multiplier: u32,
-    /// What the overlay of the robot program has the client command.
+    /// Quantity that the client commands in the overlay of the robot program.
     #[arg(long, value_enum, default_value = "position")]
     overlay: What,
-    /// Control mode of the motion below an overlay of positions or poses; torques want joint, wrenches cartesian.
+    /// Control mode of the motion below an overlay of positions or poses; torques need joint, wrenches cartesian.
     #[arg(long, value_enum)]
     control: Option<Strategy>,
     /// Operation mode at the smartPAD; in T1 the flange is limited to 250 mm/s.
@@ -53,7 +53,7 @@ pub(crate) struct Iiwa {
     knobs: Knobs,
 }
 
-/// What an overlay has the client command, as the command line names it.
+/// Quantity that the client commands in an overlay, as an option value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum What {
     /// Joint positions.
@@ -123,10 +123,10 @@ impl ValueEnum for Model {
 impl Iiwa {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let config = self.config()?;
-        let robot = Robot::launch("cabinet", self.target, |start| Cabinet::new(config, start))?;
+        let robot = Robot::launch("cabinet", self.connect, |start| Cabinet::new(config, start))?;
         say(&format!(
             "iiwa sends messages to {} every {:?}",
-            self.target, self.period
+            self.connect, self.period
         ))?;
         robot.watch(self.knobs.duration)
     }
@@ -135,7 +135,7 @@ impl Iiwa {
         let Model(robot) = self.model;
         let Version(dialect) = self.dialect;
         let line = self.knobs.line();
-        let patience = Timing {
+        let tolerant = Timing {
             misses_max: MISSES_MAX,
             bad_from: 0.0,
             ok_from: 0.5,
@@ -147,7 +147,7 @@ impl Iiwa {
             dialect,
             send_period: self.period,
             receive_multiplier: self.receive_multiplier,
-            timing: self.knobs.timing(patience),
+            timing: self.knobs.timing(tolerant),
             operation_mode: match self.mode {
                 Mode::T1 => OperationMode::T1,
                 Mode::T2 => OperationMode::T2,
@@ -174,7 +174,7 @@ impl Iiwa {
         })
     }
 
-    /// The motion that the robot program makes, if a cabinet would let it.
+    /// The motion of the robot program, if a cabinet supports it.
     fn overlay(&self) -> anyhow::Result<Overlay> {
         let Version(dialect) = self.dialect;
         let (command, fitting) = match self.overlay {
@@ -185,12 +185,12 @@ impl Iiwa {
         };
         anyhow::ensure!(
             self.overlay != What::Pose || dialect != Dialect::V1,
-            "an overlay of poses needs FRI 2: give --dialect v2 or v3"
+            "an overlay of poses needs FRI 2\nhint: give --dialect v2 or v3"
         );
         let wanted = self.control.or(fitting).unwrap_or(Strategy::Position);
         anyhow::ensure!(
             fitting.is_none_or(|fitting| fitting == wanted),
-            "the control mode does not fit the overlay: leave --control out; torques go with joint, wrenches with cartesian"
+            "the control mode does not fit the overlay\nhint: leave --control out; torques go with joint, wrenches with cartesian"
         );
         let control = match wanted {
             Strategy::Position => Control::Position,
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn overlays_bring_the_control_mode_that_they_need() {
+    fn iiwa_overlay_sets_its_control_mode() {
         let overlay = |words| match config(words).unwrap().program {
             Program::Auto { overlay, .. } => (overlay.command, overlay.control.mode()),
             Program::Manual => panic!("no program"),
@@ -257,27 +257,27 @@ mod tests {
         ] {
             assert_eq!(overlay(words), (command, control), "{words}");
         }
-        let told = config("--overlay wrench --control joint").unwrap_err();
-        assert!(told.contains("wrenches with cartesian"), "{told}");
-        let told = config("--overlay pose").unwrap_err();
-        assert!(told.contains("--dialect v2"), "{told}");
+        let error = config("--overlay wrench --control joint").unwrap_err();
+        assert!(error.contains("wrenches with cartesian"), "{error}");
+        let error = config("--overlay pose").unwrap_err();
+        assert!(error.contains("--dialect v2"), "{error}");
     }
 
     #[test]
     fn knobs_reach_the_cabinet() {
         let words =
             "--receive-multiplier 3 --mode t1 --duplicate 0.1 --drift -20 --contact wall:0.02:5000";
-        let told = config(words).unwrap();
+        let cabinet = config(words).unwrap();
         assert_eq!(
-            (told.receive_multiplier, told.operation_mode),
+            (cabinet.receive_multiplier, cabinet.operation_mode),
             (3, OperationMode::T1)
         );
-        assert!((told.faults.to_cabinet.duplicate - 0.1).abs() < 1e-12);
-        assert!((told.faults.drift_ppm + 20.0).abs() < 1e-12);
-        let contact = told.contact.unwrap();
+        assert!((cabinet.faults.to_cabinet.duplicate - 0.1).abs() < 1e-12);
+        assert!((cabinet.faults.drift_ppm + 20.0).abs() < 1e-12);
+        let contact = cabinet.contact.unwrap();
         let flange = Cabinet::new(CabinetConfig::default(), Duration::ZERO).flange();
         assert!((flange[2] - contact.point[2] - 0.02).abs() < 1e-9);
-        assert_eq!(told.timing.misses_max, MISSES_MAX);
+        assert_eq!(cabinet.timing.misses_max, MISSES_MAX);
         assert_eq!(config("--strict").unwrap().timing, Timing::default());
     }
 }

@@ -1,5 +1,5 @@
-//! What `takt emulate lwr|iiwa` have in common: what goes wrong on the way and in the robot, how patient the controller
-//! is, what the flange touches. It starts nothing.
+//! What `takt emulate lwr|iiwa` have in common: faults of the network and of the robot, tolerance of the controller,
+//! contact of the flange. It starts nothing.
 
 use std::time::Duration;
 
@@ -8,16 +8,16 @@ use takt_fri::lwr::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
 
 use crate::output::{share, span};
 
-/// Consecutive cycles without an answer that an emulated controller bridges unless it is strict.
+/// Consecutive cycles without an answer that an emulated controller tolerates unless it is strict.
 pub(super) const MISSES_MAX: u32 = 100;
-/// Damping of what the flange touches, Ns/m.
+/// Damping of an obstacle, Ns/m.
 const CONTACT_DAMPING: f64 = 50.0;
 /// Its stiffness unless another is given, N/m.
 const CONTACT_STIFFNESS: f64 = 10_000.0;
 /// Fastest and slowest clock, ppm either way.
 const DRIFT_MAX_PPM: f64 = 1_000.0;
 
-/// What goes wrong on the way and in the robot, and when it ends.
+/// Faults of the network and of the robot, and the duration.
 #[derive(Debug, Args)]
 pub(super) struct Knobs {
     /// Share of datagrams to lose in each direction, 0 to 1.
@@ -32,23 +32,23 @@ pub(super) struct Knobs {
     /// Longest additional delay, uniformly distributed.
     #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = span)]
     jitter: Duration,
-    /// Share of datagrams to send behind their successor, 0 to 1.
+    /// Share of datagrams to send after their successor, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
     reorder: f64,
     /// How slow the controller's clock runs, parts per million: -1000 to 1000.
     #[arg(long, value_name = "PPM", default_value_t = 0.0, value_parser = drift, allow_hyphen_values = true)]
     drift: f64,
-    /// Judge timing as is assumed of a real controller: 10 missing answers, or bad quality, end command mode.
+    /// Apply the limits assumed of a real controller: 10 missing answers, or bad quality, end command mode.
     #[arg(long)]
     strict: bool,
-    /// What the flange meets on its way down: `wall:DEPTH[:STIFFNESS]` or `spring:DEPTH[:STIFFNESS]`, so many metres below
-    /// where it rests, N/m (10000 if not said).
+    /// Obstacle below the flange: `wall:DEPTH[:STIFFNESS]` or `spring:DEPTH[:STIFFNESS]`, DEPTH in m below its rest
+    /// position, STIFFNESS in N/m (default 10000).
     #[arg(long, value_name = "WHAT", value_parser = touch)]
     contact: Option<Touch>,
     /// Switch the drives off this long after the start.
     #[arg(long, value_name = "TIME", value_parser = span)]
     power_off: Option<Duration>,
-    /// Seed of all that is random.
+    /// Seed of the random number generator.
     #[arg(long, default_value_t = 1)]
     pub(super) seed: u64,
     /// End after this time; without it, at Ctrl-C.
@@ -56,7 +56,7 @@ pub(super) struct Knobs {
     pub(super) duration: Option<Duration>,
 }
 
-/// Something to touch, as the command line names it.
+/// An obstacle, as an option value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Touch {
     shape: Shape,
@@ -67,7 +67,7 @@ struct Touch {
 }
 
 impl Knobs {
-    /// What happens to datagrams, in each direction.
+    /// Faults of datagrams, in each direction.
     pub(super) fn line(&self) -> LineFaults {
         LineFaults {
             drop: self.drop,
@@ -91,16 +91,16 @@ impl Knobs {
         self.drift
     }
 
-    /// How answers are judged: as documented, or with `patience`.
-    pub(super) fn timing(&self, patience: Timing) -> Timing {
+    /// Limits for answers: as documented if strict, else `tolerant`.
+    pub(super) fn timing(&self, tolerant: Timing) -> Timing {
         if self.strict {
             Timing::default()
         } else {
-            patience
+            tolerant
         }
     }
 
-    /// What is touched on the way down from `flange`, m in the base frame.
+    /// The obstacle below `flange`, m in the base frame.
     pub(super) fn contact(&self, flange: [f64; 3]) -> Option<Contact> {
         let [x, y, z] = flange;
         self.contact.map(|touch| Contact {
@@ -159,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn contacts_are_read_and_nonsense_is_refused() {
+    fn contact_option_parses_or_is_refused() {
         let wall = |depth, stiffness| Touch {
             shape: Shape::Wall,
             depth,
@@ -177,8 +177,8 @@ mod tests {
             "wall:1:2:3",
             "wall:0.01m",
         ] {
-            let told = touch(wrong).unwrap_err();
-            assert!(told.contains("such as wall:0.01:5000"), "{told}");
+            let error = touch(wrong).unwrap_err();
+            assert!(error.contains("such as wall:0.01:5000"), "{error}");
         }
     }
 

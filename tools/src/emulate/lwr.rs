@@ -19,12 +19,13 @@ use crate::output::{say, span};
 #[derive(Debug, Args)]
 pub(crate) struct Lwr {
     /// Where the controller listens; datagrams are sent there.
-    #[arg(long, value_name = "IP:PORT", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
-    target: SocketAddr,
+    #[arg(long, alias = "target", value_name = "IP:PORT", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
+    connect: SocketAddr,
     /// Time from one measurement to the next, 1ms to 100ms.
     #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
     period: Duration,
-    /// The KRL program takes orders over user data, by this convention; without it, it starts FRI when quality is PERFECT.
+    /// The KRL program takes requests over user data, by this convention; without it, it starts FRI when quality is
+    /// PERFECT.
     #[arg(long, value_enum, value_name = "NAME")]
     handshake: Option<Handshake>,
     /// Control strategy at the start.
@@ -74,10 +75,10 @@ pub(super) enum Strategy {
 
 impl Lwr {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let robot = Robot::start("krc", self.target, self.config())?;
+        let robot = Robot::start("krc", self.connect, self.config())?;
         say(&format!(
             "LWR sends measurements to {} every {:?}",
-            self.target, self.period
+            self.connect, self.period
         ))?;
         robot.watch(self.knobs.duration)
     }
@@ -133,18 +134,18 @@ mod tests {
     #[test]
     fn knobs_reach_the_krc() {
         let words = "--strategy joint --handshake tum --period 2ms --reorder 0.1 --drift 20 --contact spring:0.02";
-        let told = config(words);
+        let krc = config(words);
         assert_eq!(
-            (told.control, told.period),
+            (krc.control, krc.period),
             (Control::JointImpedance, Duration::from_millis(2))
         );
-        assert!(matches!(told.script, Script::Handshake(Protocol::Tum)));
-        assert!((told.faults.to_krc.reorder - 0.1).abs() < 1e-12);
-        assert!((told.faults.drift_ppm - 20.0).abs() < 1e-12);
-        let contact = told.contact.unwrap();
-        let flange = Krc::new(resting(told.period), Duration::ZERO).flange();
+        assert!(matches!(krc.script, Script::Handshake(Protocol::Tum)));
+        assert!((krc.faults.to_krc.reorder - 0.1).abs() < 1e-12);
+        assert!((krc.faults.drift_ppm - 20.0).abs() < 1e-12);
+        let contact = krc.contact.unwrap();
+        let flange = Krc::new(resting(krc.period), Duration::ZERO).flange();
         assert!((flange[2] - contact.point[2] - 0.02).abs() < 1e-9);
-        assert_eq!(told.timing.misses_max, MISSES_MAX);
+        assert_eq!(krc.timing.misses_max, MISSES_MAX);
         assert_eq!(config("--strict").timing, emulator::Timing::default());
     }
 }

@@ -1,5 +1,5 @@
-//! `takt emulate rmp`: a Segway power base on a CAN interface, or at the end of a pseudo-terminal that stands for
-//! its USB port. Where it drives to is told when it ends.
+//! `takt emulate rmp`: a Segway power base on a CAN interface, or at a pseudo-terminal in place of its USB port. Its
+//! position is printed at the end.
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
@@ -21,7 +21,7 @@ use crate::run::until_stopped;
 /// A Segway power base.
 #[derive(Debug, Args)]
 pub(crate) struct Rmp {
-    /// CAN interface; without it, a pseudo-terminal whose name is told stands for the USB port.
+    /// CAN interface; without it, a pseudo-terminal whose name is printed replaces the USB port.
     #[arg(long, value_name = "IFACE")]
     interface: Option<String>,
     /// `rmp50`, `rmp100`, `rmp200` or `rmp400`.
@@ -62,7 +62,7 @@ impl Rmp {
         let powerbase = service.stop()?;
         let pose = powerbase.truth();
         say(&format!(
-            "stands at {:.3} m, {:.3} m, turned by {:.3} rad",
+            "at {:.3} m, {:.3} m, turned by {:.3} rad",
             pose.x, pose.y, pose.heading
         ))?;
         Ok(Verdict::Good)
@@ -84,12 +84,12 @@ fn on_terminal(powerbase: Powerbase) -> anyhow::Result<Service<Powerbase>> {
     let name = nix::unistd::ttyname(&pty.slave).context("the pseudo-terminal has no name")?;
     say(&format!("power base at {}", name.display()))?;
     let mut port = File::from(pty.master);
-    // Held open, or the terminal is gone whenever nobody else has it open.
+    // Held open: a pseudo-terminal whose slave is closed reports errors.
     let other_end = pty.slave;
     let mut reader = PacketReader::default();
     Service::start("rmp", powerbase, move |powerbase| {
         let _ = &other_end;
-        hear(&mut port, &mut reader, powerbase)?;
+        receive(&mut port, &mut reader, powerbase)?;
         while let Some((channel, frame)) = powerbase.poll_transmit(monotonic()) {
             let Packet(bytes) = Packet::from_powerbase(channel, &frame);
             if channel == Channel::A {
@@ -100,7 +100,7 @@ fn on_terminal(powerbase: Powerbase) -> anyhow::Result<Service<Powerbase>> {
     })
 }
 
-fn hear(
+fn receive(
     port: &mut File,
     reader: &mut PacketReader,
     powerbase: &mut Powerbase,

@@ -17,7 +17,7 @@ use crate::Verdict;
 use crate::output::{say, span};
 use crate::run::until_stopped;
 
-/// Longest wait for a frame, so that a stop is seen soon.
+/// Longest wait for a frame, which bounds the delay of a stop.
 const WAIT: Duration = Duration::from_millis(5);
 
 /// A Stäubli TX90: coupler, digital terminal, and one drive of six axes.
@@ -51,18 +51,19 @@ pub(crate) fn tx90(strict: bool) -> anyhow::Result<Segment> {
         }
     }
     let (terminal, _) = Io::digital(8, 8);
-    let (drives, _) = ServoDrive::slave(tx90).context("the drive makes no sense")?;
+    let (drives, _) =
+        ServoDrive::slave(tx90).context("the configuration of the drive is invalid")?;
     Ok(Segment::line([Coupler::slave(), terminal, drives]))
 }
 
-/// Serves a segment at an interface, or behind one that is made (`tap:NAME`), until it is to end. `between` is called after each frame by the thread that
-/// serves, `look` ten times a second by this one.
+/// Serves a segment at an interface, or behind one that is made (`tap:NAME`), until it is to end. `between` is called
+/// after each frame by the thread that serves, `poll` ten times a second by this one.
 pub(crate) fn serve(
     segment: &SharedSegment,
     interface: &str,
     duration: Option<Duration>,
     mut between: impl FnMut() + Send + 'static,
-    mut look: impl FnMut() -> anyhow::Result<()>,
+    mut poll: impl FnMut() -> anyhow::Result<()>,
 ) -> anyhow::Result<Verdict> {
     let link: Box<dyn Link + Send> = match interface.strip_prefix("tap:") {
         Some(name) => Box::new(TapLink::open(name)?),
@@ -85,7 +86,7 @@ pub(crate) fn serve(
     })?;
     until_stopped(duration, || {
         service.check()?;
-        look()
+        poll()
     })?;
     service.stop()?;
     Ok(Verdict::Good)

@@ -1,4 +1,4 @@
-//! A thread that serves something emulated until it is told to end. It knows nothing of what that is.
+//! A thread that serves an emulated device until it is stopped.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,14 +6,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::Context as _;
 use takt_rt::thread::{Thread, ThreadConfig};
 
-/// Something that is served in a thread of its own.
+/// An emulated device in a thread of its own.
 pub(crate) struct Service<T> {
     thread: Thread<anyhow::Result<T>>,
     stop: Arc<AtomicBool>,
 }
 
 impl<T: Send + 'static> Service<T> {
-    /// Serves it turn by turn; a turn waits a moment for something to do.
+    /// Serves it in turns; a turn waits briefly for input.
     pub(crate) fn start(
         name: &str,
         mut served: T,
@@ -40,17 +40,17 @@ impl<T: Send + 'static> Service<T> {
     pub(super) fn check(&self) -> anyhow::Result<()> {
         anyhow::ensure!(
             !self.thread.is_finished(),
-            "what was emulated ended by itself"
+            "the emulated device ended by itself"
         );
         Ok(())
     }
 
-    /// Ends it and gives it back.
+    /// Ends the thread and returns the device.
     pub(crate) fn stop(self) -> anyhow::Result<T> {
         self.stop.store(true, Ordering::Relaxed);
         match self.thread.join() {
             Ok(served) => served,
-            Err(_) => anyhow::bail!("what was emulated ended by a panic"),
+            Err(_) => anyhow::bail!("the emulated device ended by a panic"),
         }
     }
 }

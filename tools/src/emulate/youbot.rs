@@ -11,8 +11,8 @@ use super::segment::serve;
 use crate::Verdict;
 use crate::output::{say, span};
 
-/// Flags that are worth a line when they change.
-const TOLD: u32 = Flags::BLOCKING | Flags::INITIALIZED | Flags::TIMEOUT | Flags::I2T;
+/// Flags whose changes are printed.
+const REPORTED: u32 = Flags::BLOCKING | Flags::INITIALIZED | Flags::TIMEOUT | Flags::I2T;
 
 /// A KUKA youBot: power boards, four wheels, an arm of five joints with a gripper.
 #[derive(Debug, Args)]
@@ -55,7 +55,7 @@ impl YouBot {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         anyhow::ensure!(
             self.arms > 0 || !self.no_base,
-            "neither base nor arm: leave out --no-base, or give --arms 1"
+            "neither base nor arm\nhint: leave out --no-base, or give --arms 1"
         );
         let config = YouBotConfig {
             firmware: match self.firmware {
@@ -73,12 +73,12 @@ impl YouBot {
         let (segment, bot) = Slaves::segment(&config);
         let mut watched = watched(bot);
         let segment = SharedSegment::new(segment);
-        let look = || watched.iter_mut().try_for_each(Watched::look);
-        serve(&segment, &self.interface, self.duration, || {}, look)
+        let poll = || watched.iter_mut().try_for_each(Watched::poll);
+        serve(&segment, &self.interface, self.duration, || {}, poll)
     }
 }
 
-/// A drive and the flags that were told last.
+/// A drive and the flags printed last.
 struct Watched {
     name: String,
     drive: DriveHandle,
@@ -102,9 +102,9 @@ fn watched(bot: Slaves) -> Vec<Watched> {
 }
 
 impl Watched {
-    /// Tells flags that changed.
-    fn look(&mut self) -> anyhow::Result<()> {
-        let flags = self.drive.lock().flags() & TOLD;
+    /// Prints flags that changed.
+    fn poll(&mut self) -> anyhow::Result<()> {
+        let flags = self.drive.lock().flags() & REPORTED;
         if flags == self.flags {
             return Ok(());
         }
@@ -118,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_drive_is_watched_by_its_place() {
+    fn youbot_drives_are_named_by_position() {
         let config = YouBotConfig {
             arms: 2,
             ..YouBotConfig::default()

@@ -1,5 +1,5 @@
-//! A robot's partner while it lasts: a real-time thread that takes the controller's datagrams and answers each at once.
-//! What the robot is told is its [`Task`]'s affair; what is shown and judged, that of the commands.
+//! A live FRI client: a real-time thread that receives the controller's datagrams and answers each at once. Its
+//! [`Task`] decides what to command; the subcommands display and judge.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -22,28 +22,28 @@ use takt_rt::thread::{Thread, ThreadConfig, spawn};
 use super::port;
 use crate::output::complain;
 
-/// That of the drivers: what is measured here is to be true for them.
+/// The priority of the drivers, so that measurements are valid for them.
 const PRIORITY: u8 = 85;
-/// Longest wait for a datagram, so that a stop is seen soon.
+/// Longest wait for a datagram; bounds the delay of a stop.
 const WAIT: Duration = Duration::from_millis(20);
-/// Waiting datagrams taken at most before one of them is answered.
+/// Datagrams received at most before the newest is answered.
 const BACKLOG: usize = 64;
-/// Room for any datagram, and one byte more so that a longer one shows.
-const ROOM: usize = MESSAGE_MAX + 1;
+/// Buffer for any datagram, and one byte more to detect longer ones.
+const BUFFER: usize = MESSAGE_MAX + 1;
 
-/// What the robot is told.
+/// Commands for the robot.
 pub(super) trait Task: Send + 'static {
-    /// Positions for the answer that is due, rad, `cycles` of the controller after the last; `None` asks for nothing.
+    /// Positions of the next answer, rad, `cycles` of the controller after the last; `None` commands no motion.
     fn joints(&mut self, partner: &mut Client, cycles: u32) -> Option<[f64; AXES]>;
 
-    /// The answer did not carry them.
+    /// The answer did not carry the positions.
     fn handle_withheld(&mut self, withheld: Withheld);
 
-    /// The robot follows from now on: entered, or entered anew without a measurement in between that said otherwise.
+    /// The robot follows from now on: it entered command mode, or re-entered it between two measurements.
     fn handle_entered(&mut self);
 }
 
-/// Answers, and asks for nothing: the robot stays where its controller has it.
+/// Answers without commands: the robot stays where its controller holds it.
 pub(super) struct Watch;
 
 impl Task for Watch {
@@ -56,7 +56,7 @@ impl Task for Watch {
     fn handle_entered(&mut self) {}
 }
 
-/// A connection at one moment.
+/// Snapshot of a connection.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Seen {
     pub(super) status: Status,
@@ -65,26 +65,26 @@ pub(super) struct Seen {
     pub(super) peer: Option<SocketAddr>,
     /// Another one that sends to the same port.
     pub(super) second: Option<SocketAddr>,
-    /// The system's word why the last answer did not leave.
+    /// The errno with which sending the last answer failed.
     pub(super) unsent: Option<i32>,
 }
 
-/// The thread, from outside.
+/// Handle of the thread.
 pub(super) struct Live {
     thread: Thread<()>,
     stop: Arc<AtomicBool>,
     seen: LatestReader<Seen>,
-    /// From a measurement's arrival to its answer's departure.
+    /// From the arrival of a measurement to the departure of its answer.
     pub(super) answer_time: RecorderReader,
-    /// How far measurements come from where the one before and the period put them.
+    /// Deviation of arrivals from the previous arrival plus the period.
     pub(super) deviation: RecorderReader,
     pub(super) local: SocketAddr,
-    /// Memory and processors as `takt run` has them, as long as this lives.
+    /// Memory and processor settings of `takt run`, while this lives.
     _host: Host,
 }
 
 impl Live {
-    /// Opens the port and starts.
+    /// Opens the port and starts the thread.
     pub(super) fn start(
         listen: SocketAddr,
         mut config: ClientConfig,
@@ -93,7 +93,7 @@ impl Live {
         let link = port::open(listen)?;
         let local = link
             .local_addr()
-            .context("the socket tells no address of its own")?;
+            .context("the socket has no local address")?;
         config.lwr.first_sequence = first_sequence()?;
         let (writer, seen) = latest(1, Seen::default);
         let (answer_time, deviation) = (Recorder::new(), Recorder::new());
@@ -101,7 +101,7 @@ impl Live {
         let host = prepare(&HostConfig::default());
         let stop = Arc::new(AtomicBool::new(false));
         let stopping = Arc::clone(&stop);
-        // Boxed, so that the thread's small stack does not hold it as it is moved there.
+        // Boxed: the thread's stack is small.
         let mut worker = Box::new(Worker {
             link,
             partner: Client::new(config),
@@ -140,12 +140,12 @@ impl Live {
         })
     }
 
-    /// How it is now.
+    /// The latest snapshot.
     pub(super) fn seen(&mut self) -> Seen {
         self.seen.read()
     }
 
-    /// Ends it.
+    /// Ends the thread.
     pub(super) fn stop(self) -> anyhow::Result<()> {
         self.stop.store(true, Ordering::Relaxed);
         let joined = self.thread.join();
@@ -154,7 +154,7 @@ impl Live {
     }
 }
 
-/// Any number, so that two clients do not count alike by chance.
+/// An arbitrary number, so that two clients differ in their sequence numbers.
 fn first_sequence() -> anyhow::Result<u16> {
     let [low, high, ..] = monotonic()
         .context("no clock")?
@@ -170,7 +170,7 @@ struct Worker<T> {
     seen: Seen,
     /// The controller's cycles since the last answer.
     cycles: u32,
-    /// When the newest measurement came.
+    /// Arrival of the newest measurement.
     last: Option<Duration>,
     writer: LatestWriter<Seen>,
     answer_time: Recorder,
@@ -178,11 +178,11 @@ struct Worker<T> {
 }
 
 impl<T: Task> Worker<T> {
-    /// Waits for datagrams, takes all that are there, and answers once.
+    /// Waits for datagrams, handles all that are queued, and answers once.
     fn serve(&mut self) {
         let mut wait = WAIT;
         for _ in 0..BACKLOG {
-            let mut buffer = [0; ROOM];
+            let mut buffer = [0; BUFFER];
             let Ok(Some((len, at))) = self.link.receive(&mut buffer, wait) else {
                 break;
             };
@@ -208,17 +208,17 @@ impl<T: Task> Worker<T> {
             self.seen.second = from;
             return;
         }
-        let Ok(heard) = self.partner.handle_datagram(datagram, at) else {
+        let Ok(received) = self.partner.handle_datagram(datagram, at) else {
             return;
         };
         self.seen.peer = from;
-        if heard.has_entered {
+        if received.has_entered {
             self.task.handle_entered();
         }
-        if !heard.is_new {
+        if !received.is_new {
             return;
         }
-        let cycles = 1 + u32::from(heard.lost);
+        let cycles = 1 + u32::from(received.lost);
         self.cycles = self.cycles.saturating_add(cycles);
         if let (Some(last), Some(period)) = (self.last.replace(at), self.partner.period()) {
             let deviation = at.saturating_sub(last).abs_diff(period * cycles);
@@ -229,7 +229,7 @@ impl<T: Task> Worker<T> {
     fn answer(&mut self) {
         let joints = self.task.joints(&mut self.partner, self.cycles);
         self.cycles = 0;
-        let mut buffer = [0; ROOM];
+        let mut buffer = [0; BUFFER];
         let Ok(answer) = self.partner.answer(joints.as_ref(), &mut buffer) else {
             return;
         };
@@ -240,9 +240,9 @@ impl<T: Task> Worker<T> {
         self.seen.unsent = sent.as_ref().err().and_then(std::io::Error::raw_os_error);
         if let (Ok(1..), Ok(now)) = (sent, monotonic()) {
             self.partner.handle_sent(now);
-            let came = self.last.unwrap_or(now);
+            let arrived = self.last.unwrap_or(now);
             self.answer_time
-                .record(Nanos::from(now.saturating_sub(came)));
+                .record(Nanos::from(now.saturating_sub(arrived)));
         }
         if let Some(withheld) = answer.withheld {
             self.task.handle_withheld(withheld);

@@ -1,5 +1,5 @@
-//! `takt fri monitor`: a connection while it lasts, as the robot's partner, or each datagram of a recording in one line.
-//! It judges nothing but in passing: `takt fri stat` does.
+//! `takt fri monitor`: a live connection, as FRI client, or each datagram of a recording in one line. Verdicts are those of
+//! `takt fri stat`.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -23,10 +23,10 @@ const LINE_EVERY: Duration = Duration::from_secs(1);
 /// Complaints that the screen shows.
 const COMPLAINTS_MAX: usize = 3;
 
-/// Be the robot's partner and show how the connection is, or show the datagrams of a recording.
+/// Answer a robot as FRI client and show the state of the connection, or show the datagrams of a recording.
 ///
-/// It answers every measurement and never asks for motion: in command mode the robot is held where it is. On a terminal
-/// it takes the screen; elsewhere it says a line per second. Without the robot, it says why nothing comes.
+/// It answers every measurement and never commands motion: in command mode the robot is held where it is. On a terminal
+/// it takes the screen; elsewhere it prints a line per second. Without measurements it reports the cause.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt fri monitor --listen 0.0.0.0:49938
@@ -42,7 +42,7 @@ pub(crate) struct Monitor {
         conflicts_with = "from"
     )]
     listen: Option<SocketAddr>,
-    /// A recording instead: pcap or pcapng.
+    /// Read a recording instead: pcap or pcapng.
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
     /// End after so many lines.
@@ -54,7 +54,7 @@ pub(crate) struct Monitor {
     /// End after this time; without it, at Ctrl-C.
     #[arg(long, value_name = "TIME", value_parser = span, conflicts_with = "from")]
     duration: Option<Duration>,
-    /// Lines even on a terminal.
+    /// Print lines even on a terminal.
     #[arg(long, conflicts_with = "from")]
     plain: bool,
     #[command(flatten)]
@@ -106,9 +106,9 @@ impl Monitor {
             ));
         }
         loop {
-            let (seen, news) = watched.look();
+            let (seen, events) = watched.look();
             let is_end = if view.is_open() {
-                complaints.extend(news);
+                complaints.extend(events);
                 if seen.status.phase != Phase::Offline
                     && seen.second.is_none()
                     && seen.unsent.is_none()
@@ -118,10 +118,10 @@ impl Monitor {
                 let from = complaints.len().saturating_sub(COMPLAINTS_MAX);
                 view.show(&scene(&seen, &watched.live, &complaints[from..], started))?
             } else {
-                for complaint in news {
+                for complaint in events {
                     complain(&complaint);
                 }
-                lines.tell(&seen, &watched.live)?;
+                lines.print(&seen, &watched.live)?;
                 self.count.is_some_and(|count| lines.count >= count)
             };
             let is_over = self.duration.is_some_and(|span| started.elapsed() >= span);
@@ -144,13 +144,13 @@ fn scene<'a>(seen: &'a Seen, live: &Live, complaints: &'a [String], started: Ins
     }
 }
 
-/// Says what happens and, every second, how it is.
+/// Prints changes of state and, every second, the figures.
 struct Lines {
     started: Instant,
-    /// When the last line was said, and what had come and been answered then.
+    /// Time of the last line, with the counts of received and answered datagrams then.
     last: (Instant, u64, u64),
-    /// What was said last of who is there and how it stands.
-    stands: Option<String>,
+    /// The state printed last.
+    state: Option<String>,
     count: u64,
 }
 
@@ -159,17 +159,17 @@ impl Lines {
         Self {
             started,
             last: (started, 0, 0),
-            stands: None,
+            state: None,
             count: 0,
         }
     }
 
-    fn tell(&mut self, seen: &Seen, live: &Live) -> anyhow::Result<()> {
+    fn print(&mut self, seen: &Seen, live: &Live) -> anyhow::Result<()> {
         let status = &seen.status;
-        let stands = stands(seen);
-        if self.stands.as_ref() != Some(&stands) && status.version.is_some() {
-            say(&stands)?;
-            self.stands = Some(stands);
+        let state = state_line(seen);
+        if self.state.as_ref() != Some(&state) && status.version.is_some() {
+            say(&state)?;
+            self.state = Some(state);
         }
         let (at, received, answered) = self.last;
         if at.elapsed() < LINE_EVERY || status.phase == Phase::Offline {
@@ -200,8 +200,8 @@ impl Lines {
     }
 }
 
-/// Who is there and how it stands.
-fn stands(seen: &Seen) -> String {
+/// Controller, version and state of the connection.
+fn state_line(seen: &Seen) -> String {
     let status = &seen.status;
     let text = |it: Option<String>| it.unwrap_or_else(|| "?".to_owned());
     if status.phase == Phase::Offline {
@@ -222,7 +222,7 @@ fn stands(seen: &Seen) -> String {
     )
 }
 
-/// What came and was answered in a span.
+/// Rates of received and answered datagrams.
 struct Rate {
     per_second: f64,
     /// Share of measurements that was answered, 0..=1.
@@ -247,10 +247,10 @@ fn line(
     deviation: &Summary,
 ) -> String {
     let us = |time: takt_rt::Nanos| time.0 / 1000;
-    let told = status.statistics;
-    let told = told.map_or_else(String::new, |it| format!(", in time {:.3}", it.answer_rate));
+    let counted = status.statistics;
+    let counted = counted.map_or_else(String::new, |it| format!(", in time {:.3}", it.answer_rate));
     format!(
-        "{:>6} s {:>5.0}/s answered {:.3}{told}, after us p50 {} p99 {} max {}, jitter us p50 {} p99 {}, lost {}",
+        "{:>6} s {:>5.0}/s answered {:.3}{counted}, after us p50 {} p99 {} max {}, jitter us p50 {} p99 {}, lost {}",
         elapsed.as_secs(),
         rate.per_second,
         rate.answered,
@@ -279,7 +279,7 @@ mod tests {
     use takt_fri::lwr::wire::{Quality as LwrQuality, State as LwrState};
 
     #[test]
-    fn a_line_names_what_it_counts() {
+    fn line_names_its_figures() {
         let status = Status {
             statistics: Some(AnswerStatistics {
                 answer_rate: 0.99,
@@ -311,12 +311,12 @@ mod tests {
     }
 
     #[test]
-    fn who_is_there_is_told_in_a_line() {
+    fn state_line_names_controller_version_and_state() {
         let mut seen = Seen {
             peer: Some("192.168.0.20:49152".parse().unwrap()),
             ..Seen::default()
         };
-        assert_eq!(stands(&seen), "the controller is silent");
+        assert_eq!(state_line(&seen), "the controller is silent");
         seen.status = Status {
             version: Some(Version::Lwr),
             phase: Phase::Monitor,
@@ -327,7 +327,7 @@ mod tests {
             ..Status::default()
         };
         assert_eq!(
-            stands(&seen),
+            state_line(&seen),
             "192.168.0.20:49152 speaks FRI 1.0 (LWR), period 2ms: MON, quality PERFECT, drives off"
         );
     }

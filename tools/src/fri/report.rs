@@ -1,4 +1,4 @@
-//! One connection's figures and verdict, as text and JSON, be it live or recorded. The judgement is that of
+//! Figures and verdict of a live or recorded connection, as text and JSON. The verdict is that of
 //! `takt_fri::diagnosis`.
 
 use std::time::Duration;
@@ -19,16 +19,16 @@ pub(super) struct Connection {
     pub(super) host: String,
     pub(super) generation: String,
     pub(super) observed: Observed,
-    /// What only who answers knows.
+    /// Figures that only the client has.
     pub(super) live: Option<Answered>,
 }
 
-/// A connection that was answered here.
+/// A connection whose client is this process.
 pub(super) struct Answered {
     status: Status,
-    /// From a measurement's arrival to its answer's departure.
+    /// From the arrival of a measurement to the departure of its answer.
     latency: Summary,
-    /// What is wrong beside the timing.
+    /// Faults other than of timing.
     faults: Vec<String>,
 }
 
@@ -42,14 +42,14 @@ fn us_of(time: Nanos) -> f64 {
 }
 
 impl Connection {
-    /// One that was answered here until now.
+    /// A connection of this process, up to now.
     pub(super) fn of_live(seen: &Seen, live: &Live) -> Self {
         let status = seen.status;
         let text = |it: Option<String>| it.unwrap_or_else(|| "?".to_owned());
         let mut faults = watch::faults(seen);
         if status.counters.silences > 0 {
             faults.push(format!(
-                "the controller fell silent {} times: was FRI closed, or is the cable loose?",
+                "the controller fell silent {} times\nhint: was FRI closed, or is the cable loose?",
                 status.counters.silences
             ));
         }
@@ -66,7 +66,7 @@ impl Connection {
         }
     }
 
-    /// What is wrong beside the timing.
+    /// Faults other than of timing.
     fn faults(&self) -> &[String] {
         self.live.as_ref().map_or(&[], |live| &live.faults)
     }
@@ -79,7 +79,7 @@ impl Connection {
         self.verdict().is_good() && self.faults().is_empty()
     }
 
-    /// Figures, unless they are not wanted, and the verdict with what to do.
+    /// Figures unless `is_quiet`, and the verdict with the remedy.
     pub(super) fn lines(&self, is_quiet: bool) -> Vec<String> {
         let mut lines = if is_quiet { Vec::new() } else { self.figures() };
         let Self {
@@ -103,7 +103,7 @@ impl Connection {
         let stamps = seen.stamp_jitter;
         let stamps = stamps.map_or_else(|| "unknown".to_owned(), |it| format!("{it:.1?}"));
         let rate = seen.answer_rate;
-        let rate = rate.map_or_else(|| "not told".to_owned(), |it| format!("{it:.3}"));
+        let rate = rate.map_or_else(|| "not reported".to_owned(), |it| format!("{it:.3}"));
         let mut lines = vec![
             format!(
                 "{} from {} to {}, period {:?}",
@@ -181,19 +181,19 @@ impl Answered {
             "  latency       p50 {p50}, p99 {p99}, p99.9 {p999}, max {max} from measurement to answer"
         )];
         let text = |it: Option<String>| it.unwrap_or_else(|| "?".to_owned());
-        let mut told = format!(
+        let mut line = format!(
             "  controller    {}, quality {}",
             text(self.status.state.map(|it| it.to_string())),
             text(self.status.quality.map(|it| it.to_string()))
         );
         if let Some(it) = self.status.statistics {
             let (latency, jitter) = (it.latency_s * 1e3, it.jitter_s * 1e3);
-            told += &format!(
+            line += &format!(
                 "; it counts latency {latency:.2} ms, jitter {jitter:.2} ms, missed {}",
                 it.missed
             );
         }
-        lines.push(told);
+        lines.push(line);
         lines
     }
 }

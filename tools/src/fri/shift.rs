@@ -56,10 +56,10 @@ pub(crate) struct Shift {
     #[arg(long, value_name = "SPEED", default_value = "5deg/s", value_parser = low_speed)]
     velocity: f64,
     /// How long to wait for a sound connection, and then for command mode.
-    #[arg(long, value_name = "TIME", default_value = "30s", value_parser = span)]
-    within: Duration,
+    #[arg(long, alias = "within", value_name = "TIME", default_value = "30s", value_parser = span)]
+    ready_timeout: Duration,
     /// Do not ask whether it is safe.
-    #[arg(long, visible_alias = "yes")]
+    #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
     #[command(flatten)]
     port: Port,
@@ -197,7 +197,7 @@ impl Shift {
             if is_there && is_sound && seen.observed.answers >= SETTLED {
                 return Ok(Ok(seen));
             }
-            if started.elapsed() >= self.within {
+            if started.elapsed() >= self.ready_timeout {
                 return Ok(Err(unsound(&seen)));
             }
             ensure!(!watched.pause(), "ended before anything moved");
@@ -228,7 +228,7 @@ impl Shift {
             if stage.is_end() {
                 return Ok(ended(stage, remote.why(), &seen));
             }
-            if stage == Stage::Idle && started.elapsed() >= self.within {
+            if stage == Stage::Idle && started.elapsed() >= self.ready_timeout {
                 return Ok(Err(idle(&seen)));
             }
             if stage == Stage::Idle && braking.is_some() {

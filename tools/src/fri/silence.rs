@@ -1,5 +1,5 @@
-//! Why no measurement comes: what the wire shows against what this host listens to, as one sentence with what to do. It
-//! reads no socket; `wire` does.
+//! Why no measurement arrives: compares the packets on the wire with the address this host listens at, and names the
+//! cause with a hint. Sockets are read in `wire`.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,49 +15,49 @@ use super::port::{Address, list};
 /// Types of packets (IEEE 802 numbers).
 const IPV4: u16 = 0x0800;
 const ARP: u16 = 0x0806;
-/// Different askers and datagrams remembered.
+/// Pairs of addresses kept at most.
 const KINDS_MAX: usize = 64;
-/// Questions for an address in vain, after which nobody has it.
-const IN_VAIN: u32 = 2;
+/// Unanswered ARP requests after which an address counts as unassigned.
+const UNANSWERED: u32 = 2;
 
-/// What was seen on the wire.
+/// Packets observed on the wire.
 #[derive(Debug, Default)]
 pub(super) struct Evidence {
-    /// Whether this user may look at all.
+    /// Whether this user may capture packets.
     pub(super) is_allowed: bool,
-    /// Who asks for which address (ARP), and how often.
-    asks: BTreeMap<(Ipv4Addr, Ipv4Addr), u32>,
-    /// Measurements: from and to, and how many.
+    /// ARP requests: sender and requested address, and how often.
+    requests: BTreeMap<(Ipv4Addr, Ipv4Addr), u32>,
+    /// Measurements: sender and destination, and how many.
     measurements: BTreeMap<(SocketAddrV4, SocketAddrV4), u32>,
 }
 
-/// Why nothing comes.
+/// Why nothing arrives.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Cause {
-    /// Something comes, but no measurement, or of another version than asked for.
+    /// Datagrams arrive, but no measurements, or of another version than expected.
     Refused(DatagramError),
     /// Sent to another port of this host.
     Port { from: Ipv4Addr, to: SocketAddrV4 },
     /// Sent to another address of this host.
     Interface { from: Ipv4Addr, to: SocketAddrV4 },
-    /// Comes to this host, which has no way back to its sender.
+    /// Arrives at this host, which has no route back to its sender.
     NoRoute { from: Ipv4Addr, ours: Vec<Address> },
-    /// Comes to this host, which drops it.
+    /// Arrives at this host, which drops it.
     Dropped { from: Ipv4Addr, port: u16 },
-    /// Somebody asks in vain for an address that is not ours.
+    /// A host requests an address that is not ours, without an answer.
     Target {
         asker: Ipv4Addr,
         wanted: Ipv4Addr,
         ours: Vec<Address>,
     },
-    /// Somebody asks for us and is outside of our netmask.
+    /// A host outside of our netmask requests our address.
     Mask { asker: Ipv4Addr, ours: Address },
     /// No trace of a controller.
     Nothing {
         listen: SocketAddr,
         ours: Vec<Address>,
     },
-    /// Nobody may look at the wire.
+    /// This user may not capture packets.
     Blind {
         listen: SocketAddr,
         ours: Vec<Address>,
@@ -65,7 +65,7 @@ pub(super) enum Cause {
 }
 
 impl Evidence {
-    /// Takes a packet without its link header, of that type.
+    /// Handles a packet of a type, without its link header.
     pub(super) fn handle_packet(&mut self, kind: u16, packet: &[u8]) {
         match kind {
             IPV4 => self.handle_ip(packet),
@@ -84,13 +84,13 @@ impl Evidence {
     }
 
     fn handle_arp(&mut self, packet: &[u8]) {
-        if let Some(question) = question(packet) {
-            count(&mut self.asks, question);
+        if let Some(request) = arp_request(packet) {
+            count(&mut self.requests, request);
         }
     }
 
-    /// What it means for who listens at `listen` on a host with the addresses `ours`, knowing where it has routes to and
-    /// which other ports are listened at: those have their own controllers.
+    /// The cause for a client at `listen` on a host with the addresses `ours`. `has_route` and `is_taken` describe the
+    /// host: where it has routes to, and which other ports are in use, which have controllers of their own.
     pub(super) fn judge(
         &self,
         listen: SocketAddr,
@@ -105,7 +105,7 @@ impl Evidence {
         if let Some(cause) = self.judge_measurements(listen, &ours, has_route, is_taken) {
             return cause;
         }
-        if let Some(cause) = self.judge_questions(&ours) {
+        if let Some(cause) = self.judge_requests(&ours) {
             return cause;
         }
         if self.is_allowed {
@@ -141,9 +141,12 @@ impl Evidence {
         Some(Cause::Dropped { from, port })
     }
 
-    fn judge_questions(&self, ours: &[Address]) -> Option<Cause> {
+    fn judge_requests(&self, ours: &[Address]) -> Option<Cause> {
         let of_others = |asker: &Ipv4Addr| ours.iter().all(|it| it.ip != *asker);
-        let mut asked = self.asks.iter().filter(|(_, times)| **times >= IN_VAIN);
+        let mut asked = self
+            .requests
+            .iter()
+            .filter(|(_, times)| **times >= UNANSWERED);
         let (&(asker, wanted), _) = asked.find(|((asker, _), _)| of_others(asker))?;
         let Some(address) = ours.iter().find(|it| it.ip == wanted) else {
             let ours = ours.iter().filter(|it| !it.ip.is_loopback());
@@ -166,8 +169,8 @@ fn count<K: Ord>(all: &mut BTreeMap<K, u32>, key: K) {
     }
 }
 
-/// Who asks for whom in an ARP request (RFC 826); `None` if it is none, or only announces itself.
-fn question(packet: &[u8]) -> Option<(Ipv4Addr, Ipv4Addr)> {
+/// Sender and requested address of an ARP request (RFC 826); `None` for other packets and announcements.
+fn arp_request(packet: &[u8]) -> Option<(Ipv4Addr, Ipv4Addr)> {
     let address_at = |at: usize| {
         let four: [u8; 4] = *packet.get(at..)?.first_chunk()?;
         Some(Ipv4Addr::from(four))
@@ -183,24 +186,24 @@ impl fmt::Display for Cause {
             Self::Refused(refusal) => refusal.fmt(f),
             Self::Port { from, to } => write!(
                 f,
-                "{from} sends to port {} of this host: listen there (--listen {to}), or correct the port that the \
+                "{from} sends to port {} of this host\nhint: listen there (--listen {to}), or correct the port that the \
                  controller sends to",
                 to.port()
             ),
             Self::Interface { from, to } => write!(
                 f,
-                "{from} sends to {}, another address of this host: --listen {to}",
+                "{from} sends to {}, another address of this host\nhint: --listen {to}",
                 to.ip()
             ),
             Self::NoRoute { from, ours } => write!(
                 f,
-                "measurements of {from} reach this host, which has no route back (it has {}): correct its netmask, or \
+                "measurements of {from} reach this host, which has no route back (it has {})\nhint: correct its netmask, or \
                  add a route (`ip route`)",
                 list(ours)
             ),
             Self::Dropped { from, port } => write!(
                 f,
-                "measurements of {from} reach this host and are dropped by it: let its firewall pass UDP port {port} \
+                "measurements of {from} reach this host and are dropped by it\nhint: let its firewall pass UDP port {port} \
                  (`nft list ruleset`, `iptables -S`, `ip rule`)"
             ),
             Self::Target {
@@ -209,26 +212,26 @@ impl fmt::Display for Cause {
                 ours,
             } => write!(
                 f,
-                "{asker} looks for {wanted} in vain, which is no address of this host ({}): correct the address that \
+                "{asker} requests {wanted}, which is no address of this host ({})\nhint: correct the address that \
                  the controller sends to, or this host's",
                 list(ours)
             ),
             Self::Mask { asker, ours } => write!(
                 f,
-                "{asker} looks for {} and gets no answer, since this host's netmask of {} bits leaves it out: correct \
+                "{asker} requests {} and gets no answer: this host's netmask of {} bits excludes it\nhint: correct \
                  the netmask of {}",
                 ours.ip, ours.prefix, ours.interface
             ),
             Self::Nothing { listen, ours } => write!(
                 f,
-                "nothing comes to {listen}, and the wire shows no trace of a controller: is the cable in, has the \
+                "no measurement arrives at {listen}, and the wire shows no trace of a controller\nhint: is the cable in, has the \
                  robot program opened FRI, does it send to this host ({}), is the controller's netmask right?",
                 list(ours)
             ),
             Self::Blind { listen, ours } => write!(
                 f,
-                "nothing comes to {listen}: has the robot program opened FRI, does it send to this host ({}) and \
-                 port, do both netmasks fit, does a firewall drop it? As root, takt looks at the wire and tells which",
+                "no measurement arrives at {listen}\nhint: has the robot program opened FRI, does it send to this host ({}) and \
+                 port, do both netmasks fit, does a firewall drop it? As root, takt captures packets and names the cause",
                 list(ours)
             ),
         }
@@ -274,8 +277,8 @@ mod tests {
         packet
     }
 
-    /// The sentence for packets of a type, seen by who listens there with a netmask of `prefix` bits.
-    fn told(listen: &str, prefix: u32, packets: &[(u16, Vec<u8>)]) -> String {
+    /// The cause for packets of a type, for a client at `listen` with a netmask of `prefix` bits.
+    fn cause(listen: &str, prefix: u32, packets: &[(u16, Vec<u8>)]) -> String {
         let mut evidence = Evidence {
             is_allowed: true,
             ..Evidence::default()
@@ -291,50 +294,52 @@ mod tests {
     }
 
     #[test]
-    fn measurements_on_the_wire_tell_where_they_end() {
+    fn silence_measurements_on_wire_name_cause() {
         let sent = |to: &str| [(IPV4, measurement_to(to))];
         let all = "0.0.0.0:49938";
-        let port = told(all, 24, &sent("192.168.0.5:30200"));
+        let port = cause(all, 24, &sent("192.168.0.5:30200"));
         assert!(
-            port.starts_with("192.168.0.20 sends to port 30200 of this host: listen there (--listen 192.168.0.5:30200)"),
+            port.starts_with("192.168.0.20 sends to port 30200 of this host\nhint: listen there (--listen 192.168.0.5:30200)"),
             "{port}"
         );
-        let interface = told("127.0.0.1:49938", 24, &sent("192.168.0.5:49938"));
+        let interface = cause("127.0.0.1:49938", 24, &sent("192.168.0.5:49938"));
         assert_eq!(
             interface,
-            "192.168.0.20 sends to 192.168.0.5, another address of this host: --listen 192.168.0.5:49938"
+            "192.168.0.20 sends to 192.168.0.5, another address of this host\nhint: --listen 192.168.0.5:49938"
         );
-        let dropped = told(all, 24, &sent("192.168.0.5:49938"));
+        let dropped = cause(all, 24, &sent("192.168.0.5:49938"));
         assert!(
-            dropped.contains("dropped by it: let its firewall pass UDP port 49938"),
+            dropped.contains("dropped by it\nhint: let its firewall pass UDP port 49938"),
             "{dropped}"
         );
-        let route = told(all, 30, &sent("192.168.0.5:49938"));
+        let route = cause(all, 30, &sent("192.168.0.5:49938"));
         assert!(
-            route.contains("no route back (it has 192.168.0.5/30 on enp3s0): correct its netmask"),
+            route.contains(
+                "no route back (it has 192.168.0.5/30 on enp3s0)\nhint: correct its netmask"
+            ),
             "{route}"
         );
-        // Somebody else's measurements, on a mirrored port of a switch; those of another arm of this host.
+        // Measurements for another host, on a mirrored port of a switch; those of another arm of this host.
         for others in ["192.168.0.9:49938", "192.168.0.5:30209"] {
-            let others = told(all, 24, &sent(others));
-            assert!(others.starts_with("nothing comes to"), "{others}");
+            let others = cause(all, 24, &sent(others));
+            assert!(others.starts_with("no measurement arrives at"), "{others}");
         }
     }
 
     #[test]
-    fn questions_in_vain_tell_wrong_addresses_and_masks() {
+    fn silence_unanswered_arp_names_address_or_mask() {
         let asks = |wanted, times| vec![(ARP, arp(ROBOT, wanted, 1)); times];
         let all = "0.0.0.0:49938";
         let elsewhere = Ipv4Addr::new(192, 168, 0, 99);
-        let target = told(all, 24, &asks(elsewhere, 3));
+        let target = cause(all, 24, &asks(elsewhere, 3));
         assert_eq!(
             target,
-            "192.168.0.20 looks for 192.168.0.99 in vain, which is no address of this host (192.168.0.5/24 on \
-             enp3s0): correct the address that the controller sends to, or this host's"
+            "192.168.0.20 requests 192.168.0.99, which is no address of this host (192.168.0.5/24 on \
+             enp3s0)\nhint: correct the address that the controller sends to, or this host's"
         );
-        let mask = told(all, 30, &asks(HOST, 2));
+        let mask = cause(all, 30, &asks(HOST, 2));
         assert!(
-            mask.contains("netmask of 30 bits leaves it out: correct the netmask of enp3s0"),
+            mask.contains("netmask of 30 bits excludes it\nhint: correct the netmask of enp3s0"),
             "{mask}"
         );
         for harmless in [
@@ -346,13 +351,13 @@ mod tests {
             vec![(ARP, vec![0; 9]); 3],
             vec![(IPV4, b"no packet".to_vec()), (0x86dd, vec![0; 40])],
         ] {
-            let told = told(all, 24, &harmless);
-            assert!(told.contains("no trace of a controller"), "{told}");
+            let text = cause(all, 24, &harmless);
+            assert!(text.contains("no trace of a controller"), "{text}");
         }
     }
 
     #[test]
-    fn who_may_not_look_is_told_so() {
+    fn silence_without_capture_permission_suggests_root() {
         let evidence = Evidence::default();
         let listen = "0.0.0.0:49938".parse().unwrap();
         let cause = evidence.judge(listen, None, ours(24), |_| true, |_| false);
@@ -365,6 +370,6 @@ mod tests {
         for number in 0..1_000_u32 {
             evidence.handle_packet(ARP, &arp(ROBOT, Ipv4Addr::from(number), 1));
         }
-        assert_eq!(evidence.asks.len(), KINDS_MAX);
+        assert_eq!(evidence.requests.len(), KINDS_MAX);
     }
 }

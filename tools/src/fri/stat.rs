@@ -1,5 +1,5 @@
-//! `takt fri stat`: who is late on an FRI connection, the network, this host or the controller, and what to do; as the
-//! robot's partner, or from a recording. Figures and judgement are those of `report`.
+//! `takt fri stat`: which side of an FRI connection is late (network, host or controller) and what to do; as FRI client, or
+//! from a recording. Figures and verdicts are those of `report`.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, SocketAddrV4};
@@ -25,8 +25,8 @@ const CONNECTIONS_MAX: usize = 64;
 
 /// Judge FRI connections: who is late, and what to do.
 ///
-/// With --listen it is the robot's partner itself: it answers so that the robot stays where its controller has it, and
-/// never asks for motion. With --from it judges a recording, made at the host that runs the driver. Exit status: 0 all
+/// With --listen it is the FRI client itself: it answers so that the robot stays where its controller holds it, and
+/// never commands motion. With --from it judges a recording, made at the host that runs the driver. Exit status: 0 all
 /// connections are good; 1 one is not, or no measurement came; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -42,7 +42,7 @@ pub(crate) struct Stat {
         conflicts_with = "from"
     )]
     listen: Option<SocketAddr>,
-    /// A recording instead: pcap or pcapng.
+    /// Read a recording instead: pcap or pcapng.
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
     /// How long to observe, from the first measurement on.
@@ -58,7 +58,7 @@ pub(crate) struct Stat {
     quiet: bool,
 }
 
-/// What is told in the end.
+/// The result: connections, and why there are none.
 #[derive(Default)]
 struct Findings {
     connections: Vec<Connection>,
@@ -93,7 +93,7 @@ impl Stat {
         })
     }
 
-    /// Is the robot's partner for a while; Ctrl-C ends it early and keeps what was seen.
+    /// Answers the controller for the duration; Ctrl-C ends it early and keeps what was observed.
     fn observe(&self, listen: SocketAddr) -> anyhow::Result<Findings> {
         let mut watched = Watched::start(&self.port, listen, ClientConfig::default(), Watch)?;
         if !self.quiet {
@@ -105,11 +105,11 @@ impl Stat {
         let mut since: Option<Instant> = None;
         let mut findings = Findings::default();
         loop {
-            let (seen, news) = watched.look();
+            let (seen, events) = watched.look();
             if seen.status.phase != Phase::Offline {
                 since.get_or_insert_with(Instant::now);
-            } else if since.is_none() && !news.is_empty() {
-                findings.silence = news.into_iter().next();
+            } else if since.is_none() && !events.is_empty() {
+                findings.silence = events.into_iter().next();
                 break;
             }
             let is_over = since.is_some_and(|since| since.elapsed() >= self.duration);
@@ -142,7 +142,7 @@ fn recorded(path: &Path) -> anyhow::Result<Findings> {
     }
     anyhow::ensure!(
         !seen.observers.is_empty(),
-        "{}: no FRI datagram among {} others and {} damaged ones; record on the interface that the robot is on",
+        "{}: no FRI datagram among {} others and {} damaged ones\nhint: record on the interface that the robot is on",
         path.display(),
         seen.foreign,
         seen.refused
@@ -158,35 +158,35 @@ fn recorded(path: &Path) -> anyhow::Result<Findings> {
 /// What a recording holds.
 #[derive(Default)]
 struct Recorded {
-    observers: BTreeMap<Ends, (&'static str, Observer)>,
+    observers: BTreeMap<Endpoints, (&'static str, Observer)>,
     foreign: u64,
     refused: u64,
 }
 
-/// Who talks to whom.
+/// The endpoints of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Ends {
+struct Endpoints {
     controller: SocketAddrV4,
     host: SocketAddrV4,
 }
 
-/// The ends of the connection that a datagram belongs to, and its generation.
-fn place(datagram: &Datagram, decoded: &Decoded) -> Option<(Ends, &'static str)> {
+/// The connection that a datagram belongs to, and its FRI generation.
+fn connection_of(datagram: &Datagram, decoded: &Decoded) -> Option<(Endpoints, &'static str)> {
     const LWR: &str = "FRI 1.0";
     const SUNRISE: &str = "FRI of Sunrise";
-    let hither = Ends {
+    let to_host = Endpoints {
         controller: datagram.from,
         host: datagram.to,
     };
-    let thither = Ends {
+    let from_host = Endpoints {
         controller: datagram.to,
         host: datagram.from,
     };
     match decoded {
-        Decoded::LwrMeasurement(_) => Some((hither, LWR)),
-        Decoded::SunriseMonitoring { .. } => Some((hither, SUNRISE)),
-        Decoded::LwrCommand(_) => Some((thither, LWR)),
-        Decoded::SunriseCommand { .. } => Some((thither, SUNRISE)),
+        Decoded::LwrMeasurement(_) => Some((to_host, LWR)),
+        Decoded::SunriseMonitoring { .. } => Some((to_host, SUNRISE)),
+        Decoded::LwrCommand(_) => Some((from_host, LWR)),
+        Decoded::SunriseCommand { .. } => Some((from_host, SUNRISE)),
         Decoded::Foreign { .. } | Decoded::Refused(_) => None,
     }
 }
@@ -194,22 +194,22 @@ fn place(datagram: &Datagram, decoded: &Decoded) -> Option<(Ends, &'static str)>
 impl Recorded {
     fn handle_datagram(&mut self, datagram: &Datagram) -> anyhow::Result<()> {
         let decoded = Decoded::of(&datagram.bytes);
-        let Some((ends, generation)) = place(datagram, &decoded) else {
+        let Some((endpoints, generation)) = connection_of(datagram, &decoded) else {
             let is_damaged = matches!(decoded, Decoded::Refused(_));
             self.refused += u64::from(is_damaged);
             self.foreign += u64::from(!is_damaged);
             return Ok(());
         };
-        if !self.observers.contains_key(&ends) {
+        if !self.observers.contains_key(&endpoints) {
             anyhow::ensure!(
                 self.observers.len() < CONNECTIONS_MAX,
-                "the recording holds more than {CONNECTIONS_MAX} connections; keep one robot's with `tcpdump -r FILE -w ONE udp port PORT`"
+                "the recording holds more than {CONNECTIONS_MAX} connections\nhint: keep one robot's with `tcpdump -r FILE -w ONE udp port PORT`"
             );
             let observer =
                 Observer::of(&decoded).context("an FRI datagram without a generation")?;
-            self.observers.insert(ends, (generation, observer));
+            self.observers.insert(endpoints, (generation, observer));
         }
-        if let Some((_, observer)) = self.observers.get_mut(&ends) {
+        if let Some((_, observer)) = self.observers.get_mut(&endpoints) {
             observer.handle_datagram(datagram);
         }
         Ok(())
@@ -217,13 +217,14 @@ impl Recorded {
 
     fn connections(&self) -> Vec<Connection> {
         let all = self.observers.iter();
-        let connection = |(ends, (generation, observer)): (&Ends, &(&str, Observer))| Connection {
-            controller: ends.controller.to_string(),
-            host: ends.host.to_string(),
-            generation: (*generation).to_owned(),
-            observed: observer.observed(),
-            live: None,
-        };
+        let connection =
+            |(endpoints, (generation, observer)): (&Endpoints, &(&str, Observer))| Connection {
+                controller: endpoints.controller.to_string(),
+                host: endpoints.host.to_string(),
+                generation: (*generation).to_owned(),
+                observed: observer.observed(),
+                live: None,
+            };
         all.map(connection).collect()
     }
 }

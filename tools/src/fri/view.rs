@@ -1,4 +1,4 @@
-//! A connection on the whole terminal. It is drawn ten times a second and measures nothing.
+//! A connection on the whole terminal, drawn ten times a second.
 
 use std::io::IsTerminal as _;
 use std::net::SocketAddr;
@@ -80,7 +80,7 @@ fn draw(frame: &mut Frame<'_>, scene: &Scene<'_>) {
         Constraint::Length(5),
         Constraint::Min(5),
         Constraint::Min(5),
-        Constraint::Length(complaints * 2),
+        Constraint::Length(complaints * 3),
         Constraint::Length(2),
     ])
     .split(frame.area());
@@ -148,7 +148,7 @@ fn heads(scene: &Scene<'_>) -> [String; 2] {
     ]
 }
 
-/// Figures of this side and, where it tells, of the controller's.
+/// Figures of this side and, where the controller reports them, of its side.
 fn figures(scene: &Scene<'_>) -> Table<'static> {
     let status = &scene.seen.status;
     let counters = status.counters;
@@ -158,8 +158,8 @@ fn figures(scene: &Scene<'_>) -> Table<'static> {
     };
     let row = |name: &str, [a, b, c, d]: [String; 4]| Row::new([name.to_owned(), a, b, c, d]);
     let counts = |all: [u64; 4]| all.map(|it| it.to_string());
-    let told = status.statistics.map_or_else(
-        || ["not told", "", "", ""].map(str::to_owned),
+    let counted = status.statistics.map_or_else(
+        || ["not reported", "", "", ""].map(str::to_owned),
         |it| {
             [
                 format!("{:.3}", it.answer_rate),
@@ -184,7 +184,7 @@ fn figures(scene: &Scene<'_>) -> Table<'static> {
             ]),
         ),
         dim(["", "in time", "latency", "jitter", "missed"]),
-        row("controller's view", told),
+        row("controller's view", counted),
     ];
     let header = dim(["", "p50", "p99", "p99.9", "max"]);
     Table::new(rows, [18, 12, 12, 12, 12]).header(header)
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_screen_shows_state_figures_joints_and_times() {
+    fn screen_shows_state_figures_joints_and_times() {
         let status = Status {
             version: Some(Version::Lwr),
             phase: Phase::Command,
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tiny_screen_is_no_failure() {
+    fn screen_of_one_cell_does_not_fail() {
         for (width, height) in [(1, 1), (10, 4), (300, 3)] {
             screen(width, height, &Seen::default(), &[]);
         }

@@ -1,5 +1,4 @@
-//! A connection watched from outside of its thread: how it stands, and what is to be said about it, each thing once. It
-//! decides nothing.
+//! A connection polled from outside of its thread: its state, and its faults, each reported once. It decides nothing.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -18,22 +17,22 @@ use super::wire::{Wire, has_route};
 use crate::jitter::Interrupt;
 use crate::output::span;
 
-/// How often the thread is looked at.
-pub(super) const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// After so long without a measurement the wire is looked at.
+/// How often the thread is polled.
+pub(super) const POLL_EVERY: Duration = Duration::from_millis(100);
+/// Time without a measurement after which packets are captured.
 const WIRE_AFTER: Duration = Duration::from_millis(500);
-/// So soon is told what comes instead of measurements.
+/// Time without a measurement after which refused datagrams are reported.
 const REFUSED_AFTER: Duration = Duration::from_millis(500);
 
-/// Where a controller's datagrams arrive, and what they are to be.
+/// Expected version of a controller, and how long to wait for it.
 #[derive(Clone, Debug, Args)]
 pub(super) struct Port {
     /// What the controller must speak, as the SDK of the robot's client does; by default any.
     #[arg(long, value_name = "VERSION", value_enum)]
     expect: Option<Expected>,
-    /// So long without a measurement, it is said why.
-    #[arg(long, value_name = "TIME", default_value = "3s", value_parser = span)]
-    wait: Duration,
+    /// How long to wait for a measurement before the cause is reported.
+    #[arg(long, alias = "wait", value_name = "TIME", default_value = "3s", value_parser = span)]
+    timeout: Duration,
 }
 
 /// A version of FRI as the command line names it.
@@ -70,24 +69,24 @@ impl ValueEnum for Expected {
     }
 }
 
-/// A connection and who looks at it.
+/// A connection and what was reported of it.
 pub(super) struct Watched {
     pub(super) live: Live,
-    wait: Duration,
+    timeout: Duration,
     interrupt: Interrupt,
-    /// Since when nothing comes; `None` while something does.
+    /// The current time without measurements; `None` while they arrive.
     silence: Option<Silence>,
-    told: Vec<String>,
+    reported: Vec<String>,
 }
 
 /// A time without measurements.
 struct Silence {
     since: Instant,
-    /// Datagrams refused before.
+    /// Datagrams refused before it began.
     refused: u64,
     evidence: Evidence,
     wire: Option<Wire>,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Silence {
@@ -97,25 +96,25 @@ impl Silence {
             refused,
             evidence: Evidence::default(),
             wire: None,
-            is_told: false,
+            is_reported: false,
         }
     }
 
-    /// Why nothing comes, once, when patience is at its end.
-    fn look(&mut self, seen: &Seen, listen: SocketAddr, patience: Duration) -> Option<String> {
+    /// Why nothing arrives, once, after the timeout.
+    fn poll(&mut self, seen: &Seen, listen: SocketAddr, timeout: Duration) -> Option<String> {
         let silent = self.since.elapsed();
-        if silent >= WIRE_AFTER.min(patience) {
+        if silent >= WIRE_AFTER.min(timeout) {
             self.wire
                 .get_or_insert_with(Wire::open)
                 .look(&mut self.evidence);
         }
         let refusal = seen.status.last_error;
         let refusal = refusal.filter(|_| seen.status.counters.refused > self.refused);
-        let due = refusal.map_or(patience, |_| REFUSED_AFTER.min(patience));
-        if self.is_told || silent < due {
+        let due = refusal.map_or(timeout, |_| REFUSED_AFTER.min(timeout));
+        if self.is_reported || silent < due {
             return None;
         }
-        self.is_told = true;
+        self.is_reported = true;
         let cause = self
             .evidence
             .judge(listen, refusal, addresses(), has_route, is_taken);
@@ -136,33 +135,33 @@ impl Watched {
         Ok(Self {
             interrupt: Interrupt::new()?,
             live: Live::start(listen, config, task)?,
-            wait: port.wait,
+            timeout: port.timeout,
             silence: Some(Silence::new(0)),
-            told: Vec::new(),
+            reported: Vec::new(),
         })
     }
 
-    /// Waits a little; whether the user wants to end.
+    /// Waits for the next poll; whether the user wants to end.
     pub(super) fn pause(&mut self) -> bool {
-        self.interrupt.wait(LOOK_EVERY)
+        self.interrupt.wait(POLL_EVERY)
     }
 
-    /// How it stands, and what is to be said.
+    /// Its state, and faults that were not reported before.
     pub(super) fn look(&mut self) -> (Seen, Vec<String>) {
         let seen = self.live.seen();
         if seen.status.phase == Phase::Offline {
             let refused = seen.status.counters.refused;
             let silence = self.silence.get_or_insert_with(|| Silence::new(refused));
-            let why = silence.look(&seen, self.live.local, self.wait);
+            let why = silence.poll(&seen, self.live.local, self.timeout);
             return (seen, why.into_iter().collect());
         }
         self.silence = None;
-        let news: Vec<_> = faults(&seen)
+        let events: Vec<_> = faults(&seen)
             .into_iter()
-            .filter(|fault| !self.told.contains(fault))
+            .filter(|fault| !self.reported.contains(fault))
             .collect();
-        self.told.extend(news.iter().cloned());
-        (seen, news)
+        self.reported.extend(events.iter().cloned());
+        (seen, events)
     }
 }
 
@@ -174,7 +173,7 @@ pub(super) fn faults(seen: &Seen) -> Vec<String> {
     }
     if let (Some(second), Some(peer)) = (seen.second, seen.peer) {
         faults.push(format!(
-            "{second} sends measurements to this port too, beside {peer}: give each controller a port of its own"
+            "{second} sends measurements to this port too, beside {peer}\nhint: give each controller a port of its own"
         ));
     }
     faults
@@ -186,12 +185,12 @@ fn unsent(errno: Errno, peer: SocketAddr) -> String {
     #[expect(clippy::wildcard_enum_match_arm, reason = "some 130 other errors")]
     match errno {
         Errno::ENETUNREACH | Errno::EHOSTUNREACH => format!(
-            "answers to {ip} cannot leave, since this host has no way there (it has {}): correct its netmask, or add \
+            "answers to {ip} cannot leave, since this host has no route to it (it has {})\nhint: correct its netmask, or add \
              a route (`ip route`)",
             list(&addresses())
         ),
         Errno::EPERM | Errno::EACCES => format!(
-            "this host's firewall forbids answers to {ip}: let it pass UDP to {peer} (`nft list ruleset`)"
+            "this host's firewall forbids answers to {ip}\nhint: let it pass UDP to {peer} (`nft list ruleset`)"
         ),
         other => {
             let fault = LinkFault::of_errno(other as i32);
@@ -210,7 +209,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_fault_is_one_sentence() {
+    fn each_fault_has_cause_and_hint() {
         let peer: SocketAddr = "192.168.0.20:49152".parse().unwrap();
         let seen = Seen {
             peer: Some(peer),
@@ -222,7 +221,7 @@ mod tests {
             panic!("two faults");
         };
         assert!(
-            route.contains("no way there") && route.contains("netmask"),
+            route.contains("no route to it") && route.contains("netmask"),
             "{route}"
         );
         assert!(second.starts_with("192.168.0.21:49152 sends"), "{second}");

@@ -1,7 +1,7 @@
-//! cyclictest of rt-tests, the field's measure of latency: run with our period, priority, processors and
-//! locked memory, its output read.
+//! cyclictest of rt-tests, the usual tool for latency: run with our period, priority, processors and locked memory,
+//! and its output parsed.
 //!
-//! It reads no other tool's output, and repairs nothing: an output that contradicts itself is refused.
+//! An output that contradicts itself is refused.
 
 mod json;
 mod text;
@@ -19,13 +19,13 @@ use crate::jitter::warning::Warning;
 
 /// Longest latency that its histogram is to hold, us.
 const HISTOGRAM_US: u32 = 100_000;
-/// More threads than this are no output of cyclictest.
+/// Outputs with more threads are refused.
 const THREADS_MAX: usize = 4096;
 
-/// What cyclictest told.
+/// The output of cyclictest.
 #[derive(Debug, PartialEq)]
 struct Output {
-    /// As in `2.40`; empty if the output does not tell.
+    /// As in `2.40`; empty if the output lacks it.
     version: String,
     period: Option<Duration>,
     priority: Option<u8>,
@@ -63,10 +63,10 @@ pub(crate) fn is_output(text: &str) -> bool {
 pub(crate) fn import(text: &str) -> anyhow::Result<Report> {
     let output = read(text)?;
     let tool = named(&output.version);
-    let mut warnings = vec![Warning::Imported { tool: tool.clone() }.told()];
+    let mut warnings = vec![Warning::Imported { tool: tool.clone() }.entry()];
     if output.beyond > 0 {
         let cycles = output.beyond;
-        warnings.push(Warning::BeyondHistogram { cycles }.told());
+        warnings.push(Warning::BeyondHistogram { cycles }.entry());
     }
     let ns = |period: Duration| u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
     Ok(Report {
@@ -110,7 +110,7 @@ impl Thread {
         })?;
         anyhow::ensure!(
             counted > 0,
-            "it has no histogram: run cyclictest with -h 20000"
+            "it has no histogram\nhint: run cyclictest with -h 20000"
         );
         let beyond = self.cycles.checked_sub(counted).with_context(|| {
             format!(
@@ -148,7 +148,7 @@ impl Thread {
     }
 }
 
-/// The arguments that make it measure what `plan` measures.
+/// Arguments for the measurement of `plan`.
 fn arguments(plan: &Plan) -> Vec<String> {
     let cycles = plan.duration.as_nanos() / plan.period.as_nanos().max(1);
     let cpus: Vec<_> = plan.cpus.iter().flatten().map(usize::to_string).collect();
@@ -188,7 +188,7 @@ impl Slice {
     /// Starts it.
     ///
     /// # Errors
-    /// If it is not installed; the error says how to.
+    /// If it is not installed, with a hint.
     pub(crate) fn start(plan: &Plan) -> anyhow::Result<Self> {
         let mut child = Command::new("cyclictest")
             .args(arguments(plan))
@@ -196,10 +196,12 @@ impl Slice {
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
-            .context(
-                "cannot run cyclictest: install it (Debian, Ubuntu: apt install rt-tests; Fedora: \
-                 dnf install realtime-tests)",
-            )?;
+            .map_err(|error| {
+                anyhow::anyhow!(
+                    "cannot run cyclictest: {error}\nhint: install it (Debian, Ubuntu: apt install rt-tests; \
+                     Fedora: dnf install realtime-tests)"
+                )
+            })?;
         let mut out = child.stdout.take().context("no output to read")?;
         let output = std::thread::spawn(move || {
             let mut text = String::new();
@@ -216,7 +218,7 @@ impl Slice {
         Ok(self.child.try_wait()?.is_some())
     }
 
-    /// What it measured: its name and its threads.
+    /// The result: its name and its threads.
     pub(crate) fn finish(mut self) -> anyhow::Result<(String, Vec<ThreadReport>)> {
         let status = self.child.wait()?;
         let output = self.output.take().map(std::thread::JoinHandle::join);
@@ -253,7 +255,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_measures_what_we_measure() {
+    fn cyclictest_arguments_match_plan() {
         let plan = Plan {
             period: Duration::from_micros(500),
             priority: Some(80),
@@ -278,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn remarks_around_the_object_are_passed_over() {
+    fn cyclictest_remarks_around_json_are_ignored() {
         assert_eq!(object("{\n}\n# set to 0us\n"), Some("{\n}"));
         assert_eq!(
             object("# remark\n{\n \"a\": {\n }\n}\n"),
@@ -305,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_that_contradict_themselves_are_refused() {
+    fn cyclictest_inconsistent_output_is_refused() {
         let thread = |counts: &[(u64, u64)], cycles, min, max| {
             let thread = Thread {
                 counts: counts.to_vec(),

@@ -1,8 +1,8 @@
-//! Distributions of times from whatever source: our own statistics, a saved report, cyclictest. One
-//! form for all, so that two of them are compared by the same arithmetic.
+//! Distributions of times from our own statistics, a saved report, or cyclictest, in one form, so that they are
+//! compared by the same arithmetic.
 //!
-//! It knows no thread and judges nothing. Quantiles are interpolated within a bucket: cyclictest counts
-//! whole microseconds and our recorder parts of one, and taking either's bounds would favour one.
+//! Quantiles are interpolated within a bucket: cyclictest counts whole microseconds and our recorder parts of one, and
+//! taking either's bounds would favour one.
 
 use std::collections::BTreeMap;
 
@@ -38,7 +38,7 @@ pub(crate) struct Quantiles {
     pub(crate) max: u64,
 }
 
-/// Its form in JSON. The quantiles are for readers; reading back, they are computed anew.
+/// Its form in JSON. The quantiles are for readers; reading back, they are computed again.
 #[derive(Serialize, Deserialize)]
 struct Wire {
     min: u64,
@@ -78,7 +78,7 @@ impl TryFrom<Wire> for Histogram {
 }
 
 impl Histogram {
-    /// From buckets and the figures they do not hold.
+    /// From buckets, and the figures that buckets do not hold.
     pub(crate) fn new(
         buckets: Vec<Bucket>,
         min_ns: u64,
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn buckets_of_the_statistics_meet_without_gaps() {
+    fn histogram_buckets_have_no_gaps() {
         let mut recorder = takt_rt::stats::Recorder::new();
         for ns in 0..100_000 {
             recorder.record(Nanos(ns));

@@ -1,5 +1,4 @@
-//! What a report must say of the host so that two of them can be compared, and how busy it was
-//! meanwhile.
+//! Facts of the host that make two reports comparable, and how busy it was meanwhile.
 //!
 //! It checks no setting: `takt doctor` does.
 
@@ -15,7 +14,7 @@ pub(crate) struct Host {
     /// Name, release and version of the kernel.
     pub(crate) kernel: String,
     pub(crate) preempt_rt: bool,
-    /// Model of the processors; empty if the kernel does not tell.
+    /// Model of the processors; empty if the kernel does not report it.
     pub(crate) processor: String,
     /// Processors that this process may use.
     pub(crate) cpus: usize,
@@ -49,7 +48,7 @@ fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     Some(value.trim())
 }
 
-/// x86 processors tell their guests that they are guests.
+/// x86 processors report to guests that they are virtualized.
 fn virtual_machine(cpuinfo: &str, vendor: &str) -> Option<String> {
     let flags = field(cpuinfo, "flags")?;
     let is_guest = flags.split_whitespace().any(|flag| flag == "hypervisor");
@@ -171,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn guests_know_that_they_are() {
+    fn host_detects_virtual_machine() {
         let cpuinfo = "processor : 0\nmodel name : A CPU\nflags : fpu hypervisor lm\n";
         let vendor = |text| virtual_machine(cpuinfo, text);
         assert_eq!(vendor("QEMU\n"), Some("QEMU".into()));
@@ -193,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn the_count_of_smi_is_read_or_why_not_is_said() {
+    fn smi_count_is_read_or_error_names_cause() {
         let path = std::env::temp_dir().join(format!("takt-msr-{}", std::process::id()));
         let mut registers = vec![0; 0x34];
         registers.extend(17_u64.to_le_bytes());

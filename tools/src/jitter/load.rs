@@ -1,8 +1,7 @@
-//! The load that runs beside a measurement: processors, memory, files and pipes kept busy by processes of
-//! their own. In threads of the measuring process it would disturb by what a process shares, its page
-//! tables above all, and a controller's neighbours do not share those.
+//! The load beside a measurement: processes that keep processors, memory, files and pipes busy. Threads of the
+//! measuring process would share its page tables, which other programs do not share with a controller.
 //!
-//! It replaces no load of the real application, and touches no network and no device.
+//! It uses no network and no device, so it does not replace the load of the real application.
 
 use std::fs::File;
 use std::io::{self, Read as _, Seek as _, Write as _};
@@ -61,7 +60,7 @@ impl Drop for Load {
     }
 }
 
-/// What a worker process does until its standard input ends.
+/// Runs a worker process until its standard input ends.
 pub(crate) fn work() -> anyhow::Result<()> {
     let worker = std::thread::spawn(|| -> io::Result<()> {
         let mut turn = Turn::new()?;
@@ -73,7 +72,7 @@ pub(crate) fn work() -> anyhow::Result<()> {
     });
     let (ended, parent) = std::sync::mpsc::channel();
     std::thread::spawn(move || {
-        // Nothing comes; whatever ends the reading, the parent is gone.
+        // Nothing is written there: the end of the input means that the parent has ended.
         let _ = io::stdin().read(&mut [0; 1]);
         ended.send(())
     });
@@ -92,7 +91,7 @@ pub(crate) fn work() -> anyhow::Result<()> {
     }
 }
 
-/// What a worker does in turns.
+/// The work of a worker, in turns.
 struct Turn {
     memory: Vec<u64>,
     piece: Vec<u8>,
@@ -106,7 +105,7 @@ impl Turn {
         let name = format!("takt-load-{}", std::process::id());
         let path = std::env::temp_dir().join(name);
         let file = File::create_new(&path)?;
-        // Gone from the folder at once, from the disk when this process ends, however it does.
+        // Unlinked at once, so the file is deleted when this process ends.
         std::fs::remove_file(path)?;
         Ok(Self {
             memory: (0..(MEMORY / 8) as u64).collect(),
@@ -156,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_turn_does_its_work_and_stays_bounded() {
+    fn load_turn_stays_bounded() {
         let mut turn = Turn::new().unwrap();
         for _ in 0..=FILE / PIECE / PIECES {
             turn.file().unwrap();

@@ -1,8 +1,7 @@
-//! The measurement: cycle threads made and run by the functions that the controller uses, one per
-//! processor, with a body that only looks at its own lateness.
+//! The measurement: cycle threads made and run by the functions that the controller uses, one per processor, with a
+//! body that only records its own lateness.
 //!
-//! It plots nothing and judges nothing. The way from timer to figure is the controller's: one sleep to
-//! an absolute instant and one reading of the clock.
+//! As in the controller, a figure takes one sleep to an absolute instant and one reading of the clock.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -19,7 +18,7 @@ use takt_rt::{Grant, Nanos, Usage, alloc, monotonic, thread_usage};
 use crate::jitter::report::ThreadReport;
 use crate::jitter::trace::Tracer;
 
-/// Cycles that the flight recorder remembers.
+/// Cycles kept by the flight recorder.
 const REMEMBERED: usize = 32;
 /// From the making of the threads to their common first slot.
 const START_AFTER: Duration = Duration::from_millis(20);
@@ -35,7 +34,7 @@ pub(crate) struct Plan {
     pub(crate) duration: Duration,
     /// The latency that ends the run.
     pub(crate) break_at: Option<Duration>,
-    /// Where the kernel takes the mark of that moment.
+    /// The kernel's trace, for a mark at that moment.
     pub(crate) tracer: Option<Arc<Tracer>>,
 }
 
@@ -48,7 +47,7 @@ pub(crate) struct Hit {
     pub(crate) is_marked: bool,
 }
 
-/// What a thread brings home.
+/// Results of a thread.
 #[derive(Debug)]
 struct Outcome {
     usage: Usage,
@@ -64,7 +63,7 @@ pub(crate) struct Running {
     started: Nanos,
 }
 
-/// What one thread measured.
+/// Figures of one thread.
 #[derive(Debug)]
 pub(crate) struct Measured {
     pub(crate) cpu: Option<usize>,
@@ -136,8 +135,7 @@ impl Plan {
 struct Probe {
     period: Nanos,
     slots: u64,
-    /// The last slot: that many from the first one served, since a thread that the host is slow to give
-    /// comes late to its grid.
+    /// The last slot, counted from the first one served, since a thread that starts late joins its grid late.
     last: Option<u64>,
     break_at: Nanos,
     tracer: Option<Arc<Tracer>>,
@@ -210,7 +208,7 @@ impl Running {
         Duration::try_from(monotonic() - self.started).unwrap_or_default()
     }
 
-    /// What the threads measured so far.
+    /// Figures of the threads so far.
     pub(crate) fn so_far(&self) -> Vec<ThreadReport> {
         let read = |(cpu, _, reader): &(_, _, StatsReader)| {
             ThreadReport::of_stats(*cpu, &reader.snapshot())
@@ -275,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn the_break_ends_all_threads_and_remembers() {
+    fn jitter_break_ends_all_threads_and_keeps_cycles() {
         let plan = Plan {
             break_at: Some(Duration::ZERO),
             duration: Duration::from_secs(3600),
@@ -293,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_run_keeps_what_it_has() {
+    fn jitter_stopped_run_keeps_figures() {
         let plan = Plan {
             duration: Duration::from_secs(3600),
             ..plan()

@@ -1,7 +1,7 @@
 //! The report of a measurement as data: what was measured, on what, under which circumstances, and the
 //! verdict. It is written and read back as JSON, so every other form can be made from a file too.
 //!
-//! It keeps distributions, not samples: the order of cycles is lost.
+//! It holds distributions, not samples: the order of cycles is lost.
 
 use std::time::Duration;
 
@@ -12,10 +12,10 @@ use takt_rt::stats::Snapshot;
 use crate::jitter::histogram::{Histogram, Quantiles};
 use crate::jitter::host::Host;
 use crate::jitter::measure::Measured;
-use crate::jitter::warning::Told;
+use crate::jitter::warning::Entry;
 use crate::output::time;
 
-/// Name and version of the form. The version goes up when readers of the old one would be misled.
+/// Name and version of the form. The version is increased when readers of the old one would misread it.
 const SCHEMA: &str = "takt-jitter/1";
 
 /// The report.
@@ -48,13 +48,13 @@ pub(crate) struct Report {
     pub(crate) threads: Vec<ThreadReport>,
     #[serde(rename = "break")]
     pub(crate) broke: Option<Broke>,
-    pub(crate) warnings: Vec<Told>,
+    pub(crate) warnings: Vec<Entry>,
     pub(crate) compare: Option<Compare>,
     /// Ours by the other tool's, all slices together.
     pub(crate) ratio: Option<Ratio>,
 }
 
-/// What came of the budget.
+/// The verdict on the budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Judgement {
@@ -72,7 +72,7 @@ pub(crate) struct ThreadReport {
     /// The processor it was kept on; null if none.
     pub(crate) cpu: Option<usize>,
     pub(crate) cycles: u64,
-    /// Slots of the grid that were over before the thread woke; null if the tool does not tell.
+    /// Slots of the grid that were over before the thread woke; null if the tool does not report it.
     pub(crate) missed_cycles: Option<u64>,
     /// From when a cycle was due to when its thread came to it.
     pub(crate) latency_ns: Histogram,
@@ -94,7 +94,7 @@ pub(crate) struct Broke {
     pub(crate) cpu: Option<usize>,
     pub(crate) cycle: u64,
     pub(crate) latency_ns: u64,
-    /// What became of the mark in the kernel's trace.
+    /// Result of the mark in the kernel's trace.
     pub(crate) trace: String,
     /// The flight recorder: the last cycles, the oldest first.
     pub(crate) flight: Vec<String>,
@@ -126,7 +126,7 @@ pub(crate) struct Ratio {
 }
 
 impl Ratio {
-    /// The other tool tells its longest in whole microseconds, so ours is taken so too.
+    /// The other tool reports its longest in whole microseconds, so ours is rounded alike.
     pub(crate) fn of(ours: &Quantiles, theirs: &Quantiles) -> Self {
         Self {
             p50: ratio(ours.p50, theirs.p50),
@@ -137,7 +137,7 @@ impl Ratio {
     }
 }
 
-#[expect(clippy::cast_precision_loss, reason = "told with three decimals")]
+#[expect(clippy::cast_precision_loss, reason = "reported with three decimals")]
 fn ratio(ours: u64, theirs: u64) -> Option<f64> {
     (theirs > 0).then(|| (ours as f64 * 1000.0 / theirs as f64).round() / 1000.0)
 }
@@ -246,7 +246,7 @@ impl Report {
         let head: Head = serde_json::from_str(text)?;
         anyhow::ensure!(
             head.schema == SCHEMA,
-            "its schema is `{}`, and this command reads `{SCHEMA}`: read it with the takt that wrote it",
+            "its schema is `{}`, and this command reads `{SCHEMA}`\nhint: read it with the takt that wrote it",
             head.schema
         );
         let report: Self = serde_json::from_str(text).context("a damaged report")?;
@@ -326,7 +326,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::jitter::histogram::Bucket;
 
-    /// Two processors, a tail, no trouble.
+    /// Two processors, a tail, no fault.
     pub(crate) fn fixed() -> Report {
         let bucket = |us: u64, count| Bucket {
             lower_ns: us * 1000,
@@ -372,7 +372,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_budget_decides_and_every_processor_is_named() {
+    fn jitter_budget_exceeded_names_every_processor() {
         let mut report = fixed();
         report.judge(None);
         assert_eq!(report.verdict, Judgement::None);
@@ -393,7 +393,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_broken_run_fails_without_a_budget() {
+    fn jitter_broken_run_fails_without_budget() {
         let mut report = fixed();
         report.broke = Some(Broke {
             cpu: Some(1),

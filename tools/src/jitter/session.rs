@@ -1,7 +1,6 @@
-//! A measurement from preparing the host to the finished report: who runs when, who watches, and what ends
-//! it early.
+//! A measurement from preparing the host to the finished report: the order of slices, the view, and early ends.
 //!
-//! It takes no figure itself: the cycle threads and cyclictest do.
+//! Figures are measured by the cycle threads and cyclictest.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -19,18 +18,18 @@ use super::measure::{Hit, Measured, Plan};
 use super::report::{Broke, Compare, Ratio, Report, SlicePair, ThreadReport, add_slice, pooled};
 use super::trace::Tracer;
 use super::view::{Scene, View};
-use super::warning::{Told, Warning};
+use super::warning::{Entry, Warning};
 
-/// How often the view is drawn, and it is looked whether a latency has ended the run.
-const LOOK_EVERY: Duration = Duration::from_millis(250);
-/// Looked for a little after the time, the end has come.
+/// How often the view is drawn and the end of the run is checked.
+const POLL_EVERY: Duration = Duration::from_millis(250);
+/// Margin after which the end of a slice is checked.
 const AFTER_END: Duration = Duration::from_millis(2);
-/// Slices of fewer cycles compare nothing.
+/// Slices of fewer cycles are not comparable.
 const SLICE_CYCLES: u32 = 100;
-/// What the load gets to reach its pace.
+/// Time for the load to reach its pace.
 const LOAD_SETTLES: Duration = Duration::from_millis(300);
 
-/// Measures as told, and reports.
+/// Measures by the options, and reports.
 pub(super) fn measure(arguments: &Jitter) -> anyhow::Result<Report> {
     let mut plan = arguments.plan()?;
     let prepared = prepare(&HostConfig::default());
@@ -87,7 +86,7 @@ fn whole_ns(span: Duration) -> u64 {
     u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// Who measures in turn, and who looks on.
+/// The state of a run: slices, view, progress.
 struct Session {
     interrupt: Interrupt,
     /// Whether the run was ended before its time.
@@ -110,8 +109,8 @@ struct SoFar<'a> {
     other: &'a [ThreadReport],
 }
 
-/// As many as fit, at least one. Short ones, since what else a host does changes from second to second, and has to
-/// meet both tools; not shorter, since each begins with cold caches.
+/// As many as fit, at least one. They are short, since the other load of a host changes from second to second and has
+/// to affect both tools; not shorter, since each begins with cold caches.
 fn usual_slices(plan: &Plan) -> u32 {
     const SLICE: Duration = Duration::from_millis(250);
     let slice = SLICE.max(plan.period * SLICE_CYCLES);
@@ -119,8 +118,8 @@ fn usual_slices(plan: &Plan) -> u32 {
     u32::try_from(slices).unwrap_or(u32::MAX).max(1)
 }
 
-/// When to start both slices of that pair: the next instant with that pair's phase to the kernel's tick, once the
-/// host has cleared up behind the slice before: a process that ends unmaps its memory on all processors.
+/// When to start both slices of that pair: the next instant with that pair's phase to the kernel's tick, after the
+/// host has cleaned up after the slice before: the end of a process unmaps its memory on all processors.
 ///
 /// All cycles of a slice have one phase to the tick, and those that come right behind it are twice as late as others.
 /// Timers that start slices in whole milliseconds would give each tool the same phase all along, a
@@ -143,11 +142,11 @@ fn slice_of(plan: &Plan, slices: u32) -> anyhow::Result<Plan> {
     };
     anyhow::ensure!(
         slice.duration >= slice.period * SLICE_CYCLES,
-        "slices of fewer than 100 cycles compare nothing: fewer --slices or a longer --duration"
+        "slices of fewer than 100 cycles are not comparable\nhint: fewer --slices or a longer --duration"
     );
     anyhow::ensure!(
         slice.period.subsec_nanos().is_multiple_of(1000),
-        "cyclictest takes whole microseconds: --period 1ms"
+        "cyclictest takes whole microseconds\nhint: --period 1ms"
     );
     Ok(slice)
 }
@@ -224,8 +223,8 @@ impl Session {
         Ok(refused)
     }
 
-    /// A slice of each, ours first in every other pair, so that neither has the quieter times. No slice of
-    /// cyclictest if the run was interrupted, and then perhaps none of ours.
+    /// A slice of each, ours first in every other pair, so that neither tool is favoured. No slice of cyclictest if
+    /// the run was interrupted, and then perhaps none of ours.
     fn pair(
         &mut self,
         slice: &Plan,
@@ -253,13 +252,16 @@ impl Session {
         Ok((measured, theirs.filter(|_| !self.interrupted)))
     }
 
-    /// Waits until it is time to look again; whether a signal came. Whoever looks wakes a processor, and
-    /// every wake-up disturbs the measurement: so not without need.
+    /// Waits until the next check; whether a signal came. Every check wakes a processor, which disturbs the
+    /// measurement, so checks are rare.
     fn wait(&mut self, plan: &Plan, elapsed: Duration) -> bool {
         let left = plan.duration.saturating_sub(elapsed) + AFTER_END;
-        let looks = self.view.is_open() || plan.break_at.is_some();
-        self.interrupt
-            .wait(if looks { left.min(LOOK_EVERY) } else { left })
+        let is_polled = self.view.is_open() || plan.break_at.is_some();
+        self.interrupt.wait(if is_polled {
+            left.min(POLL_EVERY)
+        } else {
+            left
+        })
     }
 
     /// A slice of ours, to its end or to the interruption.
@@ -326,7 +328,7 @@ impl Session {
     }
 }
 
-/// The end of a run by a latency, told.
+/// The text of a run that ended by a latency.
 fn broke(measured: &Measured, no_trace: &str) -> Option<Broke> {
     let Hit {
         cycle,
@@ -377,13 +379,13 @@ impl Counters {
     }
 }
 
-/// What makes the report worth less. A priority that was refused is also taken out of it.
+/// Warnings of the report. A refused priority is also removed from it.
 fn warnings(
     report: &mut Report,
     prepared: &Prepared,
     refused: Vec<Grant>,
     is_load_whole: bool,
-) -> Vec<Told> {
+) -> Vec<Entry> {
     let mut warnings = Vec::new();
     let mut fifo = None;
     for grant in refused {
@@ -413,11 +415,11 @@ fn warnings(
     } else {
         warnings.push(Warning::LoadEnded);
     }
-    // Who asked for the first long latency has it.
+    // The first long latency is found.
     if report.broke.is_none() {
         warnings.extend(Warning::of_duration(report.duration_ns));
     }
-    warnings.iter().map(Warning::told).collect()
+    warnings.iter().map(Warning::entry).collect()
 }
 
 /// Ctrl-C and SIGTERM, waited for with a timeout.
@@ -503,7 +505,7 @@ mod tests {
     }
 
     #[test]
-    fn slices_that_compare_nothing_are_refused() {
+    fn slices_too_short_are_refused() {
         let refused = |plan: &Plan, slices| slice_of(plan, slices).unwrap_err().to_string();
         let second = plan(Duration::from_millis(1), Duration::from_secs(1));
         assert_eq!(

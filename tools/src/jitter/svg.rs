@@ -1,6 +1,6 @@
-//! The picture of a measurement: both axes logarithmic, so that one late cycle in a million is seen beside
-//! the million, and the figures below. Text by our own hand: the library that draws the demo's plot
-//! sets neither tables nor marks where they are wanted.
+//! The picture of a measurement: both axes logarithmic, so that one late cycle in a million is seen beside the
+//! million, and the figures below. Written as text, since the library of the demo's plot has neither tables nor placed
+//! marks.
 //!
 //! It shows distributions, not their course in time.
 
@@ -35,7 +35,7 @@ const BINS_PER_DECADE: f64 = 30.0;
 const LEAST: f64 = 0.6;
 /// More threads than this are drawn as one.
 const SERIES_MAX: usize = 6;
-/// Colours that also people who see few colours can tell apart.
+/// Colours that are distinguishable with colour blindness.
 const COLOURS: [&str; SERIES_MAX] = [
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00",
 ];
@@ -379,7 +379,7 @@ fn table(svg: &mut String, series: &[Series]) {
     }
 }
 
-/// Names of the host's choice must not be taken for markup.
+/// Escapes names from the host.
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
@@ -392,7 +392,7 @@ mod tests {
     use crate::jitter::report::tests::fixed;
 
     #[test]
-    fn all_processors_are_drawn_and_told() {
+    fn svg_draws_and_names_all_processors() {
         let mut report = fixed();
         report.host.processor = "<A & B>".into();
         report.judge(Some(std::time::Duration::from_micros(200)));

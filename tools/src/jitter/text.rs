@@ -1,6 +1,6 @@
 //! The report for people: at most 80 columns but for warnings, the verdict last.
 //!
-//! It decides nothing; what it tells stands in the report.
+//! It decides nothing; all figures are those of the report.
 
 use std::fmt::Write as _;
 
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn ratios_stand_under_their_quantiles() {
+    fn report_ratios_align_with_quantiles() {
         let mut both = fixed();
         let q = both.pooled().quantiles();
         both.ratio = Some(Ratio::of(&q, &q));

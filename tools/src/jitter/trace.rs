@@ -1,7 +1,7 @@
 //! A mark in the kernel's trace where a latency was too long, and an end to tracing right after it, so
 //! that the trace holds what led there.
 //!
-//! It starts no tracer: which events to trace is for the engineer to choose.
+//! It starts no tracer: the engineer chooses the events.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write as _;
@@ -9,8 +9,8 @@ use std::path::Path;
 
 use takt_rt::Nanos;
 
-/// Where tracefs is mounted, the present place before the old one.
-const PLACES: [&str; 2] = ["/sys/kernel/tracing", "/sys/kernel/debug/tracing"];
+/// Where tracefs is mounted, the current folder before the old one.
+const FOLDERS: [&str; 2] = ["/sys/kernel/tracing", "/sys/kernel/debug/tracing"];
 
 /// The kernel's trace, open for a mark.
 #[derive(Debug)]
@@ -22,32 +22,31 @@ pub(crate) struct Tracer {
 impl Tracer {
     /// Opens it where it is usually found.
     ///
-    /// # Errors
-    /// Why no mark can be made, and what to do about it.
+    /// # Errors If no mark can be made, with cause and remedy.
     pub(crate) fn open() -> Result<Self, String> {
-        let mounted = PLACES
+        let mounted = FOLDERS
             .iter()
             .map(Path::new)
-            .find(|place| place.join("trace_marker").exists());
+            .find(|folder| folder.join("trace_marker").exists());
         match mounted {
-            Some(place) => Self::open_at(place),
+            Some(folder) => Self::open_at(folder),
             None => Err(format!(
-                "no trace_marker in {}: mount -t tracefs nodev {}",
-                PLACES[0], PLACES[0]
+                "no trace_marker in {}; mount -t tracefs nodev {}",
+                FOLDERS[0], FOLDERS[0]
             )),
         }
     }
 
-    fn open_at(place: &Path) -> Result<Self, String> {
+    fn open_at(folder: &Path) -> Result<Self, String> {
         let open = |name: &str| {
-            let path = place.join(name);
+            let path = folder.join(name);
             let file = OpenOptions::new().write(true).open(&path);
             file.map_err(|e| format!("{}: {e}; run as root", path.display()))
         };
-        let switch = place.join("tracing_on");
+        let switch = folder.join("tracing_on");
         if fs::read_to_string(&switch).is_ok_and(|on| on.trim() == "0") {
             let how = "choose events there, then echo 1 to it";
-            return Err(format!("nobody traces: {} is 0; {how}", switch.display()));
+            return Err(format!("no tracer runs: {} is 0; {how}", switch.display()));
         }
         Ok(Self {
             marker: open("trace_marker")?,
@@ -77,38 +76,38 @@ mod tests {
     /// A folder that looks like tracefs.
     fn tracefs(on: &str) -> std::path::PathBuf {
         let name = format!("takt-trace-{}-{}", std::process::id(), on.trim());
-        let place = std::env::temp_dir().join(name);
-        fs::create_dir_all(&place).unwrap();
-        fs::write(place.join("trace_marker"), "").unwrap();
-        fs::write(place.join("tracing_on"), on).unwrap();
-        place
+        let folder = std::env::temp_dir().join(name);
+        fs::create_dir_all(&folder).unwrap();
+        fs::write(folder.join("trace_marker"), "").unwrap();
+        fs::write(folder.join("tracing_on"), on).unwrap();
+        folder
     }
 
     #[test]
-    fn the_mark_is_made_and_tracing_ends() {
-        let place = tracefs("1\n");
-        let tracer = Tracer::open_at(&place).unwrap();
+    fn trace_mark_is_written_and_tracing_ends() {
+        let folder = tracefs("1\n");
+        let tracer = Tracer::open_at(&folder).unwrap();
         assert!(tracer.mark(u64::MAX, Nanos::MAX));
-        let mark = fs::read_to_string(place.join("trace_marker")).unwrap();
+        let mark = fs::read_to_string(folder.join("trace_marker")).unwrap();
         assert_eq!(
             mark,
             "takt jitter: cycle 18446744073709551615 woke 9223372036854775 us late\n"
         );
-        let switch = fs::read_to_string(place.join("tracing_on")).unwrap();
+        let switch = fs::read_to_string(folder.join("tracing_on")).unwrap();
         assert!(switch.starts_with('0'));
-        fs::remove_dir_all(place).unwrap();
+        fs::remove_dir_all(folder).unwrap();
     }
 
     #[test]
-    fn a_trace_that_nobody_takes_is_said() {
-        let place = tracefs("0\n");
-        let why = Tracer::open_at(&place).unwrap_err();
-        assert!(why.contains("nobody traces"), "{why}");
-        fs::remove_dir_all(&place).unwrap();
-        let why = Tracer::open_at(&place).unwrap_err();
+    fn trace_switched_off_is_reported() {
+        let folder = tracefs("0\n");
+        let error = Tracer::open_at(&folder).unwrap_err();
+        assert!(error.contains("no tracer runs"), "{error}");
+        fs::remove_dir_all(&folder).unwrap();
+        let error = Tracer::open_at(&folder).unwrap_err();
         assert!(
-            why.contains("trace_marker") && why.contains("root"),
-            "{why}"
+            error.contains("trace_marker") && error.contains("root"),
+            "{error}"
         );
     }
 }

@@ -1,8 +1,6 @@
-//! The measurement while it goes on: a screen where the output is a terminal, a bar where only the
-//! complaints are, nothing otherwise.
+//! The running measurement: a screen if the output is a terminal, a bar if only standard error is one, else nothing.
 //!
-//! It measures nothing, and is drawn seldom: what draws it takes processor time from the measurement's
-//! neighbours.
+//! It is drawn seldom, since drawing takes processor time.
 
 use std::io::IsTerminal as _;
 use std::time::Duration;
@@ -256,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_screen_shows_figures_and_every_late_cycle() {
+    fn screen_shows_figures_and_every_late_cycle() {
         let text = screen(82, 24, &[]);
         for part in [
             "1.0 ms cycle",
@@ -275,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_comparison_shows_both_tools() {
+    fn screen_comparison_shows_both_tools() {
         let other = ThreadReport {
             missed_cycles: None,
             ..thread(Some(0))
@@ -287,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tiny_screen_is_no_failure() {
+    fn screen_of_one_cell_does_not_fail() {
         for (width, height) in [(1, 1), (10, 4), (300, 3)] {
             screen(width, height, &[]);
         }

@@ -1,6 +1,6 @@
-//! When a measurement is worth less than it looks: the causes, and what to try next.
+//! Reasons why a measurement is of limited value, and what to try next.
 //!
-//! No warning changes the verdict; a budget that is kept under doubtful conditions is still kept.
+//! No warning changes the verdict.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +8,7 @@ use crate::output::time;
 
 /// Below this share of busy time, percent, nothing much ran beside the measurement.
 const BUSY_ENOUGH: f64 = 50.0;
-/// Runs shorter than this say little about the longest latency, ns.
+/// Runs shorter than this are not significant for the longest latency, ns.
 const LONG_ENOUGH_NS: u64 = 600_000_000_000;
 
 /// Why a measurement may be worthless.
@@ -18,7 +18,7 @@ pub(crate) enum Warning {
     NoFifo { refusal: Option<String> },
     /// The kernel does not bound latencies.
     NoRealTimeKernel,
-    /// Something else that the controller asks for was refused.
+    /// Another request of the controller to the host was refused.
     Refused { grant: String },
     /// A hypervisor decides when processors run.
     VirtualMachine { name: String },
@@ -30,13 +30,13 @@ pub(crate) enum Warning {
     ShortRun { duration_ns: u64 },
     /// Cycles that are not in the histogram read.
     BeyondHistogram { cycles: u64 },
-    /// Somebody else's measurement, whose circumstances its file does not tell.
+    /// A measurement of another tool, whose file does not record the conditions.
     Imported { tool: String },
 }
 
-/// A warning as reports carry it.
+/// A warning as an entry of reports.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Told {
+pub(crate) struct Entry {
     /// For programs, as in `no-load`.
     pub(crate) id: String,
     /// For people: the cause, and what to do next.
@@ -112,9 +112,9 @@ impl Warning {
         }
     }
 
-    /// As reports carry it.
-    pub(crate) fn told(&self) -> Told {
-        Told {
+    /// As an entry of reports.
+    pub(crate) fn entry(&self) -> Entry {
+        Entry {
             id: self.id().to_owned(),
             text: self.text(),
         }
@@ -130,7 +130,7 @@ mod tests {
         assert_eq!(Warning::of_load(50.0), None);
         assert!(Warning::of_load(49.9).is_some());
         assert_eq!(Warning::of_duration(600_000_000_000), None);
-        let short = Warning::of_duration(10_000_000_000).unwrap().told();
+        let short = Warning::of_duration(10_000_000_000).unwrap().entry();
         assert_eq!(short.id, "short-run");
         assert!(short.text.contains("10.0 s") && short.text.contains("--duration"));
     }

@@ -32,7 +32,7 @@ pub(crate) struct Calibrate {
     /// Write the table into this file instead of standard output.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// How often each primitive is evaluated; fewer than 100 tell little.
+    /// How often each primitive is evaluated; fewer than 100 are not significant.
     #[arg(long, value_name = "COUNT", default_value_t = 200,
           value_parser = clap::value_parser!(u32).range(1..=100_000))]
     repetitions: u32,
@@ -62,11 +62,11 @@ impl Calibrate {
         let Ok((registry, measured)) = thread.join() else {
             anyhow::bail!("the measuring thread has ended by a panic");
         };
-        self.tell(&registry, &measured)?;
+        self.print(&registry, &measured)?;
         Ok(Verdict::Good)
     }
 
-    fn tell(&self, registry: &Registry, measured: &[Entry]) -> anyhow::Result<()> {
+    fn print(&self, registry: &Registry, measured: &[Entry]) -> anyhow::Result<()> {
         let costs = measured.iter().filter_map(|(name, result)| {
             let measured = result.as_ref().ok()?;
             Some((name.clone(), measured.cost))

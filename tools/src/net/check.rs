@@ -1,5 +1,5 @@
-//! `takt net check`: a net's faults without a controller. What depends on a running cell, such as
-//! whether its robots are ready, is not looked at.
+//! `takt net check`: a net's faults without a controller. Conditions of a running cell, such as whether its robots are
+//! ready, are not checked.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,13 +21,13 @@ use crate::output::{complain, say, span};
 pub(crate) struct Check {
     /// The net; `-` for standard input.
     file: PathBuf,
-    /// Devices are those of this cell; without it any robot is taken to exist, with 8 joints.
+    /// Use the devices of this cell; without it any robot exists, with 8 joints.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Time from one cycle of the net to the next.
     #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
     period: Duration,
-    /// Primitives cost what this table of `takt net calibrate` says; without it, what they declare.
+    /// Use the costs in this table of `takt net calibrate`; without it, those that primitives declare.
     #[arg(long, value_name = "FILE")]
     costs: Option<PathBuf>,
     /// Print one JSON object.
@@ -85,8 +85,8 @@ impl Check {
     }
 }
 
-/// Gives primitives the costs of a table. One of another processor is taken too: here a net may be
-/// checked for a controller elsewhere.
+/// Gives primitives the costs of a table. A table of another processor is accepted too: nets may be checked for a
+/// controller elsewhere.
 fn take_costs(path: &Path, registry: &mut Registry) -> anyhow::Result<()> {
     let table = CostTable::read(path)?;
     if let Err(why) = table.check_host() {
@@ -128,9 +128,9 @@ fn json(
             let fault = |fault: &takt_net::Fault| {
                 let (line, column) = fault.location(text);
                 let (start, end) = (fault.at.start, fault.at.end);
-                let what = fault.kind.to_string();
+                let text_of_fault = fault.kind.to_string();
                 serde_json::json!({
-                    "line": line, "column": column, "start": start, "end": end, "text": what,
+                    "line": line, "column": column, "start": start, "end": end, "text": text_of_fault,
                 })
             };
             let faults: Vec<_> = rejection.faults.iter().map(fault).collect();

@@ -1,5 +1,5 @@
-//! `takt net dot`: a picture of a net, sources on the left, each primitive right of all that feed
-//! it. An SVG, so that nothing need be installed to look at it. Whether the net is good is not asked.
+//! `takt net dot`: a picture of a net, sources on the left, each primitive right of all that feed it. An SVG, so that
+//! browsers show it. The net is not checked.
 
 mod graph;
 
@@ -42,7 +42,7 @@ const PITCH: (usize, usize) = (230, 42);
 const MARGIN: usize = 12;
 
 /// The left upper corner of each primitive. Within a column, what has its sources higher stands higher.
-fn places(graph: &Graph) -> Vec<(usize, usize)> {
+fn positions(graph: &Graph) -> Vec<(usize, usize)> {
     let levels = graph.levels();
     let mut rows = vec![0; levels.len()];
     for level in 0..=levels.iter().copied().max().unwrap_or(0) {
@@ -55,8 +55,8 @@ fn places(graph: &Graph) -> Vec<(usize, usize)> {
             rows[node] = row;
         }
     }
-    let place = |(level, row)| (MARGIN + level * PITCH.0, MARGIN + row * PITCH.1);
-    levels.into_iter().zip(rows).map(place).collect()
+    let position = |(level, row)| (MARGIN + level * PITCH.0, MARGIN + row * PITCH.1);
+    levels.into_iter().zip(rows).map(position).collect()
 }
 
 /// Mean row of a primitive's sources, in hundredths; those further right have no row yet.
@@ -68,9 +68,9 @@ fn mean_row(graph: &Graph, node: usize, levels: &[usize], rows: &[usize]) -> usi
 }
 
 fn svg(graph: &Graph) -> String {
-    let places = places(graph);
-    let width = places.iter().map(|p| p.0).max().unwrap_or(0) + BOX.0 + MARGIN;
-    let height = places.iter().map(|p| p.1).max().unwrap_or(0) + BOX.1 + MARGIN;
+    let positions = positions(graph);
+    let width = positions.iter().map(|p| p.0).max().unwrap_or(0) + BOX.0 + MARGIN;
+    let height = positions.iter().map(|p| p.1).max().unwrap_or(0) + BOX.1 + MARGIN;
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
          font-family=\"sans-serif\" font-size=\"11\">\n\
@@ -85,11 +85,11 @@ fn svg(graph: &Graph) -> String {
         };
         svg += &format!(
             "<path d=\"{}\"{dashes}/>\n",
-            curve(places[link.from], places[link.to])
+            curve(positions[link.from], positions[link.to])
         );
     }
     svg += "</g>\n";
-    for (node, (x, y)) in graph.nodes.iter().zip(places) {
+    for (node, (x, y)) in graph.nodes.iter().zip(positions) {
         svg += &format!(
             "<rect x=\"{x}\" y=\"{y}\" width=\"{}\" height=\"{}\" rx=\"4\" fill=\"#f4f4f4\" stroke=\"black\"/>\n\
              <text x=\"{tx}\" y=\"{}\" font-weight=\"bold\">{}</text>\n\

@@ -1,5 +1,5 @@
-//! `takt net load`, `start`, `cancel`, `abort`, `unload` and `schedule`: the life of a net. Each asks
-//! once and tells the answer; what happens to the net afterwards is told by `watch`.
+//! `takt net load`, `start`, `cancel`, `abort`, `unload` and `schedule`: the life of a net. Each sends one request and
+//! prints the answer; `watch` follows the net afterwards.
 
 use std::path::PathBuf;
 
@@ -26,7 +26,7 @@ impl Load {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let text = read(&self.file)?;
         let name = self.file.display().to_string();
-        // What is no net at all can be shown here, with its places.
+        // Syntax errors are reported here, with their locations.
         let mut faults = Vec::new();
         takt_net::text::parse(&text, &Limits::default(), &mut faults);
         if !faults.is_empty() {

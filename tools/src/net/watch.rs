@@ -39,20 +39,20 @@ impl Watch {
                 .unwrap_or(Duration::from_secs(1))
                 .min(Duration::from_secs(1));
             if let Some(push) = client.next_push(wait)?
-                && let Some(verdict) = self.tell(&mut client, &push)?
+                && let Some(verdict) = self.print(&mut client, &push)?
             {
                 return Ok(verdict);
             }
         }
     }
 
-    /// Tells a push; returns how the net ended, if it did.
-    fn tell(&self, client: &mut Client, push: &Message) -> anyhow::Result<Option<Verdict>> {
+    /// Prints a push; returns how the net ended, if it did.
+    fn print(&self, client: &mut Client, push: &Message) -> anyhow::Result<Option<Verdict>> {
         match (push.command.as_str(), push.args.first()) {
             ("ns", Some(Value::String(state))) => {
                 say(state)?;
                 match state.as_str() {
-                    "TERMINATED" => self.tell_end(client).map(Some),
+                    "TERMINATED" => self.print_end(client).map(Some),
                     "REJECTED" | "UNLOADED" => Ok(Some(Verdict::Failed)),
                     _ => Ok(None),
                 }
@@ -68,7 +68,7 @@ impl Watch {
         }
     }
 
-    fn tell_end(&self, client: &mut Client) -> anyhow::Result<Verdict> {
+    fn print_end(&self, client: &mut Client) -> anyhow::Result<Verdict> {
         let Some(why) = client.end_of(&self.net)? else {
             return Ok(Verdict::Good);
         };

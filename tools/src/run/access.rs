@@ -1,4 +1,4 @@
-//! Which clients a controller admits, as its cell says it, and what is left open, as its log says it.
+//! Which clients a controller admits, by its cell, and warnings on open access.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -21,7 +21,7 @@ pub(crate) struct Access {
 }
 
 impl Access {
-    /// What the cell says; a token may be made.
+    /// Access by the cell; a token may be made.
     pub(super) fn of_cell(cell: &CellConfig) -> anyhow::Result<Self> {
         let cell = &cell.controller;
         let path = match &cell.socket {
@@ -46,8 +46,8 @@ impl Access {
         self.token.as_ref()
     }
 
-    /// Begins to listen, and says what is open. A Unix socket that the cell does not name may be missing: another
-    /// controller may have it.
+    /// Listens, and logs what is open. A Unix socket that the cell does not name may be missing: another controller
+    /// may have it.
     pub(super) async fn bind(self, config: ServerConfig) -> Result<Server, Error> {
         let is_open = match self.loopback {
             None => self.token.is_none(),
@@ -68,7 +68,7 @@ impl Access {
         };
         let server = match Server::bind(config.clone()).await {
             Err(error @ Error::Local { .. }) if !self.is_configured => {
-                tracing::warn!("{error}; tools reach this controller by --server only");
+                tracing::warn!("{error}; tools reach this controller by --connect only");
                 let local = None;
                 Server::bind(ServerConfig { local, ..config }).await
             }
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn socket_is_where_the_cell_says_or_by_default() {
+    fn access_socket_is_that_of_cell_or_default() {
         let path = |text| access(text).socket.map(|socket| socket.path);
         assert_eq!(path(""), Some(local::default_path()));
         assert_eq!(path("socket = \"\""), None);

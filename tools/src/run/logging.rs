@@ -13,7 +13,7 @@ use crate::output::complain;
 
 /// Fields of the journal begin with this: `TAKT_DEVICE`, `TAKT_NET`.
 const PREFIX: &str = "TAKT";
-/// What is logged if nobody says anything else.
+/// The default log level.
 const DEFAULT: &str = "info";
 
 /// Changes what is logged.
@@ -21,7 +21,7 @@ const DEFAULT: &str = "info";
 pub(super) struct Logging(reload::Handle<EnvFilter, Registry>);
 
 impl Logging {
-    /// Starts to log, also into `book`. `RUST_LOG` comes before what the cell says.
+    /// Starts to log, also into `book`. `RUST_LOG` overrides the cell.
     pub(super) fn start(cell: Option<&str>, book: &LogBook) -> anyhow::Result<Self> {
         let (filter, handle) = reload::Layer::new(filter(cell)?);
         let book = book.clone();
@@ -56,8 +56,10 @@ fn filter(cell: Option<&str>) -> anyhow::Result<EnvFilter> {
         return Ok(filter);
     }
     let text = cell.unwrap_or(DEFAULT);
-    EnvFilter::try_new(text).with_context(|| {
-        format!("controller.log is `{text}`: write info, or by part warn,takt_core=debug")
+    EnvFilter::try_new(text).map_err(|error| {
+        anyhow::anyhow!(
+            "controller.log is `{text}`: {error}\nhint: write info, or by part warn,takt_core=debug"
+        )
     })
 }
 
@@ -89,8 +91,8 @@ mod tests {
     }
 
     #[test]
-    fn wrong_filter_is_told_with_a_right_one() {
-        // RUST_LOG would hide what the cell says.
+    fn log_filter_invalid_error_shows_valid_one() {
+        // RUST_LOG overrides the cell.
         if std::env::var_os("RUST_LOG").is_none() {
             let error = filter(Some("takt=loud")).unwrap_err().to_string();
             assert!(

@@ -1,5 +1,5 @@
-//! What a changed `cell.toml` means for a controller that runs: what is applied at once, and what
-//! waits for a restart. A running net is never touched: a device it uses stays as it is.
+//! Reload of a changed `cell.toml` in a running controller: changes applied at once, and changes that need a restart.
+//! A device that a running net uses stays as it is.
 
 use takt_core::cell::{ControllerConfig, DeviceConfig};
 use takt_core::{CellConfig, Controller};
@@ -7,9 +7,9 @@ use takt_core::{CellConfig, Controller};
 /// The difference of two cells.
 #[derive(Debug, Default, PartialEq)]
 struct Changes {
-    /// Names of devices that go, or change: those come anew.
-    gone: Vec<String>,
-    /// Devices that come.
+    /// Names of devices that are removed or changed; changed ones are added again.
+    removed: Vec<String>,
+    /// Devices to add.
     new: Vec<DeviceConfig>,
     /// Whether what is logged changes.
     log: bool,
@@ -20,10 +20,10 @@ struct Changes {
 impl Changes {
     fn between(old: &CellConfig, new: &CellConfig) -> Self {
         let missing = |from: &CellConfig, device: &&DeviceConfig| !from.devices.contains(device);
-        let gone = old.devices.iter().filter(|device| missing(new, device));
+        let removed = old.devices.iter().filter(|device| missing(new, device));
         let added = new.devices.iter().filter(|device| missing(old, device));
         Self {
-            gone: gone.map(|device| device.name().to_owned()).collect(),
+            removed: removed.map(|device| device.name().to_owned()).collect(),
             new: added.cloned().collect(),
             log: old.controller.log != new.controller.log,
             restart: for_restart(old, new),
@@ -47,7 +47,7 @@ fn for_restart(old: &CellConfig, new: &CellConfig) -> Vec<&'static str> {
     same("cpus", old.cpus == new.cpus);
     same("websocket", old.websocket == new.websocket);
     same("tcp", old.tcp == new.tcp);
-    // Whatever else there is or comes to be.
+    // All other settings.
     let rest = ControllerConfig {
         log: old.log.clone(),
         ..new.clone()
@@ -58,7 +58,7 @@ fn for_restart(old: &CellConfig, new: &CellConfig) -> Vec<&'static str> {
     names
 }
 
-/// What became of a reload.
+/// Result of a reload.
 #[derive(Debug, Default)]
 pub(super) struct Reloaded {
     /// What was done, one line each.
@@ -89,21 +89,23 @@ pub(super) fn apply(
 ) -> Reloaded {
     let changes = Changes::between(running, new);
     let mut reloaded = Reloaded::default();
-    for gone in &changes.gone {
-        match controller.remove_cell_device(gone) {
+    for removed in &changes.removed {
+        match controller.remove_cell_device(removed) {
             Ok(()) => {
-                running.devices.retain(|device| device.name() != gone);
-                reloaded.applied.push(format!("device {gone} is gone"));
+                running.devices.retain(|device| device.name() != removed);
+                reloaded
+                    .applied
+                    .push(format!("device {removed} is removed"));
             }
             Err(error) => reloaded
                 .refused
-                .push(format!("device {gone} stays: {error}")),
+                .push(format!("device {removed} stays: {error}")),
         }
     }
     for device in changes.new {
         let name = device.name().to_owned();
         if running.devices.iter().any(|other| other.name() == name) {
-            continue; // It was to change, and could not go: that is told already.
+            continue; // Its removal failed, which is reported already.
         }
         match controller.add_cell_device(&device) {
             Ok(()) => {
@@ -163,16 +165,16 @@ mod tests {
     }
 
     #[test]
-    fn devices_come_go_and_change() {
+    fn changes_list_added_removed_and_changed_devices() {
         let old = cell(&[arm("left", 1), arm("middle", 2), arm("right", 3)]);
         let new = cell(&[arm("right", 3), arm("left", 9), arm("top", 4)]);
         let changes = Changes::between(&old, &new);
-        assert_eq!(changes.gone, ["left", "middle"]);
+        assert_eq!(changes.removed, ["left", "middle"]);
         assert_eq!(changes.new, [arm("left", 9), arm("top", 4)]);
     }
 
     #[test]
-    fn what_needs_a_restart_is_named() {
+    fn changes_that_need_restart_are_named() {
         let old = CellConfig::default();
         let mut new = old.clone();
         new.controller.period = Duration::from_millis(2);
@@ -184,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn setting_without_a_name_of_its_own_needs_a_restart_too() {
+    fn changes_of_other_settings_need_restart() {
         let old = CellConfig::default();
         let mut new = old.clone();
         new.controller.costs = Some("costs.toml".into());
@@ -206,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn reload_brings_devices_and_takes_them_away() {
+    fn reload_adds_and_removes_devices() {
         let mut running = quiet();
         let controller = Controller::start(&running).unwrap();
         let names = || -> Vec<String> {
@@ -227,12 +229,12 @@ mod tests {
 
         new.devices.remove(0);
         let reloaded = apply(&mut running, &new, &controller, |_| Ok(()));
-        assert_eq!(reloaded.applied, ["device left is gone"]);
+        assert_eq!(reloaded.applied, ["device left is removed"]);
         assert_eq!(names(), ["right"]);
     }
 
     #[test]
-    fn device_of_a_loaded_net_stays_and_is_tried_again() {
+    fn reload_device_of_loaded_net_stays_until_retry() {
         let mut running = quiet();
         running.devices = vec![quiet_arm("left")];
         let controller = Controller::start(&running).unwrap();
@@ -252,12 +254,12 @@ mod tests {
         assert_eq!((controller.devices().len(), running.devices.len()), (1, 1));
         controller.unload(net).unwrap();
         let reloaded = apply(&mut running, &empty, &controller, |_| Ok(()));
-        assert_eq!(reloaded.applied, ["device left is gone"]);
+        assert_eq!(reloaded.applied, ["device left is removed"]);
         assert!(controller.devices().is_empty());
     }
 
     #[test]
-    fn device_that_cannot_be_opened_leaves_no_trace() {
+    fn reload_device_that_fails_to_open_is_not_kept() {
         let taken = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
         let mut running = quiet();
         let controller = Controller::start(&running).unwrap();

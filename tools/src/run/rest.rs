@@ -1,5 +1,5 @@
-//! The way to a standstill: nets are asked to end, robots come to rest, and only what does neither in
-//! time is aborted. A driver whose set-points stop brakes by itself; that is not done here.
+//! Shutdown to standstill: nets are cancelled, robots come to rest, and nets that do not end in time are aborted.
+//! Drivers brake by themselves when their set-points stop.
 
 use std::time::{Duration, Instant};
 
@@ -12,21 +12,21 @@ use crate::output::complain;
 const CANCEL_WITHIN: Duration = Duration::from_secs(5);
 /// How long robots get to rest after their nets were aborted.
 const REST_WITHIN: Duration = Duration::from_secs(2);
-/// How often is looked.
-const LOOK: Duration = Duration::from_millis(10);
+/// How often nets and robots are polled.
+const POLL_EVERY: Duration = Duration::from_millis(10);
 
 /// Ends all nets and waits until no robot moves. Nothing begins any more. `meanwhile` is called while it waits.
 pub(super) fn come_to_rest(controller: &Controller, mut meanwhile: impl FnMut()) {
     controller.close();
     let mut wait = |within: Duration| {
         let until = Instant::now() + within;
-        // A net whose start or rule was under way may run only now, so all are looked at each time.
+        // A net whose start or rule was pending may begin to run now, so all nets are polled each time.
         while !(controller.wind_down(&controller.nets()) && controller.is_at_rest()) {
             if Instant::now() >= until {
                 return false;
             }
             meanwhile();
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL_EVERY);
         }
         true
     };
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_a_net_starts_no_other_and_nothing_else_begins() {
+    fn shutdown_end_of_net_starts_no_other() {
         let controller = controller();
         let [first, second, third] = [PATIENT; 3].map(|net| load(&controller, net));
         let rule = RuleRequest {
@@ -92,9 +92,9 @@ mod tests {
         };
         controller.schedule(rule).unwrap();
         controller.start_net(first).unwrap();
-        let mut told = Vec::new();
+        let mut errors = Vec::new();
         come_to_rest(&controller, || {
-            told.extend(controller.start_net(third).err());
+            errors.extend(controller.start_net(third).err());
         });
         let net = |id| controller.net(id).unwrap();
         assert_eq!(net(first).end, None, "it ended by itself");
@@ -102,11 +102,11 @@ mod tests {
             assert!(!net(never).states.contains(&NetState::Running));
         }
         let stopping = |error: &takt_core::Error| error.to_string() == "the controller is stopping";
-        assert!(told.iter().all(stopping), "{told:?}");
+        assert!(errors.iter().all(stopping), "{errors:?}");
     }
 
     #[test]
-    fn bases_are_waited_for() {
+    fn shutdown_waits_for_bases() {
         let controller = controller();
         // A second from full speed to rest.
         let parameters = [("max_vel", "0.5"), ("max_acc", "0.5")];
@@ -121,10 +121,10 @@ mod tests {
         );
         controller.start_net(net).unwrap();
         while controller.is_at_rest() {
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL_EVERY);
         }
-        let mut looks = 0;
-        come_to_rest(&controller, || looks += 1);
-        assert!(looks > 0 && controller.is_at_rest());
+        let mut polls = 0;
+        come_to_rest(&controller, || polls += 1);
+        assert!(polls > 0 && controller.is_at_rest());
     }
 }

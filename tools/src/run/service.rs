@@ -1,6 +1,5 @@
-//! The controller as a service manager sees it: ready, reloading, stopping, a line of status, a
-//! watchdog. Without a service manager the same runs and nobody is told. Real-time threads know
-//! nothing of it.
+//! Notifications to the service manager: ready, reloading, stopping, a status line, the watchdog. Without a service
+//! manager the same code runs and sends none.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,37 +18,37 @@ use super::state_file::{LastState, StateFile};
 use super::watchdog::Watchdog;
 use crate::output::complain;
 
-/// How often is looked whether there is anything to tell.
-const LOOK: Duration = Duration::from_millis(100);
+/// How often changes are polled.
+const POLL_EVERY: Duration = Duration::from_millis(100);
 
 /// A controller in service.
 #[derive(Debug)]
 pub(super) struct Service<'a> {
     config: &'a Path,
-    /// What the controller is made of now.
+    /// The cell of the controller at present.
     cell: CellConfig,
     controller: &'a Controller,
     logging: Logging,
-    teller: Teller,
+    notifier: Notifier,
 }
 
-/// What the service manager and the state directory are told, each thing once.
+/// Writes changes to the service manager and the state directory, each once.
 #[derive(Debug)]
-struct Teller {
+struct Notifier {
     began: Instant,
     watchdog: Option<Watchdog>,
     file: StateFile,
     status: String,
-    /// Whether nets or devices changed since they were looked at.
+    /// Whether nets or devices changed since the last poll.
     changed: Arc<AtomicBool>,
     _watch: takt_core::controller::Watch,
-    /// What there is to say of the run before, and of the last reload.
+    /// Remarks on the run before, and on the last reload.
     remarks: [Option<String>; 2],
 }
 
-/// What made the service wake up.
+/// Events of the service.
 enum Wake {
-    Look,
+    Poll,
     Reload,
     Stop,
 }
@@ -65,13 +64,13 @@ impl<'a> Service<'a> {
         let directory = std::env::var_os("STATE_DIRECTORY").map(PathBuf::from);
         let (file, before) = StateFile::open(directory.as_deref());
         let before = before.and_then(|before| before.broken_off());
-        if let Some(said) = &before {
-            tracing::warn!("{said}");
+        if let Some(remark) = &before {
+            tracing::warn!("{remark}");
         }
         let changed = Arc::new(AtomicBool::new(true));
-        let told = Arc::clone(&changed);
-        let teller = Teller {
-            _watch: controller.on_change(move || told.store(true, Ordering::Relaxed)),
+        let changed_by_event = Arc::clone(&changed);
+        let notifier = Notifier {
+            _watch: controller.on_change(move || changed_by_event.store(true, Ordering::Relaxed)),
             changed,
             began: Instant::now(),
             watchdog: sd_notify::watchdog_enabled().map(Watchdog::new),
@@ -84,7 +83,7 @@ impl<'a> Service<'a> {
             cell,
             controller,
             logging,
-            teller,
+            notifier,
         }
     }
 
@@ -97,33 +96,35 @@ impl<'a> Service<'a> {
             let listen = |kind| signal(kind).context("cannot listen for signals");
             let mut hangup = listen(SignalKind::hangup())?;
             let mut terminate = listen(SignalKind::terminate())?;
-            let mut ticks = tokio::time::interval(LOOK);
-            self.teller.look(self.controller, None);
-            tell(&[NotifyState::Ready]);
+            let mut ticks = tokio::time::interval(POLL_EVERY);
+            self.notifier.poll(self.controller, None);
+            notify(&[NotifyState::Ready]);
             loop {
                 match wake(&mut ticks, &mut hangup, &mut terminate).await {
-                    Wake::Look => self.teller.look(self.controller, None),
+                    Wake::Poll => self.notifier.poll(self.controller, None),
                     Wake::Reload => self.reload(),
                     Wake::Stop => return anyhow::Ok(()),
                 }
             }
         })?;
-        tell(&[NotifyState::Stopping]);
-        self.teller.changed.store(true, Ordering::Relaxed);
+        notify(&[NotifyState::Stopping]);
+        self.notifier.changed.store(true, Ordering::Relaxed);
         let Self {
-            controller, teller, ..
+            controller,
+            notifier,
+            ..
         } = &mut self;
-        come_to_rest(controller, || teller.look(controller, Some("stopping")));
-        self.teller.file.close();
+        come_to_rest(controller, || notifier.poll(controller, Some("stopping")));
+        self.notifier.file.close();
         Ok(())
     }
 
-    /// Reads the cell anew. What cannot be read changes nothing.
+    /// Reloads the cell. A cell that cannot be read changes nothing.
     fn reload(&mut self) {
         let now = NotifyState::monotonic_usec_now();
         let reloading = now.map(|now| vec![NotifyState::Reloading, now]);
-        tell(&reloading.unwrap_or_else(|_| vec![NotifyState::Reloading]));
-        let said = match CellConfig::read(self.config) {
+        notify(&reloading.unwrap_or_else(|_| vec![NotifyState::Reloading]));
+        let remark = match CellConfig::read(self.config) {
             Ok(new) => {
                 let logging = &self.logging;
                 let reloaded = apply(&mut self.cell, &new, self.controller, |log| {
@@ -144,10 +145,10 @@ impl<'a> Service<'a> {
                 format!("reload failed, the cell stays as it is: {error}")
             }
         };
-        self.teller.remarks[1] = Some(said);
-        self.teller.changed.store(true, Ordering::Relaxed);
-        self.teller.look(self.controller, None);
-        tell(&[NotifyState::Ready]);
+        self.notifier.remarks[1] = Some(remark);
+        self.notifier.changed.store(true, Ordering::Relaxed);
+        self.notifier.poll(self.controller, None);
+        notify(&[NotifyState::Ready]);
     }
 }
 
@@ -160,13 +161,13 @@ async fn wake(
         _ = tokio::signal::ctrl_c() => Wake::Stop,
         _ = terminate.recv() => Wake::Stop,
         _ = hangup.recv() => Wake::Reload,
-        _ = ticks.tick() => Wake::Look,
+        _ = ticks.tick() => Wake::Poll,
     }
 }
 
-impl Teller {
-    /// Feeds the watchdog if cycles ran, and tells what has changed. `doing` is said first.
-    fn look(&mut self, controller: &Controller, doing: Option<&str>) {
+impl Notifier {
+    /// Feeds the watchdog if cycles ran, and reports changes. `doing` comes first in the status.
+    fn poll(&mut self, controller: &Controller, doing: Option<&str>) {
         let cycles = || {
             let threads = controller.threads().into_iter();
             threads.map(|thread| thread.stats.cycles).collect()
@@ -177,17 +178,17 @@ impl Teller {
             .as_mut()
             .is_some_and(|dog| dog.poll(now, cycles))
         {
-            tell(&[NotifyState::Watchdog]);
+            notify(&[NotifyState::Watchdog]);
         }
         if !self.changed.swap(false, Ordering::Relaxed) {
             return;
         }
         let state = LastState::of(controller);
         let status = status(&state, doing, &self.remarks);
-        // Whoever is told may rely on its being written.
+        // The file first: readers of the status may rely on it.
         self.file.write(state);
         if status != self.status {
-            tell(&[NotifyState::Status(&status)]);
+            notify(&[NotifyState::Status(&status)]);
             self.status = status;
         }
     }
@@ -202,16 +203,18 @@ fn status(state: &LastState, doing: Option<&str>, remarks: &[Option<String>]) ->
     };
     let devices = state.devices.iter();
     let devices = devices.map(|(name, status)| format!("{name} is {status}"));
-    let said = doing.map(str::to_owned).into_iter().chain([nets]);
-    let said = said.chain(devices).chain(remarks.iter().flatten().cloned());
-    // A line is what the protocol takes.
-    said.collect::<Vec<_>>().join("; ").replace('\n', " ")
+    let parts = doing.map(str::to_owned).into_iter().chain([nets]);
+    let parts = parts
+        .chain(devices)
+        .chain(remarks.iter().flatten().cloned());
+    // The protocol takes one line.
+    parts.collect::<Vec<_>>().join("; ").replace('\n', " ")
 }
 
-/// Tells the service manager, if there is one.
-fn tell(states: &[NotifyState<'_>]) {
+/// Notifies the service manager, if there is one.
+fn notify(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
-        complain(&format!("cannot tell the service manager: {error}"));
+        complain(&format!("cannot notify the service manager: {error}"));
     }
 }
 

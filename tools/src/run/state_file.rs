@@ -1,6 +1,6 @@
-//! What ran last, in the state directory, so that the next start can tell what a crash broke off.
-//! For people and programs that look afterwards; nothing is resumed from it. It is written when it
-//! changes, and not forced to the disk: it outlives the process, not a power cut.
+//! The last state, in the state directory, so that the next start can report which nets a crash interrupted. Nothing
+//! is resumed from it. It is written when it changes, and not forced to the disk: it outlives the process, not a power
+//! cut.
 
 use std::path::{Path, PathBuf};
 
@@ -56,7 +56,7 @@ impl LastState {
         }
     }
 
-    /// What to say of it at the next start; `None` if it was stopped.
+    /// The remark at the next start; `None` if it was stopped.
     pub(super) fn broken_off(&self) -> Option<String> {
         if self.stopped {
             return None;
@@ -91,14 +91,14 @@ impl StateFile {
         let before = path
             .as_deref()
             .and_then(|path| takt_core::files::read(path, takt_core::files::TEXT_BYTES_MAX).ok());
-        // What cannot be read is of no use; it is written anew anyway.
+        // A file that cannot be read is replaced.
         let before = before.and_then(|bytes| serde_json::from_slice(&bytes).ok());
         let written = None;
         (Self { path, written }, before)
     }
 
-    /// Writes the state if it differs from what was written last. A reader sees the old or the new
-    /// file, never a part. A directory that cannot be written to is told once.
+    /// Writes the state if it differs from what was written last. A reader sees the old or the new file, never a part.
+    /// A directory that cannot be written to is reported once.
     pub(super) fn write(&mut self, state: LastState) {
         let Some(path) = self.path.clone() else {
             return;
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn next_start_is_told_what_a_crash_broke_off() {
+    fn state_file_after_crash_names_interrupted_nets() {
         let folder = folder("crash");
         let (mut file, before) = StateFile::open(Some(&folder));
         assert_eq!(before, None);
@@ -165,12 +165,15 @@ mod tests {
         std::fs::remove_dir_all(&folder).unwrap();
         let before = before.unwrap();
         assert_eq!(before, swinging());
-        let said = before.broken_off().unwrap();
-        assert!(said.ends_with("broken off while running rpinet3"), "{said}");
+        let remark = before.broken_off().unwrap();
+        assert!(
+            remark.ends_with("broken off while running rpinet3"),
+            "{remark}"
+        );
     }
 
     #[test]
-    fn next_start_has_nothing_to_tell_after_a_stop() {
+    fn state_file_after_stop_gives_no_remark() {
         let folder = folder("stop");
         let (mut file, _) = StateFile::open(Some(&folder));
         file.write(swinging());
@@ -183,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn no_directory_and_a_spoilt_file_are_no_failure() {
+    fn state_file_missing_directory_or_damaged_is_ignored() {
         let (mut file, before) = StateFile::open(None);
         assert_eq!(before, None);
         file.write(swinging());

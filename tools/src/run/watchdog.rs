@@ -6,7 +6,7 @@ use std::time::Duration;
 /// The watchdog is fed this many times within its time.
 const FEEDS: u32 = 4;
 
-/// A watchdog as the one who feeds it sees it.
+/// Decides when to feed the watchdog.
 #[derive(Debug)]
 pub(super) struct Watchdog {
     pause: Duration,
@@ -24,8 +24,8 @@ impl Watchdog {
         }
     }
 
-    /// Whether to feed it now. `cycles` tells for each net thread how many it has run, and is asked only
-    /// when it is time; a thread that came or went begins a new count.
+    /// Whether to feed it now. `cycles` returns the cycles of each net thread, and is called only when it is time; an
+    /// added or removed thread begins a new count.
     pub(super) fn poll(&mut self, now: Duration, cycles: impl FnOnce() -> Vec<u64>) -> bool {
         if now.saturating_sub(self.fed) < self.pause {
             return false;
@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn watchdog_starves_when_cycles_stop_and_recovers_when_they_go_on() {
+    fn watchdog_is_not_fed_while_cycles_stop() {
         let mut watchdog = Watchdog::new(ms(400));
         assert!(watchdog.poll(ms(100), || vec![7]));
         assert!((2..100).all(|n| !watchdog.poll(ms(100 * n), || vec![7])));
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn one_hanging_thread_of_several_starves_it() {
+    fn watchdog_is_not_fed_if_one_thread_hangs() {
         let mut watchdog = Watchdog::new(ms(400));
         assert!(watchdog.poll(ms(100), || vec![1, 1]));
         assert!(!watchdog.poll(ms(200), || vec![2, 1]));
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn thread_that_joins_is_given_its_first_time() {
+    fn watchdog_thread_that_joins_gets_first_interval() {
         let mut watchdog = Watchdog::new(ms(400));
         assert!(watchdog.poll(ms(100), || vec![5]));
         assert!(watchdog.poll(ms(200), || vec![5, 0]));

@@ -5,7 +5,8 @@ use std::net::TcpStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Silent connections that take all places of a server, and clients that send nonsense until this is dropped.
+/// Silent connections that take all connection slots of a server, and clients that send nonsense until this is
+/// dropped.
 pub(crate) struct Flood {
     ending: Arc<AtomicBool>,
     threads: Vec<std::thread::JoinHandle<()>>,

@@ -1,5 +1,5 @@
-//! Processes of the `takt` command for tests: each is killed when its test ends, however that
-//! ends. Nothing is said here about how fast they are.
+//! Processes of the `takt` command for tests: each is killed when its test ends, however that ends. Their speed is not
+//! measured here.
 
 #![allow(dead_code, reason = "each test binary uses a part")]
 #![expect(
@@ -16,7 +16,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 /// After this time a test gives up; far longer than anything takes on a busy host.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Waits until no other test runs robots, in this process or another one: on a small machine they
 /// would take the processors from each other. Holds until it is dropped.
@@ -118,7 +118,7 @@ impl Process {
     /// Waits for a line that fits.
     #[track_caller]
     pub(crate) fn wait_until(&mut self, what: &str, fits: impl Fn(&str) -> bool) -> String {
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + TIMEOUT;
         loop {
             let left = until.saturating_duration_since(Instant::now());
             match self.lines.recv_timeout(left) {
@@ -138,7 +138,7 @@ impl Process {
 
     /// All lines that came, once it has ended, and its exit status.
     pub(crate) fn end(mut self) -> (Vec<String>, Option<i32>) {
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + TIMEOUT;
         while let Ok(line) = self
             .lines
             .recv_timeout(until.saturating_duration_since(Instant::now()))
@@ -189,7 +189,7 @@ impl Process {
         assert!(output.status.success(), "{output:?}");
     }
 
-    /// Ends it without a chance to say goodbye.
+    /// Kills it.
     pub(crate) fn kill(&mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
@@ -291,25 +291,25 @@ impl Cell {
 
     /// An emulated arm, once it can be commanded.
     pub(crate) fn arm(&mut self) -> Process {
-        let arm = Process::start(&["emulate", "lwr", "--target", &self.udp]);
+        let arm = Process::start(&["emulate", "lwr", "--connect", &self.udp]);
         self.process.wait_for("now=operational");
         arm
     }
 
     /// Runs `takt net` against this controller.
     pub(crate) fn net(&self, args: &[&str]) -> Output {
-        run(&[&["net"], args, &["--server", &self.tcp]].concat())
+        run(&[&["net"], args, &["--connect", &self.tcp]].concat())
     }
 
     /// Loads a net; returns its identifier.
     #[track_caller]
     pub(crate) fn load(&self, text: &str) -> String {
-        let output = run_with_input(&["net", "load", "-", "--server", &self.tcp], text);
+        let output = run_with_input(&["net", "load", "-", "--connect", &self.tcp], text);
         expect_status(&output, 0).trim().to_owned()
     }
 
     /// Follows a net in a process of its own.
     pub(crate) fn watch(&self, net: &str) -> Process {
-        Process::start(&["net", "watch", net, "--server", &self.tcp])
+        Process::start(&["net", "watch", net, "--connect", &self.tcp])
     }
 }

@@ -131,7 +131,7 @@ fn sdo_file_is_written_and_read_back() {
         &["download", "2000", "--file", to.path(), "--block"],
     );
     assert!(output.contains("1000 bytes of"), "{output}");
-    let output = text(&mut lab, &["upload", "2000", "--out", from.path()]);
+    let output = text(&mut lab, &["upload", "2000", "--output", from.path()]);
     assert!(output.contains("1000 bytes in"), "{output}");
     assert_eq!(std::fs::read(&from.0).unwrap(), bytes);
 }

@@ -140,7 +140,7 @@ fn jog_above_607f_is_refused_before_power() {
     assert_eq!(
         told,
         "FAIL  axis 0: the jog is too fast: 300000 increments/s requested, 607Fh (max profile velocity) allows 200000\n      \
-         hint: give it more time (--for 1.5s) or fewer increments"
+         hint: give it more time (--duration 1.5s) or fewer increments"
     );
     assert_eq!(outcome.verdict(), crate::Verdict::Failed);
     assert_eq!(lines, Vec::<String>::new());

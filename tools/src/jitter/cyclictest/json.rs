@@ -1,7 +1,7 @@
 //! The file that `cyclictest --json` writes. Two of its keys end in a colon, in rt-tests 2.4 at
 //! least; both spellings are read.
 //!
-//! What it says of the system is left out: the report of an import is about the measurement.
+//! Its description of the system is ignored: the report of an import is about the measurement.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -36,7 +36,7 @@ struct ThreadOfFile {
 /// Reads it.
 pub(super) fn read(text: &str) -> anyhow::Result<Output> {
     let file: File = serde_json::from_str(text).context("no output of cyclictest --json")?;
-    anyhow::ensure!(!file.thread.is_empty(), "it tells of no thread");
+    anyhow::ensure!(!file.thread.is_empty(), "it holds no thread");
     anyhow::ensure!(file.thread.len() <= THREADS_MAX, "too many threads");
     let unit_ns = match file.resolution_in_ns {
         0 => 1000,
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_such_file_is_refused() {
+    fn cyclictest_json_of_other_form_is_refused() {
         for (from, to) in [
             ("\"resolution_in_ns\": 0", "\"resolution_in_ns\": 2"),
             ("\"resolution_in_ns\": 0,", ""),

@@ -7,14 +7,14 @@ use anyhow::Context as _;
 
 use super::{Output, THREADS_MAX, Thread};
 
-/// Reads it. Its times are taken to be us: the text does not tell, and `-N` is rare.
+/// Reads it. Its times are taken to be us: the text does not name the unit, and `-N` is rare.
 pub(super) fn read(text: &str) -> anyhow::Result<Output> {
     let figures = |name: &str| figures(text, name);
     let min = figures("# Min Latencies:")?;
     let (max, mean) = (figures("# Max Latencies:")?, figures("# Avg Latencies:")?);
     let beyond = figures("# Histogram Overflows:")?;
     let count = min.len();
-    anyhow::ensure!((1..=THREADS_MAX).contains(&count), "it tells of no thread");
+    anyhow::ensure!((1..=THREADS_MAX).contains(&count), "it holds no thread");
     anyhow::ensure!(
         max.len() == count && mean.len() == count && beyond.len() >= count,
         "its totals have columns for different numbers of threads"
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_such_text_is_refused() {
+    fn cyclictest_text_of_other_form_is_refused() {
         for (from, to) in [
             ("000009\t000001", "000009"),
             ("000009\t000001", "000009\tx"),

@@ -1,5 +1,5 @@
-//! Times one primitive: nets with many, one and none of it are evaluated in turns, each after the caches
-//! were filled with something else and once more at once. Which table comes of it is not decided here.
+//! Times one primitive: nets with many, one and none of it are evaluated in turns, each after the caches were filled
+//! with something else and once more at once. The table is made elsewhere.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -148,8 +148,8 @@ impl Group {
     /// Cost of each of many, and of one, beside that of a net without, ns.
     fn at_most(&self) -> (f64, f64) {
         let [none, one, many] = &self.subjects;
-        // What the host does to any net is not the primitive's; an accident of the net without it
-        // must not hide what it costs.
+        // Disturbances of the host are not costs of the primitive; an outlier of the net without it must not hide its
+        // cost.
         let longer = |times: &[f64], none: &[f64]| {
             let rarely = quantile(times, COVERED) - quantile(none, COVERED);
             let often = quantile(times, OFTEN) - quantile(none, 0.5);
@@ -191,7 +191,7 @@ pub(super) fn measure(
     let group = |size| Group::load(definition, size, registry, &devices);
     let [few, others @ ..] = SMALL;
     let mut small = others.into_iter().fold(group(few), |found, size| {
-        // The first reason says most.
+        // The first reason is the cause.
         found.or_else(|why| group(size).map_err(|_| why))
     })?;
     small.run(definition, repetitions, caches);
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn elements_are_told_apart_from_the_rest() {
+    fn cost_of_elements_is_separated_from_base() {
         let registry = takt_core::registry();
         let definition = registry.find("Core::DoubleArraySlice").unwrap();
         let devices = stage::devices().unwrap();

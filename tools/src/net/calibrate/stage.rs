@@ -1,5 +1,5 @@
-//! Nets in which one primitive is measured: any number of instances of it, fed with values that the
-//! measurement writes. What a primitive computes does not matter here, only that it works hard.
+//! Nets in which one primitive is measured: any number of instances of it, fed with values that the measurement
+//! writes. The results do not matter here, only the computing time.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use takt_net::{Definition, Element};
 /// Name of the device that primitives of devices get.
 const DEVICE: &str = "device";
 
-/// A cell with a device that is all that primitives ask for.
+/// A cell with a device that offers all that primitives need.
 pub(super) fn devices() -> anyhow::Result<DeviceTable> {
     let parts = vec![
         Part::Base {
@@ -139,7 +139,7 @@ fn parameters(definition: &Definition, instance: usize, size: usize) -> Vec<Stri
     let own = |parameter: &Parameter| {
         let value = match (parameter.name, parameter.ty) {
             ("Size", _) => size.to_string(),
-            // Tools are told for the last axis.
+            // Tools belong to the last axis.
             ("Axis", _) if definition.name == "RobotArm::ToolParameters" => "6".to_owned(),
             ("Axis", _) => (instance % 7).to_string(),
             ("Key", _) => format!("k{instance}"),
@@ -160,8 +160,8 @@ fn parameters(definition: &Definition, instance: usize, size: usize) -> Vec<Stri
     all
 }
 
-/// Values that change from one repetition to the next: now sensible ones, now those at which
-/// mathematics takes long. The same series in each run.
+/// Values that change from one repetition to the next: some ordinary, some for which functions take long. The same
+/// series in each run.
 #[derive(Clone)]
 pub(super) struct Values(u64);
 
@@ -198,7 +198,7 @@ impl Values {
                 value
             };
             if let Some(entry) = inbox.find(&format!("in{i}")) {
-                // What no value of its type is leaves the one before.
+                // A text that is no value of its type leaves the previous value.
                 let _ = entry.write(&value, words);
             }
         }

@@ -1,5 +1,5 @@
-//! A net as primitives and links, its fragments dissolved. What cannot be followed, such as a link to a
-//! child that is not there, is left out; `takt net check` tells it.
+//! A net as primitives and links, its fragments dissolved. Links that cannot be followed, such as one to a missing
+//! child, are left out; `takt net check` reports them.
 
 use std::collections::HashMap;
 
@@ -35,7 +35,7 @@ pub(super) struct Link {
     pub(super) is_late: bool,
 }
 
-/// A fragment as one sees it from inside.
+/// A fragment seen from inside.
 #[derive(Clone, Copy, Debug)]
 struct Scope<'s> {
     fragment: &'s Fragment<'s>,
@@ -126,7 +126,7 @@ impl Graph {
         }
     }
 
-    /// By primitive, the length of the longest way to it; a cycle, which no good net has, ends it.
+    /// By primitive, the length of the longest path to it; a cycle, which no good net has, ends it.
     pub(super) fn levels(&self) -> Vec<usize> {
         let mut levels = vec![0; self.nodes.len()];
         for _ in 0..self.nodes.len() {
@@ -236,7 +236,7 @@ mod tests {
     fn levels_grow_along_links_and_cycles_end() {
         let line = graph("{a=Core::Clock(), b=X(inV=a.outV), c=X(inV=b.outV, inW=a.outV)}");
         assert_eq!(line.levels(), [0, 1, 2]);
-        let cycle = graph("{a=X(inV=b.outV), b=X(inV=a.outV), c=X(inV=nobody.outV)}");
+        let cycle = graph("{a=X(inV=b.outV), b=X(inV=a.outV), c=X(inV=missing.outV)}");
         assert!(cycle.levels().iter().all(|level| *level <= 6));
         let own_tail = graph("{f={outY=parent.inX}(inX=f.outY), a=X(inV=f.outY)}");
         assert!(own_tail.links.is_empty());
