@@ -332,6 +332,27 @@ fn invalid_arguments_are_rejected_with_the_cause() {
     }
 }
 
+#[test]
+fn rmp_at_unread_serial_port_ends_and_reports_drops() {
+    let mut powerbase = Process::start(&["emulate", "rmp"]);
+    let line = powerbase.wait_for("power base at ");
+    let port = line.rsplit(' ').next().unwrap();
+    // The terminal keeps the packets of a second or two.
+    std::thread::sleep(std::time::Duration::from_secs(4));
+    let read = run(&["can", "rmp", "--serial", port, "--duration", "1s", "--json"]);
+    let read: Value = serde_json::from_str(&expect_status(&read, 0)).unwrap();
+    assert_eq!(read["model"], "rmp200");
+    powerbase.terminate();
+    let (lines, status) = powerbase.end();
+    assert_eq!(status, Some(0), "{lines:?}");
+    assert!(
+        lines
+            .iter()
+            .any(|line| line.contains("no program read the port: dropped")),
+        "{lines:?}"
+    );
+}
+
 /// The power base at a pseudo-terminal, as at the serial port of its USB chip.
 #[test]
 fn rmp_at_serial_port_is_read_and_driven() {

@@ -2,20 +2,26 @@
 //! position is printed at the end.
 
 use std::fs::File;
-use std::io::{Read as _, Write as _};
-use std::os::fd::AsFd as _;
+use std::io::{ErrorKind, Read as _, Write as _};
+use std::os::fd::{AsFd as _, OwnedFd};
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
+use nix::fcntl::OFlag;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
+use nix::sys::termios::{FlushArg, tcflush};
 use takt_can::linux::{Options, SocketCan, monotonic};
 use takt_can::rmp::emulator::{Powerbase, PowerbaseConfig, serve};
 use takt_can::rmp::{Channel, Model, Packet, PacketReader};
 
 use super::service::Service;
 use crate::Verdict;
-use crate::output::{say, span};
+use crate::output::{complain, say, span};
 use crate::run::until_stopped;
 
 /// A Segway power base.
@@ -54,17 +60,24 @@ impl Rmp {
         });
         powerbase.store_scale(self.stored_scale);
         powerbase.faults.emergency_stop = self.emergency_stop;
+        let dropped = Arc::new(AtomicU64::new(0));
         let service = match &self.interface {
             Some(name) => on_can(name, powerbase)?,
-            None => on_terminal(powerbase)?,
+            None => on_terminal(powerbase, Arc::clone(&dropped))?,
         };
         until_stopped(self.duration, || service.check())?;
         let powerbase = service.stop()?;
         let pose = powerbase.truth();
         say(&format!(
-            "at {:.3} m, {:.3} m, turned by {:.3} rad",
+            "stopped at {:.3} m, {:.3} m, turned by {:.3} rad",
             pose.x, pose.y, pose.heading
         ))?;
+        let dropped = dropped.load(Ordering::Relaxed);
+        if dropped > 0 {
+            complain(&format!(
+                "no program read the port: dropped its old packets {dropped} times"
+            ));
+        }
         Ok(Verdict::Good)
     }
 }
@@ -79,21 +92,40 @@ fn on_can(name: &str, powerbase: Powerbase) -> anyhow::Result<Service<Powerbase>
     })
 }
 
-fn on_terminal(powerbase: Powerbase) -> anyhow::Result<Service<Powerbase>> {
-    let pty = nix::pty::openpty(None, None).context("cannot make a pseudo-terminal")?;
-    let name = nix::unistd::ttyname(&pty.slave).context("the pseudo-terminal has no name")?;
-    say(&format!("power base at {}", name.display()))?;
-    let mut port = File::from(pty.master);
+/// Serves it at a pseudo-terminal. Old packets that no program reads are dropped, and that is counted.
+fn on_terminal(
+    powerbase: Powerbase,
+    dropped: Arc<AtomicU64>,
+) -> anyhow::Result<Service<Powerbase>> {
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
+    let master = posix_openpt(flags).context("cannot make a pseudo-terminal")?;
+    grantpt(&master)
+        .and_then(|()| unlockpt(&master))
+        .context("cannot open the pseudo-terminal")?;
+    let name = ptsname_r(&master).context("the pseudo-terminal has no name")?;
     // Held open: a pseudo-terminal whose slave is closed reports errors.
-    let other_end = pty.slave;
+    let slave = File::options()
+        .read(true)
+        .write(true)
+        .custom_flags(OFlag::O_NOCTTY.bits())
+        .open(&name)
+        .with_context(|| format!("cannot open {name}"))?;
+    say(&format!("power base at {name}"))?;
+    let mut port = File::from(OwnedFd::from(master));
     let mut reader = PacketReader::default();
     Service::start("rmp", powerbase, move |powerbase| {
-        let _ = &other_end;
         receive(&mut port, &mut reader, powerbase)?;
         while let Some((channel, frame)) = powerbase.poll_transmit(monotonic()) {
             let Packet(bytes) = Packet::from_powerbase(channel, &frame);
             if channel == Channel::A {
-                port.write_all(&bytes).context("the terminal failed")?;
+                match port.write_all(&bytes) {
+                    Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                        dropped.fetch_add(1, Ordering::Relaxed);
+                        // A program that reads later gets the present state, not the oldest one.
+                        tcflush(&slave, FlushArg::TCIFLUSH).context("the terminal failed")?;
+                    }
+                    written => written.context("the terminal failed")?,
+                }
             }
         }
         Ok(())
