@@ -26,8 +26,9 @@ use takt_server::LogBook;
 
 use crate::Verdict;
 use crate::client::Client;
-use crate::output::{complain, is_terminal, say, share, span};
+use crate::output::{check_writable, complain, is_terminal, say, share, span};
 use crate::run::{Access, Server, print_grants, stop_channel};
+use crate::signal::Stop;
 use cell::{Kind, Machines};
 use recovery::{Outcome, Parts};
 use report::{Baseline, Report};
@@ -81,6 +82,8 @@ impl Demo {
             return replay(recording);
         }
         let (cell, segments) = self.robots.config()?;
+        check_writable(&self.svg)?;
+        let stop = Stop::listen()?;
         let host = prepare(&HostConfig::default());
         let switch = StopSwitch::default();
         let channel = stop_channel(&cell, None, &switch)?;
@@ -100,10 +103,10 @@ impl Demo {
             Some(&channel),
         )?;
         let machines = Machines::start(&controller, &segments, self.drop)?;
-        self.wait_until_ready(&controller)?;
+        self.wait_until_ready(&controller, &stop)?;
         let address = server.tcp().context("the server does not listen")?;
         let baseline = Baseline::take(&controller, &machines.krcs);
-        let ended = self.drive(&controller, &machines, address, &nets);
+        let ended = self.drive(&controller, &machines, address, &nets, &stop);
         let recorded = controller.finish_recording();
         let (samples, outcome) = ended?;
         let arms = self.robots.moved();
@@ -140,6 +143,7 @@ impl Demo {
         machines: &Machines,
         address: SocketAddr,
         nets: &[String],
+        stop: &Stop,
     ) -> anyhow::Result<(Samples, Outcome)> {
         let mut client = Client::connect(Some(&address.to_string()), None)?;
         client.open_session("takt demo")?;
@@ -152,14 +156,14 @@ impl Demo {
         for id in &ids {
             // On a host that stalled a device may be lost again by now; it recovers.
             if client.command("nest", id).is_err() {
-                self.wait_until_ready(controller)?;
+                self.wait_until_ready(controller, stop)?;
                 client.command("nest", id)?;
             }
         }
         complain(&format!("the motion begins and takes {:?}", self.duration));
-        let samples = self.follow(controller, machines, &mut client, &mut parts)?;
+        let samples = self.follow(controller, machines, &mut client, &mut parts, stop)?;
         client.end_session()?;
-        Ok((samples, parts.finish()))
+        Ok((samples, parts.finish(stop.is_requested())))
     }
 
     /// Notes how the arms move until all parts of the cell have come to their end, or one does not come back.
@@ -169,6 +173,7 @@ impl Demo {
         machines: &Machines,
         client: &mut Client,
         parts: &mut Parts<'_>,
+        stop: &Stop,
     ) -> anyhow::Result<Samples> {
         let begin = Instant::now();
         let bar = self.progress();
@@ -176,7 +181,7 @@ impl Demo {
         let mut samples = Samples::of(arms);
         // A device that is lost near the end gets as long to come back as one at the start.
         let latest = self.duration + READY_WITHIN;
-        while !parts.are_done() && begin.elapsed() < latest {
+        while !parts.are_done() && !stop.is_requested() && begin.elapsed() < latest {
             let push = client.next_push(SAMPLE_EVERY)?;
             let ended = |push: &takt_server::Message| {
                 push.command == "ns"
@@ -191,7 +196,7 @@ impl Demo {
     }
 
     /// Waits for all robots, and prints for which: a youBot searches its stops first, which takes some seconds.
-    fn wait_until_ready(&self, controller: &Controller) -> anyhow::Result<()> {
+    fn wait_until_ready(&self, controller: &Controller, stop: &Stop) -> anyhow::Result<()> {
         let until = Instant::now() + READY_WITHIN;
         let waiting = indicatif::ProgressBar::new_spinner();
         if self.json || !is_terminal() {
@@ -207,6 +212,7 @@ impl Demo {
                 return Ok(());
             };
             let why = waits_for(controller, &device.name);
+            anyhow::ensure!(!stop.is_requested(), "stopped before the motion began");
             if Instant::now() > until {
                 let why = why.unwrap_or_else(|| {
                     "this host does not answer it in time; check how busy it is".to_owned()

@@ -23,7 +23,7 @@ use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 
 use crate::Verdict;
-use crate::output::{save, say, span};
+use crate::output::{check_writable, save, say, span};
 use measure::Plan;
 use report::{Judgement, Report};
 
@@ -113,6 +113,7 @@ impl Jitter {
             load::work()?;
             return Ok(Verdict::Good);
         }
+        self.svg.as_deref().map_or(Ok(()), check_writable)?;
         let mut report = match &self.from {
             Some(path) => read(path)?,
             None => session::measure(&self)?,

@@ -17,6 +17,7 @@ mod net;
 mod output;
 mod page;
 mod run;
+mod signal;
 mod stop;
 mod token;
 

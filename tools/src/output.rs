@@ -1,9 +1,10 @@
 //! Output of subcommands: text to standard output, messages to standard error. A reader that closes the pipe is no
 //! error.
 
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, IsTerminal as _, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -31,6 +32,26 @@ pub(crate) fn save(path: &Path, bytes: impl AsRef<[u8]>) -> anyhow::Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
+/// Checks that [`save`] can write this file, so that a long run does not end without its picture.
+pub(crate) fn check_writable(path: &Path) -> anyhow::Result<()> {
+    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let checked = match (fs::metadata(&target), target.file_name()) {
+        (Ok(there), _) if there.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
+        (Ok(_), _) => File::options().write(true).open(&target).map(drop),
+        (Err(_), Some(name)) => {
+            let beside = beside(&target, name);
+            File::create_new(&beside).and_then(|_| fs::remove_file(&beside))
+        }
+        (Err(error), None) => Err(error),
+    };
+    checked.with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// The file that becomes the target when it is complete.
+fn beside(target: &Path, name: &OsStr) -> PathBuf {
+    target.with_file_name(format!(".{}.{}.new", name.display(), std::process::id()))
+}
+
 fn write_whole(target: &Path, bytes: &[u8]) -> io::Result<()> {
     let before = fs::metadata(target).ok();
     let (true, Some(name)) = (
@@ -39,7 +60,7 @@ fn write_whole(target: &Path, bytes: &[u8]) -> io::Result<()> {
     ) else {
         return fs::write(target, bytes);
     };
-    let beside = target.with_file_name(format!(".{}.{}.new", name.display(), std::process::id()));
+    let beside = beside(target, name);
     let mut file = match File::create_new(&beside) {
         Ok(file) => file,
         // A folder in which nothing may be made, with a file that may be changed.
@@ -139,7 +160,7 @@ pub(crate) fn time(ns: i64) -> String {
 mod tests {
     use std::fs;
 
-    use super::{chain, save, share, time};
+    use super::{chain, check_writable, save, share, time};
 
     #[test]
     fn save_replaces_existing_file() {
@@ -151,6 +172,29 @@ mod tests {
             assert_eq!(fs::read_to_string(&path).unwrap(), text);
         }
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn check_writable_leaves_nothing_and_names_cause() {
+        let folder = std::env::temp_dir().join(format!("takt-check-{}", std::process::id()));
+        fs::create_dir(&folder).unwrap();
+        check_writable(&folder.join("plot.svg")).unwrap();
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
+        save(&folder.join("plot.svg"), "old").unwrap();
+        check_writable(&folder.join("plot.svg")).unwrap();
+        assert_eq!(fs::read_to_string(folder.join("plot.svg")).unwrap(), "old");
+        for (path, cause) in [
+            (folder.join("none/plot.svg"), "No such file or directory"),
+            (folder.clone(), "is a directory"),
+        ] {
+            let text = chain(&check_writable(&path).unwrap_err());
+            assert!(
+                text.starts_with(&format!("cannot write {}: ", path.display()))
+                    && text.contains(cause),
+                "{text}"
+            );
+        }
         fs::remove_dir_all(folder).unwrap();
     }
 

@@ -9,10 +9,11 @@ use serde_json::json;
 use takt_can::AnyFrame;
 use takt_can::canopen::Message;
 
-use super::feed::{Feed, Seen, Stop};
+use super::feed::{Feed, Seen};
 use super::filter::{Filter, is_shown};
 use crate::Verdict;
 use crate::output::{complain, say, span};
+use crate::signal::Stop;
 
 /// Print frames, one per line, with their CANopen meaning.
 ///

@@ -3,7 +3,6 @@
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -12,7 +11,6 @@ use takt_can::link::{Link as _, Origin, Received};
 use takt_can::linux::{Clock, Options, SocketCan, interfaces};
 use takt_can::log::{Format, Log, Record};
 use takt_can::{Direction, LogError};
-use tokio::signal::unix::{SignalKind, signal};
 
 use crate::output::complain;
 
@@ -213,42 +211,5 @@ impl Live {
             }
         }
         Ok(None)
-    }
-}
-
-/// A request to stop: SIGINT (Ctrl-C) or SIGTERM.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Stop(Arc<AtomicBool>);
-
-impl Stop {
-    /// Handles both signals from now on.
-    pub(super) fn listen() -> anyhow::Result<Self> {
-        let stop = Self::default();
-        let flag = stop.clone();
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()?;
-        let mut terminate = {
-            let _inside = runtime.enter();
-            signal(SignalKind::terminate()).context("cannot listen for signals")?
-        };
-        let mut interrupt = {
-            let _inside = runtime.enter();
-            signal(SignalKind::interrupt()).context("cannot listen for signals")?
-        };
-        std::thread::spawn(move || {
-            runtime.block_on(async {
-                tokio::select! {
-                    _ = interrupt.recv() => {}
-                    _ = terminate.recv() => {}
-                }
-            });
-            flag.0.store(true, Ordering::Relaxed);
-        });
-        Ok(stop)
-    }
-
-    pub(super) fn is_requested(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
     }
 }

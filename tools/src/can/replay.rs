@@ -11,11 +11,12 @@ use takt_can::linux::{Options, QueuePolicy, SocketCan};
 use takt_can::log::Record;
 
 use super::confirm;
-use super::feed::{Stop, cannot_open, read_log};
+use super::feed::{cannot_open, read_log};
 use super::filter::{Filter, is_shown};
 use super::send::sleep_until;
 use crate::Verdict;
 use crate::output::{complain, say, span};
+use crate::signal::Stop;
 
 /// Send a recording: candump log or text, ASC, BLF, TRC, pcap or pcapng.
 #[derive(Debug, Args)]

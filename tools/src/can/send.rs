@@ -11,9 +11,10 @@ use takt_can::linux::{Options, QueuePolicy, SocketCan};
 use takt_can::log::parse_frame;
 
 use super::confirm;
-use super::feed::{Stop, cannot_open};
+use super::feed::cannot_open;
 use crate::Verdict;
 use crate::output::{say, span};
+use crate::signal::Stop;
 
 /// Send frames.
 #[derive(Debug, Args)]

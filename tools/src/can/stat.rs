@@ -12,9 +12,10 @@ use takt_can::linux::{Interface, wall};
 use takt_can::stat::{Finding, Limits, Meter, Report, Severity};
 
 use super::bitrate;
-use super::feed::{Feed, Stop};
+use super::feed::Feed;
 use crate::Verdict;
 use crate::output::{say, share, span};
+use crate::signal::Stop;
 
 /// Measure a bus: load, rates and jitter, errors, heartbeats, losses; and report findings.
 ///

@@ -8,7 +8,8 @@ use takt_can::Frame;
 use takt_can::link::Link as _;
 use takt_can::linux::{Options, QueuePolicy, SocketCan, monotonic};
 
-use super::feed::{Stop, cannot_open};
+use super::feed::cannot_open;
+use crate::signal::Stop;
 
 /// A bus.
 pub(super) trait Wire {

@@ -135,8 +135,14 @@ impl<'c> Parts<'c> {
         self.parts.iter().all(|part| part.state == State::Done)
     }
 
-    /// The result. A part that is not done was not requested again.
-    pub(super) fn finish(mut self) -> Outcome {
+    /// The result. A part that is not done was not requested again, unless a signal stopped the demo.
+    pub(super) fn finish(mut self, is_stopped: bool) -> Outcome {
+        if is_stopped && !self.are_done() {
+            let after_s = self.begin.elapsed().as_secs_f64();
+            self.outcome
+                .fail(format!("a signal stopped the motion after {after_s:.1} s"));
+            return self.outcome;
+        }
         for part in &mut self.parts {
             let names = part.names();
             match part.interrupted.take() {

@@ -160,6 +160,9 @@ impl<W: Write + Seek> Writer<W> {
         let failed = |e: mcap::McapError| broken(path, 0, &e);
         let mut mcap = mcap::WriteOptions::new()
             .compression(Some(mcap::Compression::Zstd))
+            // Cycles that wait for the compression are lost: the fastest level, and no threads that compete with it.
+            .compression_level(1)
+            .compression_threads(0)
             // A chunk is written as a whole, so that one that a crash cuts off is recognised.
             .disable_seeking(true)
             .profile("takt")

@@ -8,8 +8,8 @@ use takt_can::Frame;
 use takt_can::linux::{Serial, monotonic};
 use takt_can::rmp::Channel;
 
-use crate::can::feed::Stop;
 use crate::can::wire::Wire;
+use crate::signal::Stop;
 
 /// A way to a power base.
 pub(super) trait Port {

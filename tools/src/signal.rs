@@ -1,0 +1,44 @@
+//! Signals that ask a command to stop, for commands without an event loop.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Context as _;
+use tokio::signal::unix::{SignalKind, signal};
+
+/// A request to stop: SIGINT (Ctrl-C) or SIGTERM.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Stop(Arc<AtomicBool>);
+
+impl Stop {
+    /// Handles both signals from now on.
+    pub(crate) fn listen() -> anyhow::Result<Self> {
+        let stop = Self::default();
+        let flag = stop.clone();
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()?;
+        let mut terminate = {
+            let _inside = runtime.enter();
+            signal(SignalKind::terminate()).context("cannot listen for signals")?
+        };
+        let mut interrupt = {
+            let _inside = runtime.enter();
+            signal(SignalKind::interrupt()).context("cannot listen for signals")?
+        };
+        std::thread::spawn(move || {
+            runtime.block_on(async {
+                tokio::select! {
+                    _ = interrupt.recv() => {}
+                    _ = terminate.recv() => {}
+                }
+            });
+            flag.0.store(true, Ordering::Relaxed);
+        });
+        Ok(stop)
+    }
+
+    pub(crate) fn is_requested(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
