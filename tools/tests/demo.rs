@@ -224,55 +224,59 @@ fn demo_replayed_gives_every_byte_as_recorded() {
 #[test]
 fn demo_killed_leaves_readable_recording() {
     let _alone = alone();
-    let folder = Folder::new();
-    let (recording, svg) = (folder.file("demo.mcap"), folder.file("demo.svg"));
-    let arguments = ["demo", "--record", &recording, "--svg", &svg];
-    let mut demo = Process::start(&[&arguments[..], &["--duration", "60s"]].concat());
-    demo.wait_for("the motion begins");
-    let len = || std::fs::metadata(&recording).map_or(0, |file| file.len());
-    // Two chunks.
-    for _ in 0..2 {
-        let before = len();
-        while len() == before {
-            std::thread::sleep(Duration::from_millis(20));
+    steady(|| {
+        let folder = Folder::new();
+        let (recording, svg) = (folder.file("demo.mcap"), folder.file("demo.svg"));
+        let arguments = ["demo", "--record", &recording, "--svg", &svg];
+        let mut demo = Process::start(&[&arguments[..], &["--duration", "60s"]].concat());
+        demo.wait_for("the motion begins");
+        let len = || std::fs::metadata(&recording).map_or(0, |file| file.len());
+        // Two chunks.
+        for _ in 0..2 {
+            let before = len();
+            while len() == before {
+                std::thread::sleep(Duration::from_millis(20));
+            }
         }
-    }
-    demo.kill();
-    let replayed = run(&["demo", "--from", &recording]);
-    let output = expect_status(&replayed, 0);
-    let cycles: u64 = output.split([' ', ',']).nth(1).unwrap().parse().unwrap();
-    assert!(cycles > 0, "{output}");
-    assert!(
-        complaint(&replayed).contains("the recording is cut off"),
-        "{}",
-        complaint(&replayed)
-    );
+        demo.kill();
+        let replayed = run(&["demo", "--from", &recording]);
+        let output = expect_status(&replayed, 0);
+        let cycles: u64 = output.split([' ', ',']).nth(1).unwrap().parse().unwrap();
+        assert!(cycles > 0, "{output}");
+        assert!(
+            complaint(&replayed).contains("the recording is cut off"),
+            "{}",
+            complaint(&replayed)
+        );
+    });
 }
 
 #[test]
 fn demo_interrupted_reports_what_was_measured() {
     let _alone = alone();
-    let folder = Folder::new();
-    let (recording, svg) = (folder.file("demo.mcap"), folder.file("demo.svg"));
-    let arguments = ["demo", "--json", "--record", &recording, "--svg", &svg];
-    let mut demo = Process::start(&[&arguments[..], &["--duration", "60s"]].concat());
-    demo.wait_for("the motion begins");
-    std::thread::sleep(Duration::from_secs(1));
-    demo.signal("INT");
-    let (lines, status) = demo.end();
-    assert_eq!(status, Some(1), "{lines:?}");
-    let report = lines.iter().find(|line| line.starts_with('{')).unwrap();
-    let report: Value = serde_json::from_str(report).unwrap();
-    let faults = report["faults"].to_string();
-    assert!(
-        faults.contains("a signal stopped the motion after "),
-        "{faults}"
-    );
-    assert!(report["cycles"].as_u64().unwrap() > 500, "{report}");
-    assert!(std::fs::read_to_string(&svg).unwrap().ends_with("</svg>\n"));
-    let replayed = run(&["demo", "--from", &recording]);
-    expect_status(&replayed, 0);
-    assert_eq!(complaint(&replayed), "", "the recording is complete");
+    steady(|| {
+        let folder = Folder::new();
+        let (recording, svg) = (folder.file("demo.mcap"), folder.file("demo.svg"));
+        let arguments = ["demo", "--json", "--record", &recording, "--svg", &svg];
+        let mut demo = Process::start(&[&arguments[..], &["--duration", "60s"]].concat());
+        demo.wait_for("the motion begins");
+        std::thread::sleep(Duration::from_secs(1));
+        demo.signal("INT");
+        let (lines, status) = demo.end();
+        assert_eq!(status, Some(1), "{lines:?}");
+        let report = lines.iter().find(|line| line.starts_with('{')).unwrap();
+        let report: Value = serde_json::from_str(report).unwrap();
+        let faults = report["faults"].to_string();
+        assert!(
+            faults.contains("a signal stopped the motion after "),
+            "{faults}"
+        );
+        assert!(report["cycles"].as_u64().unwrap() > 500, "{report}");
+        assert!(std::fs::read_to_string(&svg).unwrap().ends_with("</svg>\n"));
+        let replayed = run(&["demo", "--from", &recording]);
+        expect_status(&replayed, 0);
+        assert_eq!(complaint(&replayed), "", "the recording is complete");
+    });
 }
 
 #[test]

@@ -59,16 +59,6 @@ const EXEMPTIONS: &[Exemption] = &[
         &["told"],
         "an element id of the web page, which clients use",
     ),
-    exempt(
-        "tools/README.md",
-        &["mend"],
-        "a command on the standard input of `takt ecat sim`",
-    ),
-    exempt(
-        "tools/src/ecat/sim/fault.rs",
-        &["mend"],
-        "a command on the standard input of `takt ecat sim`",
-    ),
 ];
 
 const THIS_FILE: &str = "tools/xtask/src/tidy/words.rs";
