@@ -17,7 +17,7 @@ mod omni;
 mod status;
 mod usb;
 
-pub use base::{Base, Motion};
+pub use base::{ACCELERATION, Base, Motion};
 pub use command::{Command, Config, Gain, Integrators, Mode, SHUTDOWN};
 pub use cycle::{Cycles, Measurement};
 pub use driver::{Driver, DriverConfig, Hindrance, State};

@@ -130,7 +130,7 @@ fn short(value: u32) -> u16 {
 }
 
 /// Cycles without inputs after which an axis counts as offline.
-const OFFLINE_AFTER: u32 = 4;
+pub(crate) const OFFLINE_AFTER: u32 = 4;
 /// Bit 4 of 6040h: start of homing.
 const HOMING_START: u16 = 0x0010;
 

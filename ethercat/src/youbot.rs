@@ -29,7 +29,7 @@ pub use base::{Mecanum, Odometry, Ramp};
 pub use drive::{Counters, Drive, DriveConfig, DriveFault, DriveState};
 pub use gripper::{BarConfig, Gripper, GripperError, GripperState};
 pub use homing::{Homing, HomingConfig, HomingError, HomingState};
-pub use joint::{ARM, HOMING, Impedance, JointGeometry};
+pub use joint::{ARM, CURRENT_MAX_MA, HOMING, Impedance, JointGeometry};
 pub use mailbox::{CallError, Mailbox};
 pub use tmcl::{Answer, Request, TmclError, Version};
 pub use weight::holding;

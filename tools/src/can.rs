@@ -4,7 +4,7 @@
 mod confirm;
 mod drive;
 mod dump;
-mod feed;
+pub(crate) mod feed;
 mod filter;
 #[cfg(test)]
 mod lab;

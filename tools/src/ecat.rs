@@ -3,6 +3,7 @@
 
 mod cell;
 mod dc;
+mod directions;
 mod drive;
 mod dump;
 mod frames;
@@ -17,7 +18,6 @@ mod stat;
 #[cfg(test)]
 mod tests;
 mod trips;
-mod ways;
 mod youbot;
 
 use std::path::PathBuf;

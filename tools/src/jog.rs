@@ -4,8 +4,8 @@
 use std::fmt;
 use std::time::Duration;
 
-use takt_cia402::RunawayLimits;
 use takt_cia402::dictionary::Address;
+use takt_cia402::{RunawayLimits, Standstill};
 
 /// A motor faster than its drive allows by this factor runs away; it may overshoot by less.
 const OVERSPEED: f64 = 1.5;
@@ -15,10 +15,12 @@ const LAG: Duration = Duration::from_millis(250);
 const STALL: Duration = Duration::from_millis(50);
 /// Largest lag without speed, turns of the motor.
 const LAG_TURNS: f64 = 0.5;
+/// A motor that moves less than this within [`Standstill::TIME`] is at standstill, turns.
+const STANDSTILL_TURNS: f64 = 2e-3;
 /// Largest lag without speed of a drive that shows neither 6065h nor its encoder, increments.
 const LAG_UNKNOWN: f64 = 65_536.0;
 
-/// What a drive shows of its limits. Speeds are in increments of 6064h per second.
+/// The limits that a drive shows. Speeds are in increments of 6064h per second.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Limits {
     /// 607Fh, velocity units.
@@ -31,7 +33,7 @@ pub(crate) struct Limits {
     window: Option<f64>,
     /// Increments per second of a velocity unit.
     unit: Option<f64>,
-    /// What is not compared, and why.
+    /// Limits that are not compared, and why.
     notes: Vec<String>,
 }
 
@@ -156,7 +158,7 @@ impl Limits {
         }
     }
 
-    /// What is not compared, and why; a line each.
+    /// Limits that are not compared, and why; a line each.
     pub(crate) fn notes(&self) -> &[String] {
         &self.notes
     }
@@ -235,8 +237,13 @@ impl Limits {
         }
     }
 
-    /// Where a motor may be that turns from `start` by profile velocity at most for so long: the place of these that is
-    /// nearest to `actual`. `None` if the unit of velocity is not known.
+    /// Standstill of the motor; a drive that does not show its encoder has the smallest play.
+    pub(crate) fn standstill(&self) -> Standstill {
+        Standstill::new(self.turn.unwrap_or(0.0) * STANDSTILL_TURNS)
+    }
+
+    /// Of the positions that a motor can have reached from `start` by profile velocity in this time, the nearest to
+    /// `actual`. `None` if the unit of velocity is not known.
     pub(crate) fn nearest(
         &self,
         start: i32,
@@ -244,9 +251,9 @@ impl Limits {
         velocity: i32,
         time: Duration,
     ) -> Option<i32> {
-        let way = self.unit? * f64::from(velocity) * time.as_secs_f64();
+        let range = self.unit? * f64::from(velocity) * time.as_secs_f64();
         let moved = f64::from(actual.wrapping_sub(start));
-        let nearest = moved.clamp(way.min(0.0), way.max(0.0));
+        let nearest = moved.clamp(range.min(0.0), range.max(0.0));
         #[expect(
             clippy::cast_possible_truncation,
             reason = "no farther than the difference of two i32"
@@ -275,7 +282,7 @@ mod tests {
     const ENCODER: [(u16, u8, u32); 2] = [(0x608F, 1, 4096), (0x608F, 2, 1)];
 
     #[test]
-    fn jog_above_profile_or_motor_speed_is_refused() {
+    fn jog_above_profile_or_motor_speed_is_rejected() {
         let profile = limits(&[(0x607F, 0, 5000)]);
         let error = profile.check(Speed::Increments(-5001.0)).unwrap_err();
         assert_eq!(
@@ -314,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn jog_without_limit_objects_says_so_once() {
+    fn jog_without_limit_objects_is_noted_once() {
         let none = limits(&[]);
         assert_eq!(none.check(Speed::Increments(1e9)), Ok(()));
         let missing = |name: &str| {
@@ -365,7 +372,7 @@ mod tests {
         let limits = limits(&[]);
         let nearest =
             |actual, velocity| limits.nearest(100, actual, velocity, Duration::from_secs(1));
-        // Behind on its ramp, too far, the wrong way.
+        // Behind on its ramp, too far, backwards.
         assert_eq!(nearest(600, 1000), Some(600));
         assert_eq!(nearest(2000, 1000), Some(1100));
         assert_eq!(nearest(-300, 1000), Some(100));

@@ -316,7 +316,7 @@ fn invalid_arguments_are_rejected_with_the_cause() {
         ),
         (
             &["can", "drive", "can0", "5", "--jog", "5", "--mode", "pp"],
-            "leave --mode away",
+            "omit --mode",
         ),
         (
             &["can", "scan", "can0", "--nodes", "1-200"],
@@ -355,7 +355,7 @@ fn rmp_at_unread_serial_port_ends_and_reports_drops() {
 
 /// The power base at a pseudo-terminal, as at the serial port of its USB chip.
 #[test]
-fn rmp_at_serial_port_is_read_and_driven() {
+fn rmp_at_a_serial_port_is_shown_and_driven() {
     steady(|| {
         let mut powerbase = Process::start(&["emulate", "rmp"]);
         let line = powerbase.wait_for("power base at ");
@@ -384,8 +384,8 @@ fn rmp_at_serial_port_is_read_and_driven() {
             "1s",
             "--yes",
         ]);
-        let output = expect_status(&driven, 0);
-        assert!(output.contains("ok, drove and stands"), "{output}");
+        let told = expect_status(&driven, 0);
+        assert!(told.contains("ok, drove and is at rest"), "{told}");
         powerbase.terminate();
         let (lines, _) = powerbase.end();
         let last = lines.last().unwrap();

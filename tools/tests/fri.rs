@@ -110,11 +110,11 @@ fn move_moves_one_joint_of_either_robot() {
         assert_eq!(status, Some(0), "{lines:#?}");
         let says = |text: &str| lines.iter().any(|line| line.contains(text));
         assert!(
-            says("A3 (joint 4) goes from -68.75 deg to -70.75 deg"),
+            says("A3 (joint 4) moves from -68.75 deg to -70.75 deg"),
             "{lines:#?}"
         );
         assert!(
-            says("A3 is there: -2.00 deg were asked for, -2.00 deg are measured"),
+            says("A3 arrived: -2.00 deg requested, -2.00 deg measured"),
             "{lines:#?}"
         );
         drop(arm);
@@ -124,13 +124,13 @@ fn move_moves_one_joint_of_either_robot() {
             let (lines, status) = process.end();
             assert_eq!(status, Some(0), "{lines:#?}");
             let says = |text: &str| lines.iter().any(|line| line.contains(text));
-            assert!(says("A4 is there: -2.00 deg were asked for"), "{lines:#?}");
+            assert!(says("A4 arrived: -2.00 deg requested"), "{lines:#?}");
         }
     });
 }
 
 #[test]
-fn move_brakes_on_sigint() {
+fn fri_move_brakes_on_sigterm() {
     steady(|| {
         let _alone = alone();
         let words = [
@@ -152,7 +152,7 @@ fn move_brakes_on_sigint() {
         assert!(
             lines
                 .iter()
-                .any(|line| line == "braked to rest on the way, as asked"),
+                .any(|line| line == "braked to rest before the goal, as requested"),
             "{lines:#?}"
         );
     });
@@ -177,7 +177,7 @@ fn move_refuses_unsafe_requests() {
     assert!(
         lines
             .iter()
-            .any(|line| line.contains("too bad to move anything")),
+            .any(|line| line.contains("too bad for a motion")),
         "{lines:#?}"
     );
     drop(arm);

@@ -37,6 +37,10 @@ pub struct Base {
     motion: Motion,
 }
 
+/// Acceleration limits of power bases, m/s² and rad/s². No manual of a power base states one; riders regard these as
+/// gentle.
+pub const ACCELERATION: [f64; 2] = [1.0, 1.5];
+
 /// Acceleration limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ramp {

@@ -24,6 +24,8 @@ use super::mailbox::{CallError, Mailbox};
 use super::tmcl::{Answer, Request, Version};
 use super::wire::{Command, Feedback, Flags, Mode};
 use super::{Firmware, parameters};
+use crate::axis::OFFLINE_AFTER;
+use crate::master::Master;
 
 /// Retry delay after a mailbox error.
 const AGAIN: Duration = Duration::from_secs(2);
@@ -48,6 +50,18 @@ pub struct DriveConfig {
     pub current_max_ma: i32,
     /// Direction of the commutation search, 1 or -1.
     pub direction: i32,
+}
+
+impl DriveConfig {
+    /// That of joint `number` of the arm, from 0.
+    #[must_use]
+    pub const fn joint(number: usize, current_max_ma: i32) -> Self {
+        Self {
+            current_max_ma,
+            // Homing moves all joints but the third off their stops, as the vendor's driver does.
+            direction: if number == 2 { 1 } else { -1 },
+        }
+    }
 }
 
 /// State of a drive.
@@ -275,6 +289,25 @@ impl Drive {
             }
             DriveState::Ready => None,
         }
+    }
+
+    /// One cycle at its master: inputs of the last frame, outputs of the next, and its mailbox. The rest as in
+    /// [`Self::cycle`].
+    pub fn exchange(
+        &mut self,
+        master: &mut Master,
+        wanted: Option<Command>,
+        may_move: bool,
+        now: Duration,
+    ) {
+        let slave = self.slave();
+        let (bytes, age) = master.inputs(slave);
+        let online = master.is_exchanging() && age <= OFFLINE_AFTER && !bytes.is_empty();
+        let command = self.cycle(online.then_some(bytes), wanted, may_move, now);
+        if let Some(outputs) = master.outputs_mut(slave).first_chunk_mut() {
+            *outputs = command.encode();
+        }
+        self.mailbox.poll(master, now);
     }
 
     /// One cycle: takes the inputs, `None` if there are no recent ones, and returns the outputs. It executes `wanted`

@@ -50,6 +50,9 @@ pub const HOMING: [HomingConfig; 5] = [
     HomingConfig::new(71, 500),
 ];
 
+/// Largest current of each motor unless configured otherwise, mA.
+pub const CURRENT_MAX_MA: [i32; 5] = [4000, 4000, 3000, 2000, 1500];
+
 #[expect(
     clippy::cast_possible_truncation,
     reason = "it saturates, which no angle of a joint reaches"

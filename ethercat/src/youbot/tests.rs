@@ -430,6 +430,54 @@ fn homing_without_stop_times_out() {
     assert_eq!(homing.state(), HomingState::Failed(HomingError::NoStop));
 }
 
+/// A homing whose motor turns with this speed and current, after these cycles of the approach.
+fn approached(velocity_rpm: i32, current_ma: i32, cycles: u32) -> (Homing, Option<Command>) {
+    let mut homing = Homing::new(HOMING[0]);
+    let mut mailbox = Mailbox::new(0);
+    homing.start();
+    let mut feedback = Feedback {
+        velocity_rpm,
+        current_ma,
+        ..Feedback::default()
+    };
+    homing.cycle(&feedback, &mut mailbox, true, Duration::ZERO);
+    mailbox.pretend(Ok(Answer::Value(0)));
+    let mut command = None;
+    for ms in 0..cycles {
+        let now = Duration::from_millis(ms.into());
+        command = homing.cycle(&feedback, &mut mailbox, true, now);
+        feedback.position += velocity_rpm * 4000 / 60_000;
+    }
+    (homing, command)
+}
+
+#[test]
+fn homing_of_a_runaway_motor_takes_its_current() {
+    for rpm in [900, -300] {
+        let (homing, command) = approached(rpm, 0, 1000);
+        let commanded = HOMING[0].rpm;
+        let why = HomingError::Runaway { rpm, commanded };
+        assert_eq!(homing.state(), HomingState::Failed(why));
+        assert_eq!(command, Some(Command::current(0)));
+        assert!(why.to_string().contains("\nhint: "), "{why}");
+    }
+    // Overshoot, and a joint that gravity holds back.
+    for rpm in [330, -50] {
+        let (homing, _) = approached(rpm, 0, 1000);
+        assert!(homing.is_active(), "{rpm}");
+    }
+}
+
+#[test]
+fn homing_reports_whether_the_motor_moved() {
+    let (moves, _) = approached(156, 0, 1000);
+    assert_eq!(moves.has_moved(), Some(true));
+    let (blocked, _) = approached(0, 3000, 206);
+    assert!(matches!(blocked.state(), HomingState::Rest(_)));
+    assert_eq!(blocked.has_moved(), Some(false));
+    assert_eq!(Homing::new(HOMING[0]).has_moved(), None);
+}
+
 #[test]
 fn raw_mailbox_is_emptied_before_a_request() {
     let mut rig = Lead::ready(Firmware::V200).rig;

@@ -1,5 +1,5 @@
-//! Frames that can set something in motion are sent only when somebody stands by it: asked on a terminal,
-//! or told by `--yes`. It decides by what a frame can do, not by what is connected.
+//! Frames that can set something in motion are sent only after a confirmation, on a terminal or by
+//! `--yes`. It decides by what a frame can do, not by what is connected.
 
 use takt_can::AnyFrame;
 use takt_can::canopen::{Message, NmtCommand};
@@ -7,10 +7,10 @@ use takt_can::linux::Interface;
 
 use crate::confirm;
 
-/// Asks if needed.
+/// Requests a confirmation, if needed.
 ///
 /// # Errors
-/// If the answer is no, or nobody can answer.
+/// If the answer is no, or there is no terminal.
 pub(super) fn motion<'a>(
     interface: &str,
     frames: impl IntoIterator<Item = &'a AnyFrame>,
@@ -19,14 +19,14 @@ pub(super) fn motion<'a>(
     let Some(frame) = frames.into_iter().find(|frame| can_move(frame)) else {
         return Ok(());
     };
-    deed(interface, &frame.to_string(), confirmed)
+    action(interface, &frame.to_string(), confirmed)
 }
 
-/// The same for what is done with many frames: `what` can set something in motion.
+/// The same for an action of many frames: `what` can set something in motion.
 ///
 /// # Errors
-/// If the answer is no, or nobody can answer.
-pub(super) fn deed(interface: &str, what: &str, confirmed: bool) -> anyhow::Result<()> {
+/// If the answer is no, or there is no terminal.
+pub(super) fn action(interface: &str, what: &str, confirmed: bool) -> anyhow::Result<()> {
     let confirmed = confirmed || is_virtual(interface);
     confirm::motion(&format!("on {interface}, {what}"), confirmed)
 }
@@ -37,7 +37,7 @@ fn is_virtual(interface: &str) -> bool {
     details.is_ok_and(|details| details.is_virtual())
 }
 
-/// Whether a frame is none of those that are known to move nothing: questions, states, network management
+/// Whether a frame can move something: all but those that are known not to, as requests, states, and network management
 /// other than start.
 fn can_move(frame: &AnyFrame) -> bool {
     let AnyFrame::Classic(classic) = frame else {
@@ -48,7 +48,7 @@ fn can_move(frame: &AnyFrame) -> bool {
     }
     match Message::decode(classic) {
         Message::Nmt(command, _) => command == NmtCommand::Start,
-        // An upload asks only. Client commands are told by the three highest bits.
+        // An upload only reads. The three highest bits are the command of the client.
         Message::SdoRequest(_, [command, ..]) => !matches!(command >> 5, 2..=5),
         Message::Time(..)
         | Message::Emergency(..)
@@ -66,7 +66,7 @@ mod tests {
     use takt_can::log::parse_frame;
 
     #[test]
-    fn only_what_is_known_to_move_nothing_passes() {
+    fn confirmation_is_needed_for_frames_that_move() {
         for (text, moves) in [
             ("000#0105", true),
             ("000#0200", false),
@@ -90,12 +90,12 @@ mod tests {
     }
 
     #[test]
-    fn without_a_terminal_the_word_must_be_given() {
-        let (start, ask) = (
+    fn confirmation_without_terminal_needs_the_option() {
+        let (start, request) = (
             parse_frame("000#0105").unwrap(),
             parse_frame("705#R").unwrap(),
         );
-        assert!(motion("nosuchcan0", [&ask], false).is_ok());
-        assert!(motion("nosuchcan0", [&ask, &start], true).is_ok());
+        assert!(motion("nosuchcan0", [&request], false).is_ok());
+        assert!(motion("nosuchcan0", [&request, &start], true).is_ok());
     }
 }

@@ -1,9 +1,10 @@
-//! `takt can drive`: one CiA 402 drive, brought up state by state over SDO, with the reason when it does not come,
-//! and jogged. It maps no PDO and drives no set-points in a cycle; that is what a net is for.
+//! `takt can drive`: one CiA 402 drive, enabled state by state over SDO, with the reason when it is not enabled, and
+//! jogged. Start-up, monitor and shutdown are those of the drivers. It maps no PDO and sends no cyclic set-points; nets
+//! do.
 
 mod diagnosis;
 mod facts;
-mod overheard;
+mod observer;
 mod session;
 #[cfg(test)]
 mod tests;
@@ -21,13 +22,13 @@ use crate::Verdict;
 use crate::output::{say, span};
 use session::{Jog, Plan, Session, Step};
 
-/// Bring one drive up, see its words as named bits, and learn why it does not come up.
+/// Enable one drive, show its words as named bits, and report why it is not enabled.
 ///
-/// Everything goes by SDO, so nothing needs to be mapped. The drive is brought to Operation enabled, held there, and
-/// switched off again. It watches the heartbeat of this program meanwhile (1016h), so that it stops by 6007h if that
-/// ends. A jog faster than 607Fh or 6080h allows is refused; a motor that runs away loses power at once. Ctrl-C brakes
-/// (quick stop). Exit status: 0 it came up and went down as it should; 1 it did not, with the
-/// reason; 2 it could not be tried.
+/// Everything is sent by SDO, so nothing needs to be mapped. The drive is brought to Operation enabled, held there, and
+/// switched off again as drivers do: at standstill, operation disabled before power is removed. It monitors the
+/// heartbeat of this program (1016h), so that it stops by 6007h if that ends. A jog faster than 607Fh or 6080h allows is
+/// rejected; a motor that runs away loses power at once. Ctrl-C brakes (quick stop). Exit status: 0 it was enabled and
+/// switched off; 1 it was not, with the reason; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can drive can0 5 --watch
@@ -43,7 +44,7 @@ pub(crate) struct Drive {
     /// The axis of a multi-axis drive, from 0.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..8))]
     axis: u8,
-    /// Only look: show its words whenever they change, command nothing.
+    /// Read only: show its words whenever they change, command nothing.
     #[arg(long, conflicts_with_all = ["jog", "mode", "reset"])]
     watch: bool,
     /// Mode of operation (6060h): pp, vl, pv, tq, hm, ip, csp, csv, cst, or its number.
@@ -59,9 +60,9 @@ pub(crate) struct Drive {
     #[arg(long, value_name = "VELOCITY", allow_hyphen_values = true)]
     jog: Option<i32>,
     /// How long to turn it.
-    #[arg(long, alias = "for", value_name = "TIME", default_value = "1s", value_parser = span, requires = "jog")]
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = span, requires = "jog")]
     duration: Duration,
-    /// Jog although the drive cannot watch the heartbeat of this program.
+    /// Jog although the drive cannot monitor the heartbeat of this program.
     #[arg(long, requires = "jog")]
     unguarded: bool,
     /// A quirk of the drive: no_follow_bit, sod_as_0020 or mode_after_enable; may be repeated.
@@ -70,7 +71,7 @@ pub(crate) struct Drive {
     /// Print one JSON object at the end.
     #[arg(long)]
     json: bool,
-    /// It is safe that the machine moves.
+    /// It is safe that the machine moves; do not ask.
     #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
@@ -101,19 +102,19 @@ fn mode(text: &str) -> Result<i8, String> {
     })
 }
 
-/// How long a drive is held in Operation enabled unless told otherwise.
+/// How long a drive is held in Operation enabled by default.
 const HOLD: Duration = Duration::from_secs(1);
 
 impl Drive {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         anyhow::ensure!(
             self.jog.is_none() || self.mode == PV,
-            "--jog turns by profile velocity; leave --mode away"
+            "--jog turns by profile velocity\nhint: omit --mode"
         );
         let mut wire = Live::open_to_stop(&self.interface)?;
         if !self.watch {
             let what = format!("enabling axis {} of node {}", self.axis, self.node);
-            confirm::deed(&self.interface, &what, self.confirm_motion)?;
+            confirm::action(&self.interface, &what, self.confirm_motion)?;
         }
         let plan = Plan {
             node: self.node,

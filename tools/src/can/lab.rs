@@ -1,5 +1,4 @@
-//! A bus within the process with emulated devices on it, in virtual time: what the commands are tested
-//! against. It is not there outside of tests.
+//! A bus within the process with emulated devices on it, in virtual time, for the tests of the commands.
 
 use std::time::Duration;
 
@@ -11,7 +10,7 @@ use takt_can::rmp::emulator::{Powerbase, PowerbaseConfig};
 
 use super::wire::Wire;
 
-/// How finely devices are served.
+/// Time step of the devices.
 const TICK: Duration = Duration::from_micros(250);
 
 /// A device.
@@ -23,25 +22,25 @@ pub(super) enum Device {
     Nothing,
 }
 
-/// What is done to the lab at a time.
-type Deed = Box<dyn FnOnce(&mut Vec<Device>)>;
+/// A change of the devices at a time.
+type Change = Box<dyn FnOnce(&mut Vec<Device>)>;
 
-/// The bus, the tool's place at it, and the devices.
+/// The bus, the port of the tool, and the devices.
 pub(super) struct Lab {
     pub(super) bus: Bus,
     own: PortId,
     ports: Vec<PortId>,
     pub(super) devices: Vec<Device>,
-    /// When somebody presses Ctrl-C.
+    /// When the user presses Ctrl-C.
     pub(super) stop_at: Option<Duration>,
-    /// What happens when, in the order of time.
-    deeds: Vec<(Duration, Deed)>,
+    /// Changes in the order of time.
+    changes: Vec<(Duration, Change)>,
     /// Every frame that the tool sent.
     pub(super) sent: Vec<(Duration, Frame)>,
-    /// Frames of a stranger, one after the other.
-    pub(super) stranger: Vec<(Duration, Frame)>,
-    stranger_port: PortId,
-    /// What becomes of frames of devices on their way.
+    /// Frames of another master, in the order of time.
+    pub(super) other_master: Vec<(Duration, Frame)>,
+    other_port: PortId,
+    /// Replaces frames of devices.
     pub(super) tamper: fn(Frame) -> Frame,
 }
 
@@ -55,17 +54,17 @@ impl Lab {
             send_queue: 512,
             ..Config::default()
         });
-        let (own, stranger_port) = (bus.attach(), bus.attach());
+        let (own, other_port) = (bus.attach(), bus.attach());
         Self {
             bus,
             own,
             ports: Vec::new(),
             devices: Vec::new(),
             stop_at: None,
-            deeds: Vec::new(),
+            changes: Vec::new(),
             sent: Vec::new(),
-            stranger: Vec::new(),
-            stranger_port,
+            other_master: Vec::new(),
+            other_port,
             tamper: |frame| frame,
         }
     }
@@ -93,7 +92,7 @@ impl Lab {
         self.ports.push(self.bus.attach());
     }
 
-    /// The drive that was added as that number, from 0.
+    /// The device at this index, a drive.
     pub(super) fn drive(&mut self, at: usize) -> &mut DriveNode {
         drive(&mut self.devices, at)
     }
@@ -102,13 +101,14 @@ impl Lab {
         rmp(&mut self.devices, at)
     }
 
-    /// Does something at a time.
-    pub(super) fn at(&mut self, ms: u64, deed: impl FnOnce(&mut Vec<Device>) + 'static) {
-        self.deeds.push((Duration::from_millis(ms), Box::new(deed)));
-        self.deeds.sort_by_key(|(at, _)| *at);
+    /// Changes the devices at a time.
+    pub(super) fn at(&mut self, ms: u64, change: impl FnOnce(&mut Vec<Device>) + 'static) {
+        self.changes
+            .push((Duration::from_millis(ms), Box::new(change)));
+        self.changes.sort_by_key(|(at, _)| *at);
     }
 
-    /// Lets time pass with nobody at the tool.
+    /// Runs without the tool.
     pub(super) fn run(&mut self, ms: u64) {
         let until = self.now() + Duration::from_millis(ms);
         while self.now() < until {
@@ -120,17 +120,15 @@ impl Lab {
     fn step(&mut self, until: Duration) {
         let now = (self.bus.now() + TICK).min(until);
         self.bus.advance(now);
-        while self.deeds.first().is_some_and(|(at, _)| *at <= now) {
-            let (_, deed) = self.deeds.remove(0);
-            deed(&mut self.devices);
+        while self.changes.first().is_some_and(|(at, _)| *at <= now) {
+            let (_, change) = self.changes.remove(0);
+            change(&mut self.devices);
         }
-        while self.stranger.first().is_some_and(|(at, _)| *at <= now) {
-            let (_, frame) = self.stranger.remove(0);
-            self.bus
-                .send(self.stranger_port, &frame.into(), now)
-                .unwrap();
+        while self.other_master.first().is_some_and(|(at, _)| *at <= now) {
+            let (_, frame) = self.other_master.remove(0);
+            self.bus.send(self.other_port, &frame.into(), now).unwrap();
         }
-        while self.bus.receive(self.stranger_port).is_some() {}
+        while self.bus.receive(self.other_port).is_some() {}
         for (port, device) in self.ports.iter().zip(&mut self.devices) {
             serve(&mut self.bus, *port, device, now);
         }

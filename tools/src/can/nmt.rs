@@ -263,7 +263,7 @@ mod tests {
         lab.run(10);
         let stop = NmtCommand::Stop.frame(None);
         for ms in 1..1100 {
-            lab.stranger
+            lab.other_master
                 .push((Duration::from_micros(10_000 + ms * 1000), stop));
         }
         let outcome = command(&mut lab, node(5), Word::Start, WAIT).unwrap();

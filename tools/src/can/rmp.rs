@@ -1,5 +1,5 @@
-//! `takt can rmp`: a Segway power base, on CAN or at its USB port: what it says, its scales set, and jogged. It leads
-//! one power base; the omnidirectional base of two is a device of the controller.
+//! `takt can rmp`: a Segway power base, on CAN or at its USB port: its state, its scales, and a jog. Start-up, ramps and
+//! odometry are those of the driver. It commands one power base; the platform of two is a device of the controller.
 
 mod port;
 mod session;
@@ -20,9 +20,9 @@ use crate::output::{complain, is_terminal, say, span};
 use port::SerialPort;
 use session::{Jog, Plan, Session, View};
 
-/// Look at a Segway power base, set its scales, jog it.
+/// Show a Segway power base, set its scales, jog it.
 ///
-/// Without --set and --jog it only listens. Exit status: 0 it is heard, and did what was asked; 1 not, with the
+/// Without --set and --jog it only receives. Exit status: 0 it sends, and did what was requested; 1 not, with the
 /// reason; 2 it could not be tried. Ctrl-C brakes.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -37,14 +37,14 @@ pub(crate) struct Rmp {
     /// The serial port of its USB chip, such as /dev/ttyUSB0.
     #[arg(long, value_name = "DEV")]
     serial: Option<String>,
-    /// `rmp50`, `rmp100`, `rmp200` or `rmp400`: what its counts mean.
+    /// `rmp50`, `rmp100`, `rmp200` or `rmp400`: the scales of its counts.
     #[arg(long, default_value = "rmp200", value_parser = model)]
     model: Model,
     /// How long to observe it, by default until Ctrl-C on a terminal and 2s elsewhere; with --jog, how long to drive it,
     /// by default 1s.
-    #[arg(long, alias = "for", value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
-    /// Set what it stores: velocity, acceleration, turn (sixteenths, 0 to 16), current (0 to 256), gain (0 to 2),
+    /// Set stored values: velocity, acceleration, turn (sixteenths, 0 to 16), current (0 to 256), gain (0 to 2),
     /// as in velocity=16,turn=16.
     #[arg(long, value_name = "NAME=VALUE,..", value_parser = configs)]
     set: Option<Configs>,
@@ -54,7 +54,7 @@ pub(crate) struct Rmp {
     /// Print one JSON object at the end instead.
     #[arg(long)]
     json: bool,
-    /// It is safe that the machine moves.
+    /// It is safe that the machine moves; do not ask.
     #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
@@ -67,18 +67,18 @@ struct Configs(Vec<Config>);
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Velocity([f64; 2]);
 
-/// Nobody jogs faster than a walk.
+/// Largest speed of a jog, m/s and rad/s: a walk.
 const SPEED_MAX: f64 = 1.5;
 const ROTATION_MAX: f64 = 1.5;
-/// How long to look where nobody can press Ctrl-C.
-const LOOK: Duration = Duration::from_secs(2);
-/// How long to drive it unless the command line says otherwise.
+/// How long to receive without a terminal.
+const DURATION: Duration = Duration::from_secs(2);
+/// How long to drive it unless the command line gives a duration.
 const JOG: Duration = Duration::from_secs(1);
 
 fn model(text: &str) -> Result<Model, String> {
     Model::named(text).ok_or_else(|| {
         let known = Model::ALL.map(Model::name).join(", ");
-        format!("there is no such model; there are {known}")
+        format!("there is no such model\nhint: write one of {known}")
     })
 }
 
@@ -134,21 +134,23 @@ impl Rmp {
                 let mut wire = Live::open_to_stop(interface)?;
                 self.session(&mut wire, interface)
             }
-            (None, None) => anyhow::bail!("name an interface, or a serial port by --serial"),
+            (None, None) => {
+                anyhow::bail!("no interface is named\nhint: name one, or a serial port by --serial")
+            }
         }
     }
 
     fn session<P: port::Port>(&self, port: &mut P, place: &str) -> anyhow::Result<Verdict> {
         if self.jog.is_some() {
-            confirm::deed(place, "driving the power base", self.confirm_motion)?;
+            confirm::action(place, "driving the power base", self.confirm_motion)?;
         }
         let live = is_terminal() && !self.json;
         let plan = Plan {
             model: self.model,
-            look: self
+            duration: self
                 .duration
                 .filter(|_| self.jog.is_none())
-                .or_else(|| (!live).then_some(LOOK)),
+                .or_else(|| (!live).then_some(DURATION)),
             configs: self.set.clone().map_or_else(Vec::new, |configs| configs.0),
             jog: self.jog.map(|Velocity(velocity)| Jog {
                 velocity,
@@ -176,7 +178,7 @@ impl Rmp {
     }
 }
 
-/// Over what was shown before: that many lines up. There is nobody to tell if the terminal is gone.
+/// Overwrites the last view. Errors of the terminal are ignored.
 fn redraw(text: &str) {
     let lines = text.lines().count();
     let mut out = std::io::stderr().lock();

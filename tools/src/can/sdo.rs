@@ -181,7 +181,7 @@ impl Sdo {
             let address = Sheet::open(transfer.eds.as_deref())?.find(object)?;
             if can_move(address) {
                 let action = format!("writing {address} of node {}", self.node);
-                confirm::deed(&self.interface, &action, *confirm_motion)?;
+                confirm::action(&self.interface, &action, *confirm_motion)?;
             }
         }
         let mut wire = Live::open(&self.interface)?;

@@ -1,5 +1,5 @@
-//! What objects are called and of which type they are: from a data sheet, or, for the objects of CiA 301 and
-//! CiA 402, from Takt's own. It asks no node.
+//! Names and types of objects: from a data sheet, or, for the objects of CiA 301 and CiA 402, from Takt's own. It reads
+//! no node.
 
 use std::path::Path;
 
@@ -13,10 +13,10 @@ use takt_cia402::{ControlWord, StatusWord};
 
 use crate::output::complain;
 
-/// Remarks on a data sheet that are told one by one.
+/// Remarks on a data sheet that are printed one by one.
 const REMARKS: usize = 5;
 
-/// Reads a data sheet or a configuration; what of it is not understood is told.
+/// Reads a data sheet or a configuration; what it does not understand is printed.
 pub(super) fn read(path: &Path) -> anyhow::Result<Eds> {
     let bytes = takt_core::files::read(path, takt_core::files::TEXT_BYTES_MAX)
         .with_context(|| format!("cannot read {}", path.display()))?;

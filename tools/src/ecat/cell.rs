@@ -1,5 +1,4 @@
-//! What a cell expects of its segments, for tools that are masters themselves. What a cell is made of is told by
-//! `takt-core`.
+//! Segments as a cell configures them, for tools that are masters themselves. `takt-core` reads cells.
 
 use std::time::Duration;
 
@@ -24,7 +23,9 @@ pub(super) fn segment<'a>(
     match (name, &cell.ethercat[..]) {
         (_, []) => anyhow::bail!("the cell has no [[ethercat]]"),
         (None, [only]) => Ok(only),
-        (None, _) => anyhow::bail!("the cell has several segments: {names}; say which"),
+        (None, _) => {
+            anyhow::bail!("the cell has several segments: {names}\nhint: name one by --segment")
+        }
         (Some(name), all) => {
             let found = all.iter().find(|segment| segment.name == name);
             found.with_context(|| format!("the cell has no segment `{name}`; it has {names}"))
@@ -32,7 +33,7 @@ pub(super) fn segment<'a>(
     }
 }
 
-/// What the master of a segment is to expect and to set up, as the controller has it, at a cycle and up to a state.
+/// The master configuration of a segment, as the controller has it, for a cycle and up to a state.
 pub(super) fn master(segment: &EthercatConfig, cycle: Duration, goal: AlState) -> MasterConfig {
     let segment = EthercatConfig {
         cycle,
@@ -44,7 +45,7 @@ pub(super) fn master(segment: &EthercatConfig, cycle: Duration, goal: AlState) -
     }
 }
 
-/// The interface at the other end of a segment that is a ring. Without a link there, what is left is a line.
+/// The interface at the other end of a segment that is a ring. Without a link there, it is a line.
 pub(super) fn other_end(segment: &EthercatConfig) -> Option<String> {
     let second = segment.second.clone();
     second.filter(|second| crate::link::fault(second).is_none())
@@ -72,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_keep_the_middle_between_the_sync0_of_a_cell() {
+    fn ecat_frames_of_a_cell_are_sent_between_sync0() {
         let mut session = session(tree(), AlState::SafeOp);
         session.restart(config(CELL, "sync")).unwrap();
         session.follow_sync0();
@@ -87,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn what_differs_from_the_cell_is_told_slave_by_slave() {
+    fn ecat_slaves_that_differ_from_the_cell_are_reported() {
         let mut session = session(tree(), AlState::SafeOp);
         let wrong = CELL.replace("position = 2\n", "position = 2\nproduct = 7\n");
         session.restart(config(&wrong, "differs")).unwrap();

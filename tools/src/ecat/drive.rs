@@ -1,13 +1,12 @@
-//! `takt ecat drive`: one axis of a CiA 402 drive, brought up state by state over process data, with the reason when
-//! it does not come, and moved a little. Programs of moves are for nets.
+//! `takt ecat drive`: one axis of a CiA 402 drive, enabled state by state over process data, with the reason when it is
+//! not enabled, and moved a little. Start-up, monitor and shutdown are those of the drivers; sequences of motions are for
+//! nets.
 
+mod profile;
 mod setup;
 #[cfg(test)]
 mod tests;
-mod way;
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -16,8 +15,10 @@ use takt_cia402::dictionary::Address;
 use takt_cia402::emulator::FaultCode;
 use takt_cia402::proof::{Object, Objects};
 use takt_cia402::{
-    ControlWord, DriveFault, Goal, MasterOptions, Monitor, Quirk, Runaway, State, StatusWord,
+    ControlWord, DriveFault, Goal, MasterOptions, Monitor, Power, Quirk, Runaway, Shutdown,
+    Standstill, State, StatusWord, axis_goal,
 };
+use takt_core::device::driver::SHUTDOWN_MAX;
 use takt_ethercat::AlState;
 use takt_ethercat::axis::{Axis, AxisState, Target};
 
@@ -25,16 +26,18 @@ use super::Target as Segment;
 use super::session::{Session, Wire};
 use crate::jog::{Limits, Speed};
 use crate::output::{say, span};
+use crate::signal::Stop;
 use crate::{Verdict, confirm};
-use way::Way;
+use profile::Profile;
 
-/// Bring an axis of a CiA 402 drive up, see its words as named bits, learn why it does not come, and jog it.
+/// Enable an axis of a CiA 402 drive, show its words as named bits, report why it is not enabled, and jog it.
 ///
 /// The segment is brought to OP, the axis to Operation enabled in cyclic synchronous position (CSP), held there or
-/// moved, and switched off again; then all slaves are left in INIT. Before it gets power, what PDOs carry is compared
-/// with SDO uploads in both directions; a drive that does not use the mapping it acknowledged gets none. A jog faster
-/// than 607Fh or 6080h allows is refused; a motor that runs away from its set-points loses power at once. Ctrl-C brakes
-/// first. Exit status: 0 it came up and did as asked; 1 it did not, with the reason; 2 it could not be tried.
+/// moved, and switched off again as drivers do: at standstill, operation disabled before power is removed. Then all
+/// slaves are left in INIT. Before the axis gets power, its PDOs are compared with SDO uploads in both directions; a
+/// drive that does not use the mapping it acknowledged gets none. A jog faster than 607Fh or 6080h allows is rejected; a
+/// motor that runs away from its set-points loses power at once. Ctrl-C brakes first. Exit status: 0 it was enabled and
+/// did as requested; 1 it did not, with the reason; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat drive enp2s0 3
@@ -51,7 +54,7 @@ pub(crate) struct Drive {
     /// Period of the frames, and of SYNC0.
     #[arg(long, value_name = "TIME", default_value = "4ms", value_parser = span)]
     cycle: Duration,
-    /// Run the drive by SYNC0.
+    /// Synchronize the drive to SYNC0.
     #[arg(long)]
     sync0: bool,
     /// Reset a fault, once.
@@ -60,11 +63,11 @@ pub(crate) struct Drive {
     /// How long to hold it in Operation enabled.
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = span)]
     hold: Duration,
-    /// Move it by so many increments, smoothly, from where it stands.
+    /// Move it by this many increments, smoothly, from its position.
     #[arg(long, value_name = "INCREMENTS", allow_hyphen_values = true)]
     by: Option<i32>,
-    /// How long the move takes; from rest to rest.
-    #[arg(long, alias = "for", value_name = "TIME", default_value = "2s", value_parser = span)]
+    /// Duration of the motion, from rest to rest.
+    #[arg(long, value_name = "TIME", default_value = "2s", value_parser = span)]
     duration: Duration,
     /// A quirk of the drive: no_follow_bit, sod_as_0020 or mode_after_enable; may be repeated.
     #[arg(long = "quirk", value_name = "QUIRK")]
@@ -72,23 +75,23 @@ pub(crate) struct Drive {
     /// Objects that SDO does not show as PDOs carry them, by the drive's manual, such as 607A,60FF: not compared.
     #[arg(long, value_name = "INDEX", value_delimiter = ',', value_parser = mirrored)]
     not_mirrored: Vec<Object>,
-    /// Do not ask whether what moves is safe.
+    /// It is safe that the machine moves; do not ask.
     #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
 
-/// An object that leads an axis, by its index on the first axis.
+/// An object that commands an axis, by its index on the first axis.
 fn mirrored(text: &str) -> Result<Object, String> {
     let address = text.parse::<Address>().map_err(|error| error.to_string())?;
     Object::of(address.index)
-        .ok_or_else(|| format!("{address} leads no axis; write 607A or another mapped object"))
+        .ok_or_else(|| format!("{address} commands no axis; write 607A or another mapped object"))
 }
 
 impl Drive {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let what = format!("enabling axis {} of slave {}", self.axis, self.slave);
         confirm::motion(&what, self.confirm_motion)?;
-        let stop = until_signal()?;
+        let stop = Stop::listen()?;
         let mut session = self.target.bring_up(AlState::PreOp, super::REQUEST_CYCLE)?;
         let slave = session.find(&self.slave)?;
         let order = Order {
@@ -109,7 +112,9 @@ impl Drive {
                 all
             },
         };
-        let done = perform(&mut session, &order, &stop, &mut |line| say(line));
+        let done = perform(&mut session, &order, &|| stop.is_requested(), &mut |line| {
+            say(line)
+        });
         let left = session.leave();
         let outcome = done?;
         left?;
@@ -118,38 +123,7 @@ impl Drive {
     }
 }
 
-/// A mark that is set when the process is asked to end.
-fn until_signal() -> anyhow::Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let told = stop.clone();
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()?;
-    // Ends with the process.
-    std::thread::Builder::new()
-        .name("signals".to_owned())
-        .spawn(move || {
-            runtime.block_on(async {
-                use tokio::signal::unix::{SignalKind, signal};
-                let mut terminate = signal(SignalKind::terminate()).ok();
-                let ended = async {
-                    match &mut terminate {
-                        Some(signal) => signal.recv().await,
-                        None => std::future::pending().await,
-                    }
-                };
-                tokio::select! {
-                    _ = tokio::signal::ctrl_c() => {}
-                    _ = ended => {}
-                }
-                told.store(true, Ordering::Relaxed);
-            });
-        })
-        .context("cannot listen for signals")?;
-    Ok(stop)
-}
-
-/// What is to be done with an axis.
+/// What to do with an axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Order {
     slave: usize,
@@ -158,10 +132,10 @@ pub(super) struct Order {
     sync0: bool,
     reset: bool,
     hold: Duration,
-    /// Increments, and how long they take.
+    /// Increments, and their duration.
     jog: Option<(i32, Duration)>,
     patience: Duration,
-    /// How the drive keeps to its profile.
+    /// Tolerated deviations of the drive from its profile.
     profile: MasterOptions,
     /// Objects that are not compared before it gets power.
     not_mirrored: Objects,
@@ -170,12 +144,13 @@ pub(super) struct Order {
 impl Order {
     /// Largest speed of its jog, increments/s.
     fn speed(&self) -> f64 {
-        self.jog
-            .map_or(0.0, |(increments, time)| Way::new(increments, time).speed())
+        self.jog.map_or(0.0, |(increments, time)| {
+            Profile::new(increments, time).speed()
+        })
     }
 }
 
-/// That the jog is faster than the drive allows, and how it is slow enough.
+/// Why the jog is too fast for the drive, with the duration that is long enough.
 fn too_fast(limits: &Limits, order: &Order) -> Option<String> {
     let (_, time) = order.jog?;
     let error = limits.check(Speed::Increments(order.speed())).err()?;
@@ -187,16 +162,16 @@ fn too_fast(limits: &Limits, order: &Order) -> Option<String> {
     ))
 }
 
-/// What came of it.
+/// The result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Outcome {
     /// All was done; increments moved, and the largest lag behind the set-points.
     Done(Option<(i32, i32)>),
     /// The slave did not get to OP.
     Slave(String),
-    /// The axis did not come, or fell.
+    /// The axis was not enabled, did not stay so, or did not move.
     Axis(String),
-    /// Somebody stopped it; it was braked.
+    /// It was stopped on request and braked.
     Stopped,
 }
 
@@ -212,7 +187,7 @@ impl Outcome {
 impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Done(None) => f.write_str("good: it came up and went down as asked"),
+            Self::Done(None) => f.write_str("good: it was enabled and switched off as requested"),
             Self::Done(Some((moved, lag))) => {
                 write!(
                     f,
@@ -225,15 +200,12 @@ impl std::fmt::Display for Outcome {
     }
 }
 
-/// Longest wait for the axis to switch off at the end.
-const OFF: Duration = Duration::from_secs(3);
-
-/// Does it, telling each step.
+/// Executes an order, printing each step.
 pub(super) fn perform<W: Wire>(
     session: &mut Session<W>,
     order: &Order,
-    stop: &AtomicBool,
-    tell: &mut dyn FnMut(&str) -> anyhow::Result<()>,
+    is_stopped: &dyn Fn() -> bool,
+    print: &mut dyn FnMut(&str) -> anyhow::Result<()>,
 ) -> anyhow::Result<Outcome> {
     let config = match setup::config(session, order)? {
         Ok(config) => config,
@@ -255,7 +227,7 @@ pub(super) fn perform<W: Wire>(
         .master()
         .slave(order.slave)
         .map(|slave| slave.process());
-    let process = process.context("the slave went away")?;
+    let process = process.context("the slave is offline")?;
     let axis = match Axis::new(order.slave, process, order.axis, order.profile) {
         Ok(axis) => axis.not_mirrored(order.not_mirrored),
         Err(missing) => return Ok(Outcome::Slave(missing.to_string())),
@@ -263,7 +235,7 @@ pub(super) fn perform<W: Wire>(
     let bounds = limits.monitor(Speed::Increments(order.speed()), order.cycle);
     if order.jog.is_some() {
         for note in limits.notes() {
-            tell(&format!("            {note}"))?;
+            print(&format!("            {note}"))?;
         }
     }
     let begin = session.now()?;
@@ -271,12 +243,13 @@ pub(super) fn perform<W: Wire>(
         session,
         axis,
         order,
-        stop,
-        tell,
+        is_stopped,
+        print,
         begin,
-        told: None,
+        printed: None,
         proven: None,
         monitor: Monitor::new(bounds),
+        standstill: limits.standstill(),
         held: None,
         runaway: None,
     };
@@ -285,53 +258,55 @@ pub(super) fn perform<W: Wire>(
     Ok(outcome)
 }
 
-/// An axis under way.
+/// An axis while it is commanded.
 struct Bench<'a, W: Wire> {
     session: &'a mut Session<W>,
     axis: Axis,
     order: &'a Order,
-    stop: &'a AtomicBool,
-    tell: &'a mut dyn FnMut(&str) -> anyhow::Result<()>,
+    is_stopped: &'a dyn Fn() -> bool,
+    print: &'a mut dyn FnMut(&str) -> anyhow::Result<()>,
     begin: Duration,
-    /// Words that were told last.
-    told: Option<(ControlWord, StatusWord)>,
-    /// How long the proof of its process data took.
+    /// Words that were printed last.
+    printed: Option<(ControlWord, StatusWord)>,
+    /// Duration of the proof of its process data.
     proven: Option<Duration>,
     /// Whether its motor follows its target.
     monitor: Monitor,
-    /// Where it is held, increments.
+    standstill: Standstill,
+    /// Position that it holds, increments.
     held: Option<i32>,
-    /// It ran away; its power is taken.
+    /// Its runaway; its power is removed.
     runaway: Option<Runaway>,
 }
 
 impl<W: Wire> Bench<'_, W> {
-    /// One cycle; words that changed are told.
+    /// One cycle; words that changed are printed.
     fn cycle(&mut self, target: Target) -> anyhow::Result<AxisState> {
         self.session.cycle()?;
         let now = self.session.now()?;
         while let Some(reply) = self.session.master_mut().poll_reply() {
-            // Of nobody else is anything asked while the axis is led.
+            // There are no other jobs while the axis is commanded.
             let _ = self.axis.handle_reply(reply, now);
         }
         let state = self.axis.cycle(self.session.master_mut(), target, now);
         self.supervise(&state, target, now);
-        self.tell_proof()?;
+        self.standstill.note(state.position, now);
+        self.print_proof()?;
         let words = (state.control, state.status);
-        if self.told != Some(words) {
-            self.told = Some(words);
+        if self.printed != Some(words) {
+            self.printed = Some(words);
             let time = now.saturating_sub(self.begin).as_secs_f64();
             let name = state
                 .state
                 .map_or_else(|| "no state".to_owned(), |s| s.to_string());
-            (self.tell)(&format!("{time:>8.3} s  {name}"))?;
-            (self.tell)(&format!("            6041h {}", state.status))?;
-            (self.tell)(&format!("            6040h {}", state.control))?;
+            (self.print)(&format!("{time:>8.3} s  {name}"))?;
+            (self.print)(&format!("            6041h {}", state.status))?;
+            (self.print)(&format!("            6040h {}", state.control))?;
         }
         Ok(state)
     }
 
-    /// Whether its motor goes where it is commanded; takes its power if not.
+    /// Checks that its motor follows its target; removes its power if not.
     fn supervise(&mut self, state: &AxisState, target: Target, now: Duration) {
         let wanted = match target {
             Target::Position(position) => Some(position),
@@ -339,8 +314,8 @@ impl<W: Wire> Bench<'_, W> {
                 self.held.or(Some(state.position))
             }
         };
-        let is_led = state.online && state.follows && self.runaway.is_none();
-        let wanted = wanted.filter(|_| is_led);
+        let is_commanded = state.online && state.follows && self.runaway.is_none();
+        let wanted = wanted.filter(|_| is_commanded);
         self.held = wanted;
         if let Some(runaway) = self.monitor.step(wanted, state.position, now) {
             self.runaway = Some(runaway);
@@ -348,15 +323,15 @@ impl<W: Wire> Bench<'_, W> {
         }
     }
 
-    /// That it ran away, if it did.
+    /// The outcome of a runaway.
     fn ran_away(&self) -> Option<Outcome> {
         let runaway = self.runaway?;
         let why = runaway.to_string().replace("\nhint", "\n      hint");
         Some(Outcome::Axis(format!("axis {}: {why}", self.order.axis)))
     }
 
-    /// That its process data are proven, once.
-    fn tell_proof(&mut self) -> anyhow::Result<()> {
+    /// Prints once that its process data are proven.
+    fn print_proof(&mut self) -> anyhow::Result<()> {
         let took = self.axis.proof().took();
         if took == std::mem::replace(&mut self.proven, took) {
             return Ok(());
@@ -365,17 +340,15 @@ impl<W: Wire> Bench<'_, W> {
             return Ok(());
         };
         let trusted = self.axis.proof().taken_on_trust();
-        let but = if trusted.is_empty() {
+        let exception = if trusted.is_empty() {
             String::new()
         } else {
             format!(", but for {trusted}, taken on trust")
         };
         let ms = took.as_millis();
-        (self.tell)(&format!("            process data proven in {ms} ms{but}"))
-    }
-
-    fn is_stopped(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
+        (self.print)(&format!(
+            "            process data proven in {ms} ms{exception}"
+        ))
     }
 
     fn run(&mut self) -> anyhow::Result<Outcome> {
@@ -390,7 +363,7 @@ impl<W: Wire> Bench<'_, W> {
 
     /// To Operation enabled, until it follows.
     fn enable(&mut self) -> anyhow::Result<Result<(), Outcome>> {
-        // What it shows before it is asked for anything.
+        // Its state before it is commanded.
         for _ in 0..3 {
             self.cycle(Target::Hold)?;
         }
@@ -399,21 +372,21 @@ impl<W: Wire> Bench<'_, W> {
         let begin = self.session.now()?;
         loop {
             let state = self.cycle(Target::Hold)?;
-            if self.is_stopped() {
+            if (self.is_stopped)() {
                 return Ok(Err(Outcome::Stopped));
             }
             if state.follows {
                 return Ok(Ok(()));
             }
             if reset && state.state == Some(State::Fault) {
-                (self.tell)("            its fault is reset")?;
+                (self.print)("            its fault is reset")?;
                 self.axis.reset_fault();
                 reset = false;
                 continue;
             }
             let resetting = self.order.reset && state.drive_fault == Some(DriveFault::Fault);
-            let silent = !state.online && self.session.now()?.saturating_sub(begin) > ONLINE;
-            if silent || (state.drive_fault.is_some() && !resetting) {
+            let offline = !state.online && self.session.now()?.saturating_sub(begin) > ONLINE;
+            if offline || (state.drive_fault.is_some() && !resetting) {
                 return Ok(Err(self.failure(&state)?));
             }
         }
@@ -426,7 +399,7 @@ impl<W: Wire> Bench<'_, W> {
             if let Some(outcome) = self.ran_away() {
                 return Ok(outcome);
             }
-            if self.is_stopped() {
+            if (self.is_stopped)() {
                 return Ok(Outcome::Stopped);
             }
             if !state.follows {
@@ -436,20 +409,20 @@ impl<W: Wire> Bench<'_, W> {
         Ok(Outcome::Done(None))
     }
 
-    /// From rest to rest; braked when somebody stops it.
+    /// From rest to rest; braked on request.
     fn jog(&mut self, increments: i32, time: Duration) -> anyhow::Result<Outcome> {
         let start = self.cycle(Target::Hold)?.position;
         let begin = self.session.now()?;
-        let mut way = Way::new(increments, time);
-        let (mut lag, mut stopped, mut tells) = (0, false, PROGRESS);
+        let mut profile = Profile::new(increments, time);
+        let (mut lag, mut stopped, mut next_print) = (0, false, PROGRESS);
         loop {
             let now = self.session.now()?.saturating_sub(begin);
-            if self.is_stopped() && !stopped {
+            if (self.is_stopped)() && !stopped {
                 stopped = true;
-                (self.tell)("            braking")?;
-                way.brake(now);
+                (self.print)("            braking")?;
+                profile.brake(now);
             }
-            let target = start.wrapping_add(way.at(now));
+            let target = start.wrapping_add(profile.at(now));
             let state = self.cycle(Target::Position(target))?;
             if let Some(outcome) = self.ran_away() {
                 return Ok(outcome);
@@ -459,16 +432,16 @@ impl<W: Wire> Bench<'_, W> {
             }
             let behind = target.wrapping_sub(state.position).saturating_abs();
             lag = lag.max(behind);
-            if now >= tells {
-                tells += PROGRESS;
+            if now >= next_print {
+                next_print += PROGRESS;
                 let time = self.session.now()?.saturating_sub(self.begin).as_secs_f64();
                 let position = state.position;
-                (self.tell)(&format!(
+                (self.print)(&format!(
                     "{time:>8.3} s  position {position}, {behind} behind"
                 ))?;
             }
-            // At the end it gets time to arrive.
-            if now > way.end() + SETTLE {
+            // At the end it has time to arrive.
+            if now > profile.end() + SETTLE {
                 let moved = state.position.wrapping_sub(start);
                 return Ok(if stopped {
                     Outcome::Stopped
@@ -478,23 +451,23 @@ impl<W: Wire> Bench<'_, W> {
                     let number = self.order.axis;
                     Outcome::Axis(format!(
                         "axis {number}: 6064h moved by {moved} increments of {increments}: its motor does not turn as \
-                         607Ah tells\n{NOT_MOVED}"
+                         607Ah commands\n{NOT_MOVED}"
                     ))
                 });
             }
         }
     }
 
-    /// What the axis says of why it is not where it is wanted.
+    /// Why the axis is not in the state that is wanted.
     fn failure(&mut self, state: &AxisState) -> anyhow::Result<Outcome> {
         let number = self.order.axis;
         let mut why = match (state.online, state.drive_fault, state.state) {
             (false, ..) => match self.session.master().slave(self.order.slave) {
                 Some(slave) => slave.fault().map_or_else(
-                    || "its process data stopped coming".to_owned(),
+                    || "its process data stopped arriving".to_owned(),
                     |fault| fault.to_string(),
                 ),
-                None => "its slave is gone".to_owned(),
+                None => "its slave is offline".to_owned(),
             },
             (true, Some(drive_fault), _) => drive_fault.to_string(),
             (true, None, Some(State::OperationEnabled)) => format!(
@@ -510,46 +483,60 @@ impl<W: Wire> Bench<'_, W> {
         Ok(Outcome::Axis(format!("axis {number}: {why}")))
     }
 
-    /// Without power, whatever was before.
+    /// Removes power as the drivers do: from a motor that moves only if nothing brakes it.
     fn switch_off(&mut self) -> anyhow::Result<()> {
-        self.axis.set_goal(Goal::SwitchOnDisabled);
-        let end = self.session.now()? + OFF;
-        while self.session.now()? < end {
+        let begin = self.session.now()?;
+        let mut shutdown = Shutdown::new(begin);
+        loop {
             let state = self.cycle(Target::Hold)?;
+            let now = self.session.now()?;
+            let power = state.state.filter(|_| state.online);
+            let power = power.map_or(Power::Off, Power::from);
+            let has_torque = power == Power::Drives;
+            let is_at_rest = !has_torque || self.standstill.is_reached(now);
+            let goal = shutdown.step(is_at_rest, has_torque, now);
+            let goal = axis_goal(goal, power, self.runaway.is_some());
+            if let Some(goal) = goal {
+                self.axis.set_goal(goal);
+            }
             let off = matches!(
                 state.state,
                 Some(State::SwitchOnDisabled | State::NotReadyToSwitchOn | State::Fault)
             );
-            if off || !state.online {
+            if goal == Some(Goal::SwitchOnDisabled) && (off || !state.online) {
                 return Ok(());
             }
+            if now > begin + SHUTDOWN_MAX {
+                return (self.print)(
+                    "            it does not switch off; the watchdog of its slave will",
+                );
+            }
         }
-        (self.tell)("            it does not switch off; the watchdog of its slave will")
     }
 }
 
-/// How long the first process data may take.
+/// Timeout of the first process data.
 const ONLINE: Duration = Duration::from_secs(1);
-/// How often it is told where a move is.
+/// Time between two prints of a position.
 const PROGRESS: Duration = Duration::from_millis(500);
-/// How long an axis gets to arrive.
+/// Time for an axis to arrive.
 const SETTLE: Duration = Duration::from_millis(200);
 
-/// What keeps a motor of an enabled drive from turning.
-const NOT_MOVED: &str = "      hint: look at its brake and load, at 6072h and 6080h (torque and speed that it may use), and at \
-    the gear and encoder factors (608Fh, 6091h)";
+/// What keeps the motor of an enabled drive from turning.
+const NOT_MOVED: &str = "      hint: check its brake and load, 6072h and 6080h (torque and speed that it may use), and the gear \
+    and encoder factors (608Fh, 6091h)";
 
 /// What makes an enabled drive leave its mode.
-const NOT_FOLLOWED: &str = "      hint: look for another master or a service tool at the drive; if there is none, it may use \
-    another mapping than it acknowledged: power-cycle it";
+const NOT_FOLLOWED: &str = "      hint: check for another master or a service tool at the drive; without one, it may use another \
+    mapping than it acknowledged: power-cycle it";
 
-/// Whether an axis went at least half of what it was to go, and in that direction.
+/// Whether an axis moved at least half of its motion, in that direction.
 fn has_moved(moved: i32, wanted: i32) -> bool {
     let along = i64::from(moved) * i64::from(wanted.signum());
     along * 2 >= i64::from(wanted).abs()
 }
 
-/// An error code of 603Fh in words.
+/// An error code of 603Fh as text.
 fn error_text(code: u16) -> String {
     format!("603Fh is {code:04X}h: {}", FaultCode(code))
 }

@@ -9,8 +9,8 @@ use std::time::Duration;
 use anyhow::ensure;
 use clap::Args;
 
+use super::directions::{Direction, directions};
 use super::frames::{Capture, Taken, datagrams};
-use super::ways::{Way, ways};
 use crate::Verdict;
 use crate::output::{complain, say};
 use meaning::Meanings;
@@ -64,7 +64,7 @@ impl Dump {
         };
         let mut left = self.count;
         say(HEADER)?;
-        for (taken, way) in capture.frames.iter().zip(ways(&capture.frames)) {
+        for (taken, way) in capture.frames.iter().zip(directions(&capture.frames)) {
             for line in decoder.lines(taken, way, filter) {
                 if left == 0 {
                     return Ok(decoder.verdict());
@@ -112,7 +112,7 @@ impl Decoder {
     }
 
     /// The lines of one frame.
-    pub(super) fn lines(&mut self, taken: &Taken, way: Way, filter: Filter) -> Vec<String> {
+    pub(super) fn lines(&mut self, taken: &Taken, way: Direction, filter: Filter) -> Vec<String> {
         let begin = *self.begin.get_or_insert(taken.at);
         let time = taken.at.saturating_sub(begin);
         let time = format!("{:>4}.{:06}", time.as_secs(), time.subsec_micros());
@@ -127,7 +127,7 @@ impl Decoder {
         for datagram in datagrams(&frame) {
             match datagram {
                 Ok(datagram) => {
-                    let back = way == Way::Back;
+                    let back = way == Direction::Back;
                     let meaning = self.meanings.of(&datagram, back);
                     if (filter.returned && !back) || !filter.matches(&datagram) {
                         continue;
@@ -151,15 +151,15 @@ impl Filter {
     }
 }
 
-fn line(way: Way, datagram: &takt_ethercat::Datagram<'_>, meaning: &str) -> String {
+fn line(way: Direction, datagram: &takt_ethercat::Datagram<'_>, meaning: &str) -> String {
     let header = datagram.header;
     let arrow = match way {
-        Way::Out => '>',
-        Way::Back => '<',
+        Direction::Out => '>',
+        Direction::Back => '<',
     };
     let counter = match way {
-        Way::Out => "-".to_owned(),
-        Way::Back => datagram.working_counter.to_string(),
+        Direction::Out => "-".to_owned(),
+        Direction::Back => datagram.working_counter.to_string(),
     };
     let line = format!(
         "{arrow} {:<6}  {:02X}  {:>9}  {:>4}  {counter:>3}  {meaning}",

@@ -18,9 +18,9 @@ use anyhow::ensure;
 use takt_ethercat::master::FrameCounters;
 use takt_ethercat::{Address, Command, Datagram, Frame, register};
 
+use super::directions::{Direction, RETURN_MAX, Sender, directions, sender, shape};
 use super::frames::{Capture, Taken, datagrams};
 use super::trips::{Trip, Trips};
-use super::ways::{Sender, UNDER_WAY, Way, sender, shape, ways};
 use cycle::Cycle;
 use slave::RecordedSlave;
 
@@ -142,11 +142,11 @@ impl Recording {
             corrupt: capture.corrupt,
             ..Self::default()
         };
-        let ways = ways(frames);
+        let ways = directions(frames);
         let outgoing = frames
             .iter()
             .zip(&ways)
-            .filter(|(_, way)| **way == Way::Out);
+            .filter(|(_, way)| **way == Direction::Out);
         let mut pass = Pass {
             senders: outgoing.map(|(taken, _)| sender(taken)).collect(),
             ..Pass::default()
@@ -161,16 +161,16 @@ impl Recording {
         Ok(all)
     }
 
-    fn take(&mut self, pass: &mut Pass, taken: &Taken, way: Way, frame: &Frame<'_>) {
+    fn take(&mut self, pass: &mut Pass, taken: &Taken, way: Direction, frame: &Frame<'_>) {
         let (at, shape) = (taken.at, shape(frame));
         match way {
-            Way::Out => {
+            Direction::Out => {
                 self.frames.sent += 1;
                 let is_cyclic = pass.cycle.take(at, frame);
                 pass.trips.sent(shape, at, is_cyclic);
                 self.sent(at, frame);
             }
-            Way::Back => {
+            Direction::Back => {
                 if !pass.trips.answered(&shape, at) {
                     let is_known = pass.senders.contains(&sender(taken));
                     self.unmatched(at, is_known, frame);
@@ -188,7 +188,7 @@ impl Recording {
                 Command::Bwr | Command::Brd | Command::Brw
             )
         };
-        let is_early = at.saturating_sub(self.begin) < UNDER_WAY;
+        let is_early = at.saturating_sub(self.begin) < RETURN_MAX;
         if !is_known && datagrams(frame).flatten().all(is_broadcast) {
             self.unmatched.searches += 1;
         } else if !is_known {

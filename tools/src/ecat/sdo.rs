@@ -128,7 +128,7 @@ pub(super) fn perform<W: Wire>(
                 address: *address,
                 whole: whole(*complete),
             };
-            let bytes = match session.ask(slave, kind, Vec::with_capacity(VALUE_MAX))? {
+            let bytes = match session.request(slave, kind, Vec::with_capacity(VALUE_MAX))? {
                 Ok(bytes) => bytes,
                 Err(error) => return Ok(Err(error)),
             };
@@ -190,7 +190,7 @@ fn download<W: Wire>(
         address,
         whole: whole(complete),
     };
-    Ok(session.ask(slave, kind, bytes)?.map(|_| text))
+    Ok(session.request(slave, kind, bytes)?.map(|_| text))
 }
 
 /// The type of an entry, if the slave reports it.
@@ -200,7 +200,7 @@ fn type_of<W: Wire>(
     address: Address,
 ) -> anyhow::Result<Option<DataType>> {
     let kind = JobKind::DescribeEntry(address);
-    let answer = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))?;
+    let answer = session.request(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))?;
     let Ok(bytes) = answer else {
         return Ok(None);
     };
@@ -213,7 +213,7 @@ fn list<W: Wire>(
     slave: usize,
     entries: bool,
 ) -> anyhow::Result<Result<String, JobError>> {
-    let all = session.ask(slave, JobKind::List(1), Vec::with_capacity(VALUE_MAX))?;
+    let all = session.request(slave, JobKind::List(1), Vec::with_capacity(VALUE_MAX))?;
     let all = match all {
         Ok(all) => all,
         Err(error) => return Ok(Err(error)),
@@ -224,7 +224,7 @@ fn list<W: Wire>(
             .first_chunk()
             .map_or(0, |two| u16::from_le_bytes(*two));
         let kind = JobKind::DescribeObject(index);
-        let bytes = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))?;
+        let bytes = session.request(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))?;
         let object = match &bytes {
             Ok(bytes) => ObjectDescription::decode(bytes),
             Err(error) => {
@@ -268,7 +268,7 @@ fn entry_line<W: Wire>(
     address: Address,
 ) -> anyhow::Result<String> {
     let kind = JobKind::DescribeEntry(address);
-    let Ok(bytes) = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))? else {
+    let Ok(bytes) = session.request(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))? else {
         return Ok(String::new());
     };
     let Some(entry) = EntryDescription::decode(&bytes) else {

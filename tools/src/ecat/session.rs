@@ -1,5 +1,5 @@
-//! A segment in the hands of a tool: sends what the master wants sent, hears what comes back, once a cycle, until
-//! something is reached. It keeps to no deadline: for real time there is the controller.
+//! A segment whose master is a tool: it sends and receives the frames of the master once a cycle, until a state is reached.
+//! It meets no deadlines: for real time there is the controller.
 
 use std::io;
 use std::time::Duration;
@@ -20,7 +20,7 @@ pub(super) trait Wire: Link {
     /// The time now.
     fn now(&mut self) -> io::Result<Duration>;
 
-    /// Comes back at a time; at once if that is past.
+    /// Returns at a time; at once if that is past.
     fn wait_until(&mut self, at: Duration) -> io::Result<()>;
 }
 
@@ -35,15 +35,15 @@ impl Wire for PacketLink {
     }
 }
 
-/// Listened for another master before the first frame: longer than any usual cycle.
+/// Time to receive frames of another master before the first frame: longer than any usual cycle.
 const LISTEN: Duration = Duration::from_millis(60);
-/// Turn of one of two ends that are both waited for.
+/// Wait at each end of a ring, in turn.
 const TURN: Duration = Duration::from_micros(20);
-/// After this long without any answer nobody is there.
-const NOBODY: Duration = Duration::from_secs(1);
-/// So long after the others are there, those with a fault are no longer waited for: the master has tried them again.
+/// Timeout of the first answer.
+const SILENT_AFTER: Duration = Duration::from_secs(1);
+/// Time after which slaves with a fault are no longer waited for: the master has retried them.
 const TRIED: Duration = Duration::from_secs(3);
-/// Events that are kept; a segment that has more to tell repeats itself.
+/// Most events that are stored; later ones repeat them.
 const EVENTS_MAX: usize = 1000;
 /// Longest wait for the answer to a job, in addition to the master's own time-outs.
 const JOB: Duration = Duration::from_secs(60);
@@ -88,7 +88,7 @@ pub(super) struct Session<W> {
     round_trips: Vec<Duration>,
     /// Frames keep a phase to SYNC0.
     follows: bool,
-    /// The newest sample of the reference clock, if nobody has taken it.
+    /// The newest sample of the reference clock, until it is read.
     clock: Option<Sample>,
 }
 
@@ -138,7 +138,7 @@ impl<W: Wire> Session<W> {
         &mut self.master
     }
 
-    /// Begins anew with another configuration, on the same wire.
+    /// Restarts with another configuration, on the same wire.
     pub(super) fn restart(&mut self, config: MasterConfig) -> anyhow::Result<()> {
         let redundant = self.second.is_some();
         self.master = Master::new(MasterConfig {
@@ -170,7 +170,7 @@ impl<W: Wire> Session<W> {
         self.port.link()
     }
 
-    /// What happened so far, and when.
+    /// Events so far, with their times.
     pub(super) fn events(&self) -> &[(Duration, Event)] {
         &self.events
     }
@@ -180,14 +180,14 @@ impl<W: Wire> Session<W> {
         &self.round_trips
     }
 
-    /// Forgets events and round trips: what is measured begins here.
+    /// Deletes events and round trips: a measurement begins here.
     pub(super) fn forget(&mut self) {
         self.events.clear();
         self.round_trips.clear();
     }
 
-    /// Listens whether there is a master already. Two on one segment answer each other's frames; outputs of the
-    /// other one would be overwritten.
+    /// Checks that there is no other master. Two on one segment receive each other's frames, and outputs of the other one
+    /// would be overwritten.
     pub(super) fn listen(&mut self) -> anyhow::Result<()> {
         let mut another = false;
         for port in std::iter::once(&mut self.port).chain(&mut self.second) {
@@ -198,8 +198,8 @@ impl<W: Wire> Session<W> {
         }
         ensure!(
             !another,
-            "{}: frames of another master are heard; stop it first (`systemctl stop takt`, or what sends there), \
-             nothing was sent",
+            "{}: frames of another master are received; nothing was sent\n\
+             hint: stop it first (`systemctl stop takt`, or the program that sends there)",
             self.interface
         );
         Ok(())
@@ -220,7 +220,7 @@ impl<W: Wire> Session<W> {
     fn exchange(&mut self) -> io::Result<()> {
         let paced = self.master.phase() == Phase::Running;
         let now = self.port.link().now()?;
-        // Cycles that were missed are left out, never sent in a burst; frames without a cycle move the grid no farther.
+        // Missed cycles are skipped, never sent in a burst; frames without a cycle do not move the grid.
         let cycle = self.master.config().cycle;
         self.next = (self.next + cycle).clamp(now, now + cycle);
         let sent = self.master.poll_transmit(now, &mut self.frame[..]);
@@ -229,7 +229,7 @@ impl<W: Wire> Session<W> {
             self.send(len)?;
         }
         while !self.next.saturating_sub(self.port.link().now()?).is_zero() {
-            if self.hear()? {
+            if self.receive()? {
                 break;
             }
         }
@@ -252,8 +252,8 @@ impl<W: Wire> Session<W> {
         }
     }
 
-    /// Waits for a frame until the cycle ends, in a ring a little at each end; whether it was the whole answer.
-    fn hear(&mut self) -> io::Result<bool> {
+    /// Waits for a frame until the cycle ends, in a ring briefly at each end; whether it was the whole answer.
+    fn receive(&mut self) -> io::Result<bool> {
         let left = self.next.saturating_sub(self.port.link().now()?);
         let wait = if self.second.is_some() {
             left.min(TURN)
@@ -286,29 +286,29 @@ impl<W: Wire> Session<W> {
         }
     }
 
-    /// Brings the segment to where the configuration wants it. Comes back too when some slaves do not get there, with
-    /// their faults in the master.
-    pub(super) fn bring_up(&mut self, patience: Duration) -> anyhow::Result<()> {
+    /// Brings the segment to its configured state. Returns also if some slaves do not reach it, with their faults in the
+    /// master.
+    pub(super) fn bring_up(&mut self, timeout: Duration) -> anyhow::Result<()> {
         let begin = self.port.link().now()?;
         loop {
             self.cycle()?;
             let passed = self.port.link().now()?.saturating_sub(begin);
             if self.master.is_empty() {
-                if passed >= NOBODY {
-                    self.nobody()?;
+                if passed >= SILENT_AFTER {
+                    self.silence()?;
                 }
                 continue;
             }
             if self.master.is_operational() || self.master.phase() == Phase::Refused {
                 return Ok(());
             }
-            if passed >= patience || (passed >= TRIED && self.all_settled()) {
+            if passed >= timeout || (passed >= TRIED && self.all_settled()) {
                 return Ok(());
             }
         }
     }
 
-    /// Each slave is where it is wanted or has a reason not to be.
+    /// Whether each slave is in its state or has a fault.
     fn all_settled(&self) -> bool {
         let mut slaves = (0..self.master.len()).filter_map(|number| self.master.slave(number));
         self.master.phase() == Phase::Running
@@ -316,30 +316,30 @@ impl<W: Wire> Session<W> {
     }
 
     /// Why there is no slave after a while.
-    pub(super) fn nobody(&self) -> anyhow::Result<()> {
+    pub(super) fn silence(&self) -> anyhow::Result<()> {
         let interface = &self.interface;
         let frames = self.master.frames();
         if let Some(position) = self.master.ring_split() {
             bail!(
                 "{interface}: the ring is open before the slave at position {position}, and a start from both ends \
-                 cannot tell which slave is which; see plugs, cable and supply there. Either side is seen by its own \
-                 end alone (without --second)"
+                 cannot identify the slaves\nhint: check plugs, cable and supply there; without --second, each end \
+                 reaches its own side"
             );
         }
         if frames.answered > 0 {
             bail!(
-                "{interface}: frames come back and no slave has touched them; the cable leads to a loop or a switch, \
-                 not to the IN port of the first slave"
+                "{interface}: frames return and no slave has processed them\n\
+                 hint: connect the cable to the IN port of the first slave, not to a loop or a switch"
             );
         }
         bail!(
-            "{interface}: {} frames sent, none came back; see the link (`ip link show {interface}`), the supply of \
-             the first slave and that the cable is in its IN port",
+            "{interface}: {} frames sent, none returned\nhint: check the link (`ip link show {interface}`), the supply of \
+             the first slave, and that the cable is in its IN port",
             frames.sent
         );
     }
 
-    /// Goes on for a time.
+    /// Continues for a time.
     pub(super) fn run_for(&mut self, duration: Duration) -> anyhow::Result<()> {
         let end = self.port.link().now()? + duration;
         while self.port.link().now()? < end {
@@ -348,8 +348,8 @@ impl<W: Wire> Session<W> {
         Ok(())
     }
 
-    /// Asks a slave for something and goes on until it has answered.
-    pub(super) fn ask(
+    /// Submits a job and continues until it is answered.
+    pub(super) fn request(
         &mut self,
         slave: usize,
         kind: JobKind,
@@ -367,7 +367,7 @@ impl<W: Wire> Session<W> {
         let begin = self.port.link().now()?;
         loop {
             self.cycle()?;
-            // Uploads of a proof that nobody waits for any more have another token.
+            // Late uploads of a proof have another token.
             if let Some(reply) = self.master.poll_reply()
                 && reply.job.token == 0
             {
@@ -380,7 +380,7 @@ impl<W: Wire> Session<W> {
         }
     }
 
-    /// Leaves all slaves in INIT, so that no watchdog of theirs has to notice that this master is gone.
+    /// Leaves all slaves in INIT, so that no watchdog has to detect the end of this master.
     pub(super) fn leave(&mut self) -> anyhow::Result<()> {
         let init = AlStatus {
             state: AlState::Init,
@@ -397,7 +397,7 @@ impl<W: Wire> Session<W> {
             .map_err(|error| failed(&self.interface, Medium::Ethernet, error))
     }
 
-    /// The number of the slave that is meant by a number, or by a name or order code that only one has.
+    /// The number of a slave by its number, or by a unique name or order code.
     pub(super) fn find(&self, text: &str) -> anyhow::Result<usize> {
         let master = &self.master;
         if let Ok(number) = text.parse::<usize>() {
@@ -417,11 +417,11 @@ impl<W: Wire> Session<W> {
         match found[..] {
             [number] => Ok(number),
             [] => bail!(
-                "no slave is called `{text}`; `takt ecat scan {}` lists them",
+                "no slave is named `{text}`\nhint: `takt ecat scan {}` lists them",
                 self.interface
             ),
             [first, ..] => bail!(
-                "{} slaves are called `{text}`, the first at {first}; take the number",
+                "{} slaves are named `{text}`, the first at {first}\nhint: use the number",
                 found.len()
             ),
         }

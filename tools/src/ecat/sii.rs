@@ -180,7 +180,7 @@ fn submit<W: Wire>(
 ) -> anyhow::Result<Result<Vec<u8>, JobError>> {
     let mut memory = Vec::with_capacity(2 * usize::from(WORDS_PER_JOB));
     memory.extend_from_slice(data);
-    session.ask(slave, kind, memory)
+    session.request(slave, kind, memory)
 }
 
 /// A change of an EEPROM.

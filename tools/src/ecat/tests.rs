@@ -13,7 +13,7 @@ use takt_ethercat::link::{FRAME_MAX, Link};
 use takt_link::capture::{LinkType, Writer};
 
 use super::session::{Session, Wire};
-use super::{dc, dump, frames, pdos, recording, scan, sdo, stat, ways};
+use super::{dc, directions, dump, frames, pdos, recording, scan, sdo, stat};
 use crate::Verdict;
 
 mod ring;
@@ -192,8 +192,8 @@ fn slave_is_found_by_number_or_unique_name() {
     assert_eq!(session.find("TK1100").unwrap(), 0);
     for (text, cause) in [
         ("3", "there is no slave 3: emulated0 has 3"),
-        ("TK0808", "2 slaves are called"),
-        ("EK1100", "no slave is called"),
+        ("TK0808", "2 slaves are named"),
+        ("EK1100", "no slave is named"),
     ] {
         let error = session.find(text).unwrap_err().to_string();
         assert!(error.contains(cause), "{error}");
@@ -427,7 +427,11 @@ fn decoded(bytes: &[u8], filter: dump::Filter) -> (Vec<String>, Verdict) {
     let capture = frames::Capture::of(bytes).unwrap();
     let mut decoder = dump::Decoder::default();
     let mut lines = Vec::new();
-    for (taken, way) in capture.frames.iter().zip(ways::ways(&capture.frames)) {
+    for (taken, way) in capture
+        .frames
+        .iter()
+        .zip(directions::directions(&capture.frames))
+    {
         lines.extend(decoder.lines(taken, way, filter));
     }
     (lines, decoder.verdict())
@@ -479,7 +483,11 @@ fn dump_of_damaged_recording_does_not_panic() {
             continue;
         };
         let mut decoder = dump::Decoder::default();
-        for (taken, way) in capture.frames.iter().zip(ways::ways(&capture.frames)) {
+        for (taken, way) in capture
+            .frames
+            .iter()
+            .zip(directions::directions(&capture.frames))
+        {
             decoder.lines(taken, way, dump::Filter::default());
         }
         if let Ok(read) = recording::Recording::of("flipped", &capture) {

@@ -1,5 +1,5 @@
-//! `takt ecat youbot`: the drives of a KUKA youBot: how they are, their parameters, homing of its joints. What they
-//! speak is in `takt_ethercat::youbot`; wheels are moved by nets only.
+//! `takt ecat youbot`: status and parameters of the drives of a KUKA youBot, homing of its joints. Their protocol is in
+//! `takt_ethercat::youbot`; wheels are moved by nets only.
 
 mod home;
 #[cfg(test)]
@@ -18,13 +18,14 @@ use takt_ethercat::youbot::{Answer, CallError, Flags, Request, TRINAMIC, TmclErr
 use super::session::{Session, Wire};
 use super::{REQUEST_CYCLE, Target};
 use crate::output::{complain, say};
+use crate::signal::Stop;
 use crate::{Verdict, confirm};
 
-/// Room for a mailbox of any length.
-const ROOM: usize = 1486;
-/// How often a request is asked.
+/// Capacity for a mailbox of any length.
+const MAILBOX_MAX: usize = 1486;
+/// Attempts of a request.
 const ATTEMPTS: usize = 3;
-/// Late answers are there after this.
+/// Time after which late answers have arrived.
 const SETTLE: Duration = Duration::from_millis(100);
 /// Parameters that move something when they are written.
 const MOVING: [&str; 7] = [
@@ -37,9 +38,28 @@ const MOVING: [&str; 7] = [
     "bar_target_speed",
 ];
 
-/// Look at the drives of a KUKA youBot, read and write their parameters, home its joints.
+/// Speeds that are commanded, and the parameter that limits each.
+const SPEEDS: [(&str, &str); 2] = [
+    ("target_speed", "max_positioning_speed"),
+    ("bar_target_speed", "bar_max_speed"),
+];
+/// Targets, and the position that shows whether something moves.
+const TARGETS: [(&str, &str); 4] = [
+    ("target_position", "actual_position"),
+    ("target_speed", "actual_position"),
+    ("bar_target_position", "bar_actual_position"),
+    ("bar_target_speed", "bar_actual_position"),
+];
+/// Time within which a motor has moved after it got a target.
+const MOVES_WITHIN: Duration = Duration::from_secs(1);
+/// A motor that moved less did not move, ticks or steps.
+const MOVED_FROM: u32 = 10;
+
+/// Show the drives of a KUKA youBot, read and write their parameters, home its joints.
 ///
-/// Exit status: 0 good; 1 a drive has a fault, refuses, or was not homed; 2 it could not be tried.
+/// A motor that gets a target and does not move is reported, and so is a joint that is homed where it stood; a target
+/// speed above the limit of its drive is rejected, and a motor that runs away while it is homed loses its current.
+/// Exit status: 0 good; 1 a drive has a fault, rejects a value, did not move or was not homed; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat youbot enp2s0 status
@@ -94,7 +114,7 @@ enum What {
         /// Positions of the drives from 0, from the arm's first joint on.
         #[arg(required = true, num_args = 1..=5)]
         slaves: Vec<usize>,
-        /// Do not ask whether what moves is safe.
+        /// It is safe that the machine moves; do not ask.
         #[arg(long = "yes", alias = "confirm-motion")]
         confirm_motion: bool,
     },
@@ -122,7 +142,7 @@ impl YouBot {
                 let mut session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
                 let slave = session.find(slave)?;
                 let answer = call(&mut session, slave, parameter.get(*bar))?;
-                tell(slave, parameter, answer)
+                print(slave, parameter, answer)
             }
             What::Set {
                 slave,
@@ -143,11 +163,16 @@ impl YouBot {
                 }
                 let mut session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
                 let slave = session.find(slave)?;
+                let motion = Motion::new(&mut session, slave, parameter, *bar, *value)?;
                 let mut answer = Ok(Answer::Value(*value));
                 for request in requests {
                     answer = answer.and(call(&mut session, slave, request)?);
                 }
-                tell(slave, parameter, answer.map(|_| Answer::Value(*value)))
+                let verdict = print(slave, parameter, answer.map(|_| Answer::Value(*value)))?;
+                match motion {
+                    Some(motion) if verdict == Verdict::Good => motion.check(&mut session),
+                    Some(_) | None => Ok(verdict),
+                }
             }
             What::Home {
                 slaves,
@@ -156,7 +181,8 @@ impl YouBot {
                 confirm::motion("homing", *confirm_motion)?;
                 let mut session = self.target.bring_up(AlState::Op, home::CYCLE)?;
                 home::check(&session, slaves)?;
-                let good = home::home(&mut session, slaves, say)?;
+                let stop = Stop::listen()?;
+                let good = home::home(&mut session, slaves, &|| stop.is_requested(), say)?;
                 Ok(verdict(good))
             }
         }
@@ -169,10 +195,10 @@ const fn verdict(good: bool) -> Verdict {
 
 fn named(name: &str) -> anyhow::Result<&'static Parameter> {
     Parameter::named(name)
-        .with_context(|| format!("there is no parameter `{name}`; `parameters` lists them"))
+        .with_context(|| format!("there is no parameter `{name}`\nhint: `parameters` lists them"))
 }
 
-/// What is asked to write a parameter, and to keep it.
+/// The requests that write a parameter, and store it.
 fn writing(
     parameter: &Parameter,
     bar: u8,
@@ -187,7 +213,7 @@ fn writing(
     if store {
         ensure!(
             parameter.group == ParameterGroup::Drive,
-            "{} cannot be kept: only axis parameters of drives can",
+            "{} cannot be stored: only axis parameters of drives can",
             parameter.name
         );
         requests.push(Request::store(parameter.number));
@@ -198,7 +224,100 @@ fn writing(
 /// Axis parameter by which protected ones are unlocked.
 const UNLOCK: u8 = 248;
 
-fn tell(
+/// A motor that gets a target, and where it was before.
+#[derive(Debug)]
+struct Motion {
+    slave: usize,
+    position: &'static Parameter,
+    bar: u8,
+    start: i32,
+}
+
+impl Motion {
+    /// Before a parameter is written; `None` if that gives no motor a target away from where it is.
+    ///
+    /// # Errors
+    /// If it is a speed above the limit of its drive, or the drive does not answer.
+    fn new<W: Wire>(
+        session: &mut Session<W>,
+        slave: usize,
+        parameter: &Parameter,
+        bar: u8,
+        value: i32,
+    ) -> anyhow::Result<Option<Self>> {
+        let of = |pairs: &[(&str, &'static str)]| {
+            let found = pairs.iter().find(|(name, _)| *name == parameter.name);
+            found.and_then(|(_, other)| Parameter::named(other))
+        };
+        let limit = of(&SPEEDS);
+        if let Some(limit) = limit {
+            let most = read(session, slave, limit, bar)?;
+            ensure!(
+                value.unsigned_abs() <= most.unsigned_abs(),
+                "{} {value} is too fast: {} of slave {slave} is {most} {}\nhint: write a lower speed",
+                parameter.name,
+                limit.name,
+                limit.unit
+            );
+        }
+        let Some(position) = of(&TARGETS) else {
+            return Ok(None);
+        };
+        let start = read(session, slave, position, bar)?;
+        let way = if limit.is_some() {
+            value.unsigned_abs().saturating_mul(MOVED_FROM)
+        } else {
+            value.abs_diff(start)
+        };
+        Ok((way >= MOVED_FROM).then_some(Self {
+            slave,
+            position,
+            bar,
+            start,
+        }))
+    }
+
+    /// Whether it moves now that its target is written.
+    fn check<W: Wire>(self, session: &mut Session<W>) -> anyhow::Result<Verdict> {
+        let Self {
+            slave,
+            position,
+            bar,
+            start,
+        } = self;
+        let end = session.now()? + MOVES_WITHIN;
+        while session.now()? < end {
+            if read(session, slave, position, bar)?.abs_diff(start) >= MOVED_FROM {
+                return Ok(Verdict::Good);
+            }
+            session.run_for(SETTLE)?;
+        }
+        complain(&format!(
+            "takt: slave {slave} did not move: {} is still {start} {}\n\
+             hint: check its flags by `takt ecat youbot IFACE status` (not initialized, emergency stop, undervoltage), \
+             its brake and its surroundings",
+            position.name, position.unit
+        ));
+        Ok(Verdict::Failed)
+    }
+}
+
+/// Reads a value.
+fn read<W: Wire>(
+    session: &mut Session<W>,
+    slave: usize,
+    parameter: &Parameter,
+    bar: u8,
+) -> anyhow::Result<i32> {
+    let answer = call(session, slave, parameter.get(bar))?;
+    let value = answer.with_context(|| format!("slave {slave}: cannot read {}", parameter.name))?;
+    value
+        .value()
+        .context("the drive answered with its firmware")
+}
+
+/// Prints the value of a parameter, or why there is none.
+fn print(
     slave: usize,
     parameter: &Parameter,
     answer: Result<Answer, CallError>,
@@ -238,7 +357,7 @@ fn list() -> String {
         let Parameter {
             name, number, unit, ..
         } = parameter;
-        // A text takes whatever is written.
+        // Cannot fail.
         let _ = writeln!(
             text,
             "{name:<27} {number:>6}  {group:<8} {unit:<7} {range}{lock}"
@@ -247,7 +366,7 @@ fn list() -> String {
     text
 }
 
-/// Asks a drive, again if nothing came.
+/// Sends a request to a drive, again if no answer arrives.
 fn call<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
@@ -255,9 +374,9 @@ fn call<W: Wire>(
 ) -> anyhow::Result<Result<Answer, CallError>> {
     let mut last = Err(CallError::Refused(TmclError::Foreign));
     for _ in 0..ATTEMPTS {
-        let mut data = Vec::with_capacity(ROOM);
+        let mut data = Vec::with_capacity(MAILBOX_MAX);
         data.extend_from_slice(&request.encode());
-        last = match session.ask(slave, JobKind::RawMailbox, data)? {
+        last = match session.request(slave, JobKind::RawMailbox, data)? {
             Ok(bytes) => request.answer(&bytes).map_err(CallError::Refused),
             Err(error) => Err(CallError::Lost(error)),
         };
@@ -283,7 +402,7 @@ fn drives<W: Wire>(session: &Session<W>) -> Vec<usize> {
     (0..master.len()).filter(is_drive).collect()
 }
 
-/// How all drives are, as text, and whether all is good.
+/// Status of all drives as text, and whether all are good.
 fn status<W: Wire>(session: &mut Session<W>) -> anyhow::Result<(String, bool)> {
     let drives = drives(session);
     ensure!(
@@ -301,8 +420,8 @@ fn status<W: Wire>(session: &mut Session<W>) -> anyhow::Result<(String, bool)> {
             .map(|slave| slave.info().name.clone())
             .unwrap_or_default();
         match row(session, slave)? {
-            Ok((line, sound)) => {
-                good &= sound;
+            Ok((line, is_good)) => {
+                good &= is_good;
                 let _ = writeln!(text, "{slave:>5} {name:<10} {line}");
             }
             Err(error) => {
@@ -314,7 +433,7 @@ fn status<W: Wire>(session: &mut Session<W>) -> anyhow::Result<(String, bool)> {
     Ok((text, good))
 }
 
-/// A line on a drive, and whether it is sound.
+/// Status of a drive as a line, and whether it is good.
 fn row<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
@@ -354,6 +473,6 @@ fn row<W: Wire>(
     let line = format!(
         "{board:04} {major}.{minor:02} {volts:>6.1} V {hours:>6} {i2t:>5}  {homed:<5}  {flags}{note}"
     );
-    let sound = known && !flags.any(Flags::BLOCKING | Flags::I2T);
-    Ok(Ok((line, sound)))
+    let is_good = known && !flags.any(Flags::BLOCKING | Flags::I2T);
+    Ok(Ok((line, is_good)))
 }

@@ -1,53 +1,66 @@
-//! A small motion of one joint in the cycle of its controller: begun when the robot follows, ended at rest whatever
-//! happens. No thread, no clock; who asks and who is told is in `shift`.
+//! A small motion of one joint in the cycle of its controller: it starts when the robot follows, and ends at rest whatever
+//! happens. Its path is that of the drivers' last stage. It has no thread and no clock; `shift` requests and reports.
 //!
 //! ```text
-//!           (1) told to go, robot follows              (2) there
+//!           (1) requested, robot follows               (2) at the goal
 //!   Idle ────────────────────────────────▶ Moving ─────────────────▶ Arrived
-//!    │ (5) beyond the range                │  │ (3) told to brake, bad quality
+//!    │ (5) beyond the range                │  │ (3) stop requested, bad quality
 //!    ▼                                     │  └────────▶ Braking ──(4) at rest──▶ Stopped
 //!   Beyond          Left ◀──(6) command mode left┴────────────┘
 //! ```
-//! 1 and 5 are made in [`Motion::begin`], 6 and 3 at the top of [`Motion::next`], 2 and 4 in [`Motion::advance`]; a
-//! position withheld by the session leads from Moving to Braking too.
+//! 1 and 5 are in [`Motion::begin`], 6 and 3 at the top of [`Motion::next`], 2 and 4 in [`Motion::advance`]; a position
+//! withheld by the session leads from Moving to Braking too.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use takt_fri::client::{AXES, Client, Phase, Quality, Withheld};
+use takt_core::device::last_stage::LastStage;
+use takt_fri::client::{AXES, Client, Phase, Quality, Version, Withheld};
 use takt_fri::sunrise::wire::CommandMode;
+use takt_net::JointLimits;
 
 use super::live::Task;
 
-/// Gentle: reaches 10 deg/s in a third of a second, rad/s2.
+/// Gentle: reaches 10 deg/s in a third of a second, rad/s².
 const ACCELERATION: f64 = 0.5;
-/// Nearer than this is arrived, rad: below the resolution of a single-precision datagram.
-const ARRIVED_RAD: f64 = 1e-7;
-/// The data sheets' ranges less this may be reached, rad: 2 degrees.
+/// Margin to the ranges of the data sheets, rad: 2 degrees.
 pub(super) const MARGIN_RAD: f64 = 0.034_906_585;
 
-/// What is wanted.
+/// The requested motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Goal {
-    /// Index of the joint, 0..=6.
+    /// Index of the joint, 0 to 6.
     pub(super) joint: usize,
-    /// By how much, rad.
+    /// Distance, rad, either sign.
     pub(super) by_rad: f64,
     /// Largest speed, rad/s, above zero.
     pub(super) speed: f64,
 }
 
-/// What the motion does.
+impl Goal {
+    /// Limits of the joint in this motion.
+    fn limits(&self, version: Version) -> JointLimits {
+        let range = version.position_max_rad()[self.joint] - MARGIN_RAD;
+        JointLimits {
+            position_min: -range,
+            position_max: range,
+            velocity_max: self.speed,
+            acceleration_max: ACCELERATION,
+        }
+    }
+}
+
+/// State of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(super) enum Stage {
-    /// The robot does not follow, or nobody has said go.
+pub(super) enum MotionState {
+    /// The robot does not follow, or no motion is requested.
     Idle,
     Moving,
     Braking,
     /// At rest at the goal.
     Arrived,
-    /// At rest elsewhere, as it was told to.
+    /// At rest before the goal, after braking.
     Stopped,
     /// The robot stopped following.
     Left,
@@ -55,7 +68,7 @@ pub(super) enum Stage {
     Beyond,
 }
 
-impl Stage {
+impl MotionState {
     const ALL: [Self; 7] = [
         Self::Idle,
         Self::Moving,
@@ -66,7 +79,7 @@ impl Stage {
         Self::Beyond,
     ];
 
-    /// Whether nothing changes from here on.
+    /// Whether it is final.
     pub(super) fn is_end(self) -> bool {
         match self {
             Self::Idle | Self::Moving | Self::Braking => false,
@@ -75,198 +88,185 @@ impl Stage {
     }
 }
 
-/// What the user wants.
+/// The request of the user.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-enum Wish {
+enum Request {
     Hold,
-    Go,
+    Move,
     Brake,
 }
 
 /// Why a motion braked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(super) enum Why {
-    Asked,
+pub(super) enum BrakeCause {
+    Requested,
     Quality,
     Withheld,
 }
 
-/// What user and cycle tell each other.
+/// Exchange between the user and the cycle.
 #[derive(Debug, Default)]
-pub(super) struct Remote {
-    wish: AtomicU8,
-    stage: AtomicU8,
-    why: AtomicU8,
+pub(super) struct Control {
+    request: AtomicU8,
+    state: AtomicU8,
+    cause: AtomicU8,
 }
 
-impl Remote {
-    pub(super) fn go(&self) {
-        self.wish.store(Wish::Go as u8, Ordering::Relaxed);
+impl Control {
+    /// Requests the motion.
+    pub(super) fn start(&self) {
+        self.request.store(Request::Move as u8, Ordering::Relaxed);
     }
 
+    /// Requests to brake.
     pub(super) fn brake(&self) {
-        self.wish.store(Wish::Brake as u8, Ordering::Relaxed);
+        self.request.store(Request::Brake as u8, Ordering::Relaxed);
     }
 
-    pub(super) fn stage(&self) -> Stage {
-        let code = usize::from(self.stage.load(Ordering::Acquire));
-        Stage::ALL.get(code).copied().unwrap_or(Stage::Idle)
+    /// State of the motion.
+    pub(super) fn state(&self) -> MotionState {
+        let code = usize::from(self.state.load(Ordering::Acquire));
+        let state = MotionState::ALL.get(code).copied();
+        state.unwrap_or(MotionState::Idle)
     }
 
-    /// Meaningful once it brakes.
-    pub(super) fn why(&self) -> Why {
-        match self.why.load(Ordering::Relaxed) {
-            code if code == Why::Quality as u8 => Why::Quality,
-            code if code == Why::Withheld as u8 => Why::Withheld,
-            _ => Why::Asked,
+    /// Why it brakes; valid once it does.
+    pub(super) fn cause(&self) -> BrakeCause {
+        match self.cause.load(Ordering::Relaxed) {
+            code if code == BrakeCause::Quality as u8 => BrakeCause::Quality,
+            code if code == BrakeCause::Withheld as u8 => BrakeCause::Withheld,
+            _ => BrakeCause::Requested,
         }
     }
 
-    fn wish(&self) -> Wish {
-        match self.wish.load(Ordering::Relaxed) {
-            code if code == Wish::Go as u8 => Wish::Go,
-            code if code == Wish::Brake as u8 => Wish::Brake,
-            _ => Wish::Hold,
+    fn request(&self) -> Request {
+        match self.request.load(Ordering::Relaxed) {
+            code if code == Request::Move as u8 => Request::Move,
+            code if code == Request::Brake as u8 => Request::Brake,
+            _ => Request::Hold,
         }
-    }
-}
-
-/// From rest to rest on a line, within speed and acceleration at every cycle.
-#[derive(Clone, Copy, Debug, Default)]
-struct Profile {
-    /// Way gone, rad, and speed, rad/s; both towards the goal.
-    way: f64,
-    speed: f64,
-}
-
-impl Profile {
-    /// A cycle of `dt_s` towards `length`: as fast as can still be braked before it.
-    fn approach(&mut self, length: f64, speed_max: f64, dt_s: f64) {
-        let left = length - self.way;
-        let brakes =
-            ACCELERATION * (dt_s.hypot((2.0 * left / ACCELERATION).max(0.0).sqrt()) - dt_s);
-        let speed = speed_max.min(self.speed + ACCELERATION * dt_s).min(brakes);
-        self.advance(speed, dt_s);
-        if length - self.way < ARRIVED_RAD {
-            *self = Self {
-                way: length,
-                speed: 0.0,
-            };
-        }
-    }
-
-    fn brake(&mut self, dt_s: f64) {
-        let speed = (self.speed - ACCELERATION * dt_s).max(0.0);
-        self.advance(speed, dt_s);
-    }
-
-    fn advance(&mut self, speed: f64, dt_s: f64) {
-        self.speed = speed;
-        self.way += speed * dt_s;
     }
 }
 
 /// The motion, in the cycle.
 pub(super) struct Motion {
     goal: Goal,
-    remote: Arc<Remote>,
-    stage: Stage,
+    control: Arc<Control>,
+    state: MotionState,
     start: [f64; AXES],
-    profile: Profile,
+    /// The joint on its path, once it moves.
+    stage: Option<LastStage>,
 }
 
 impl Motion {
-    pub(super) fn new(goal: Goal, remote: Arc<Remote>) -> Self {
+    pub(super) fn new(goal: Goal, control: Arc<Control>) -> Self {
         Self {
             goal,
-            remote,
-            stage: Stage::Idle,
+            control,
+            state: MotionState::Idle,
             start: [0.0; AXES],
-            profile: Profile::default(),
+            stage: None,
         }
     }
 
-    fn enter(&mut self, stage: Stage) {
-        self.stage = stage;
-        self.remote.stage.store(stage as u8, Ordering::Release);
+    fn enter(&mut self, state: MotionState) {
+        self.state = state;
+        self.control.state.store(state as u8, Ordering::Release);
     }
 
-    fn brake(&mut self, why: Why) {
-        self.remote.why.store(why as u8, Ordering::Relaxed);
-        self.enter(Stage::Braking);
+    fn brake(&mut self, cause: BrakeCause) {
+        self.control.cause.store(cause as u8, Ordering::Relaxed);
+        self.enter(MotionState::Braking);
     }
 
-    /// Begins, if all is ready for it.
-    fn begin(&mut self, partner: &mut Client, is_sound: bool) {
-        let takes = takes_positions(partner.status().overlay);
-        let follows = partner.phase() == Phase::Command && takes;
-        let is_ready = self.remote.wish() == Wish::Go && is_sound && follows;
-        if !is_ready || partner.engage().is_err() {
+    /// Target of the joint, rad.
+    fn target(&self) -> f64 {
+        self.start[self.goal.joint] + self.goal.by_rad
+    }
+
+    /// Starts, if everything is ready.
+    fn begin(&mut self, client: &mut Client, is_sound: bool) {
+        let accepts = accepts_positions(client.status().overlay);
+        let follows = client.phase() == Phase::Command && accepts;
+        let is_ready = self.control.request() == Request::Move && is_sound && follows;
+        if !is_ready || client.engage().is_err() {
             return;
         }
-        self.start = partner.mirror();
-        let to = self.start[self.goal.joint] + self.goal.by_rad;
-        let version = partner.version();
-        let is_within = version
-            .is_some_and(|it| to.abs() <= it.position_max_rad()[self.goal.joint] - MARGIN_RAD);
+        self.start = client.mirror();
+        let limits = client.version().map(|version| self.goal.limits(version));
+        let from = self.start[self.goal.joint];
+        self.stage = limits.map(|limits| LastStage::moving(limits, from, 0.0));
+        let is_within = limits.is_some_and(|limits| self.target().abs() <= limits.position_max);
         self.enter(if is_within {
-            Stage::Moving
+            MotionState::Moving
         } else {
-            Stage::Beyond
+            MotionState::Beyond
         });
     }
 
     fn advance(&mut self, dt_s: f64) {
-        match self.stage {
-            Stage::Moving => {
-                let length = self.goal.by_rad.abs();
-                self.profile.approach(length, self.goal.speed, dt_s);
-                if self.profile.way >= length {
-                    self.enter(Stage::Arrived);
+        let target = self.target();
+        let Some(stage) = &mut self.stage else {
+            return;
+        };
+        match self.state {
+            MotionState::Moving => {
+                stage.track(target, 0.0, dt_s);
+                let (position, velocity, _) = stage.motion();
+                if position.to_bits() == target.to_bits() && velocity.abs() < f64::EPSILON {
+                    self.enter(MotionState::Arrived);
                 }
             }
-            Stage::Braking => {
-                self.profile.brake(dt_s);
-                if self.profile.speed <= 0.0 {
-                    self.enter(Stage::Stopped);
+            MotionState::Braking => {
+                stage.brake(dt_s);
+                if stage.motion().1.abs() < f64::EPSILON {
+                    self.enter(MotionState::Stopped);
                 }
             }
-            Stage::Idle | Stage::Arrived | Stage::Stopped | Stage::Left | Stage::Beyond => {}
+            MotionState::Idle
+            | MotionState::Arrived
+            | MotionState::Stopped
+            | MotionState::Left
+            | MotionState::Beyond => {}
         }
     }
 
-    fn next(&mut self, partner: &mut Client, cycles: u32) -> Option<[f64; AXES]> {
-        let is_sound = partner.status().quality.is_some_and(Quality::is_sound);
-        match self.stage {
-            Stage::Idle => self.begin(partner, is_sound),
-            Stage::Moving | Stage::Braking if partner.phase() != Phase::Command => {
-                self.enter(Stage::Left);
+    fn next(&mut self, client: &mut Client, cycles: u32) -> Option<[f64; AXES]> {
+        let is_sound = client.status().quality.is_some_and(Quality::is_sound);
+        match self.state {
+            MotionState::Idle => self.begin(client, is_sound),
+            MotionState::Moving | MotionState::Braking if client.phase() != Phase::Command => {
+                self.enter(MotionState::Left);
             }
-            Stage::Moving if self.remote.wish() == Wish::Brake => self.brake(Why::Asked),
-            Stage::Moving if !is_sound => self.brake(Why::Quality),
-            Stage::Moving
-            | Stage::Braking
-            | Stage::Arrived
-            | Stage::Stopped
-            | Stage::Left
-            | Stage::Beyond => {}
+            MotionState::Moving if self.control.request() == Request::Brake => {
+                self.brake(BrakeCause::Requested);
+            }
+            MotionState::Moving if !is_sound => self.brake(BrakeCause::Quality),
+            MotionState::Moving
+            | MotionState::Braking
+            | MotionState::Arrived
+            | MotionState::Stopped
+            | MotionState::Left
+            | MotionState::Beyond => {}
         }
-        // At its end the session holds it: a place commanded on and on would be a jump after a re-entry.
-        let is_under_way = matches!(self.stage, Stage::Moving | Stage::Braking);
-        let dt_s = partner.period()?.as_secs_f64();
+        // At its end the session holds it: a position that is commanded further would be a jump after a re-entry.
+        let is_commanded = matches!(self.state, MotionState::Moving | MotionState::Braking);
+        let dt_s = client.period()?.as_secs_f64();
         for _ in 0..cycles {
             self.advance(dt_s);
         }
         let mut joints = self.start;
-        joints[self.goal.joint] += self.profile.way * self.goal.by_rad.signum();
-        (is_under_way && partner.phase() == Phase::Command).then_some(joints)
+        if let Some(stage) = &self.stage {
+            joints[self.goal.joint] = stage.motion().0;
+        }
+        (is_commanded && client.phase() == Phase::Command).then_some(joints)
     }
 }
 
-/// Whether joint positions are what an overlay has the client command, if there is one.
-pub(super) fn takes_positions(overlay: Option<CommandMode>) -> bool {
+/// Whether an overlay, if there is one, accepts joint positions of the client.
+pub(super) fn accepts_positions(overlay: Option<CommandMode>) -> bool {
     overlay.is_none_or(|mode| mode == CommandMode::Position)
 }
 
@@ -275,18 +275,22 @@ impl Task for Motion {
         self.next(partner, cycles)
     }
 
-    /// It brakes from where it is: the guard lets that through, since speeds only fall.
+    /// It brakes from its position: the guard accepts that, since speeds only fall.
     fn handle_withheld(&mut self, _withheld: Withheld) {
-        if self.stage == Stage::Moving {
-            self.brake(Why::Withheld);
+        if self.state == MotionState::Moving {
+            self.brake(BrakeCause::Withheld);
         }
     }
 
-    /// What was under way does not go on where the robot is entered anew.
+    /// A motion does not continue after the robot re-entered command mode.
     fn handle_entered(&mut self) {
-        match self.stage {
-            Stage::Moving | Stage::Braking => self.enter(Stage::Left),
-            Stage::Idle | Stage::Arrived | Stage::Stopped | Stage::Left | Stage::Beyond => {}
+        match self.state {
+            MotionState::Moving | MotionState::Braking => self.enter(MotionState::Left),
+            MotionState::Idle
+            | MotionState::Arrived
+            | MotionState::Stopped
+            | MotionState::Left
+            | MotionState::Beyond => {}
         }
     }
 }
@@ -300,12 +304,12 @@ mod tests {
     use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
     use takt_fri::sunrise::wire::MESSAGE_MAX;
 
-    /// An emulated controller in virtual time and the motion of its client; positions commanded, cycle by cycle.
+    /// An emulated controller in virtual time and the motion of its client; commanded positions, cycle by cycle.
     struct Bench<C> {
         controller: C,
-        partner: Client,
+        client: Client,
         motion: Motion,
-        remote: Arc<Remote>,
+        control: Arc<Control>,
         path: Vec<f64>,
     }
 
@@ -314,7 +318,7 @@ mod tests {
         fn send(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize>;
         fn take(&mut self, bytes: &[u8], now: Duration);
         fn joints(&self) -> [f64; AXES];
-        /// Switches the drives' power.
+        /// Switches the power of the drives.
         fn switch(&mut self, is_on: bool);
     }
 
@@ -356,33 +360,33 @@ mod tests {
 
     impl<C: Controller> Bench<C> {
         fn new(controller: C, goal: Goal) -> Self {
-            let remote = Arc::new(Remote::default());
-            remote.go();
+            let control = Arc::new(Control::default());
+            control.start();
             Self {
                 controller,
-                partner: Client::new(ClientConfig::default()),
-                motion: Motion::new(goal, Arc::clone(&remote)),
-                remote,
+                client: Client::new(ClientConfig::default()),
+                motion: Motion::new(goal, Arc::clone(&control)),
+                control,
                 path: Vec::new(),
             }
         }
 
-        /// Until `done`, or a minute of the robot is over; answers only if `answers`.
+        /// Runs until `done`, at most a minute; answers only if `answers`.
         fn run(&mut self, answers: bool, done: impl Fn(&Self) -> bool) {
             let (mut message, mut answer) = ([0; MESSAGE_MAX], [0; MESSAGE_MAX]);
             while !done(self) && self.controller.due() < Duration::from_secs(60) {
                 let now = self.controller.due();
                 while let Some(len) = self.controller.send(now, &mut message) {
-                    let heard = self.partner.handle_datagram(&message[..len], now).unwrap();
-                    if heard.has_entered {
+                    let received = self.client.handle_datagram(&message[..len], now).unwrap();
+                    if received.has_entered {
                         self.motion.handle_entered();
                     }
                     let joints = self
                         .motion
-                        .joints(&mut self.partner, u32::from(heard.lost) + 1);
+                        .joints(&mut self.client, u32::from(received.lost) + 1);
                     self.path
                         .extend(joints.map(|joints| joints[self.motion.goal.joint]));
-                    let Ok(built) = self.partner.answer(joints.as_ref(), &mut answer) else {
+                    let Ok(built) = self.client.answer(joints.as_ref(), &mut answer) else {
                         continue;
                     };
                     assert_eq!(built.withheld, None);
@@ -394,12 +398,12 @@ mod tests {
         }
 
         fn at_end(&self) -> bool {
-            self.remote.stage().is_end()
+            self.control.state().is_end()
         }
 
-        /// Largest speed and acceleration of what was commanded, by differences.
+        /// Largest commanded speed and acceleration, by differences.
         fn worst(&self) -> [f64; 2] {
-            let dt_s = self.partner.period().unwrap().as_secs_f64();
+            let dt_s = self.client.period().unwrap().as_secs_f64();
             let rates = |values: &[f64]| -> Vec<f64> {
                 values
                     .windows(2)
@@ -432,7 +436,7 @@ mod tests {
         let before = controller.joints();
         let mut bench = Bench::new(controller, goal(by_deg));
         bench.run(true, Bench::at_end);
-        assert_eq!(bench.remote.stage(), Stage::Arrived);
+        assert_eq!(bench.control.state(), MotionState::Arrived);
         let [speed, acceleration] = bench.worst();
         assert!(speed < 0.1 + 1e-6, "{speed}");
         assert!(acceleration < ACCELERATION + 1e-3, "{acceleration}");
@@ -441,7 +445,7 @@ mod tests {
             bench.path.len(),
         );
         bench.run(true, |bench| bench.controller.due() > settled);
-        assert_eq!(bench.path.len(), sent, "held, and not commanded on and on");
+        assert_eq!(bench.path.len(), sent, "held, and not commanded further");
         for (joint, (now, before)) in bench.controller.joints().iter().zip(before).enumerate() {
             let moved = if joint == 3 { by_deg.to_radians() } else { 0.0 };
             assert!(
@@ -453,61 +457,64 @@ mod tests {
     }
 
     #[test]
-    fn both_robots_go_there_within_speed_and_acceleration() {
+    fn fri_move_arrives_within_speed_and_acceleration() {
         arrives(krc(), 3.0);
         arrives(krc(), -0.01);
         arrives(cabinet(), -3.0);
     }
 
     #[test]
-    fn told_to_brake_it_comes_to_rest_on_the_way() {
+    fn fri_move_brakes_to_rest_on_request() {
         let mut bench = Bench::new(krc(), goal(8.0));
         bench.run(true, |bench| bench.path.len() > 500);
-        bench.remote.brake();
+        bench.control.brake();
         bench.run(true, Bench::at_end);
         assert_eq!(
-            (bench.remote.stage(), bench.remote.why()),
-            (Stage::Stopped, Why::Asked)
+            (bench.control.state(), bench.control.cause()),
+            (MotionState::Stopped, BrakeCause::Requested)
         );
         assert!(bench.worst()[1] < ACCELERATION + 1e-3);
-        let way = bench.path.last().unwrap() - bench.path.first().unwrap();
-        assert!((0.05..0.13).contains(&way), "{way}");
+        let distance = bench.path.last().unwrap() - bench.path.first().unwrap();
+        assert!((0.05..0.13).contains(&distance), "{distance}");
     }
 
     #[test]
-    fn a_goal_out_of_range_is_not_begun() {
+    fn fri_move_out_of_range_is_not_started() {
         let config = KrcConfig {
             joints: [0.0, 0.0, 0.0, 115.0_f64.to_radians(), 0.0, 0.0, 0.0],
             ..KrcConfig::default()
         };
         let mut bench = Bench::new(Krc::new(config, Duration::ZERO), goal(4.0));
         bench.run(true, Bench::at_end);
-        assert_eq!(bench.remote.stage(), Stage::Beyond);
+        assert_eq!(bench.control.state(), MotionState::Beyond);
         assert!(bench.path.is_empty());
     }
 
     #[test]
-    fn command_mode_that_is_left_ends_it_for_good() {
+    fn fri_move_ends_when_command_mode_is_left() {
         let mut bench = Bench::new(krc(), goal(8.0));
         bench.run(true, |bench| bench.path.len() > 500);
         bench.run(false, Bench::at_end);
-        // Either sees the quality fall first, or the state.
-        assert!(matches!(bench.remote.stage(), Stage::Left | Stage::Stopped));
+        // Either the quality falls first, or the state changes.
+        assert!(matches!(
+            bench.control.state(),
+            MotionState::Left | MotionState::Stopped
+        ));
         let len = bench.path.len();
         let at = bench.controller.joints();
         let later = bench.controller.due() + Duration::from_secs(5);
         bench.run(true, |bench| bench.controller.due() > later);
-        let way = bench.controller.joints()[3] - at[3];
-        assert!(way.abs() < 0.02, "{way} rad after {len} commands");
+        let distance = bench.controller.joints()[3] - at[3];
+        assert!(distance.abs() < 0.02, "{distance} rad after {len} commands");
     }
 
-    /// Power goes in mid-motion and comes back: the joint brakes, and nothing moves after.
+    /// Power fails in motion and returns: the joint brakes, and nothing moves afterwards.
     fn is_left_without_power<C: Controller>(controller: C) {
         let mut bench = Bench::new(controller, goal(8.0));
         bench.run(true, |bench| bench.path.len() > 500);
         bench.controller.switch(false);
         bench.run(true, Bench::at_end);
-        assert_eq!(bench.remote.stage(), Stage::Left);
+        assert_eq!(bench.control.state(), MotionState::Left);
         assert!(bench.worst()[1] < ACCELERATION + 1e-3);
         let after = |bench: &mut Bench<C>, ms| {
             let until = bench.controller.due() + Duration::from_millis(ms);
@@ -523,13 +530,13 @@ mod tests {
     }
 
     #[test]
-    fn a_loss_of_power_ends_it_for_good() {
+    fn fri_move_ends_when_power_is_lost() {
         is_left_without_power(krc());
         is_left_without_power(cabinet());
     }
 
     #[test]
-    fn command_mode_that_is_entered_anew_after_a_silence_ends_it_too() {
+    fn fri_move_ends_when_command_mode_is_reentered() {
         let timing = takt_fri::lwr::emulator::Timing {
             misses_max: 1_000,
             bad_from: 0.0,
@@ -543,17 +550,20 @@ mod tests {
         bench.run(true, |bench| bench.path.len() > 500);
         bench.controller.faults_mut().to_client.drop_next = 60;
         bench.run(true, Bench::at_end);
-        assert_eq!(bench.remote.stage(), Stage::Left);
+        assert_eq!(bench.control.state(), MotionState::Left);
     }
 
     #[test]
-    fn nothing_moves_before_it_is_told_to() {
+    fn fri_move_without_request_commands_nothing() {
         let mut bench = Bench::new(cabinet(), goal(8.0));
-        bench.remote.wish.store(Wish::Hold as u8, Ordering::Relaxed);
+        bench
+            .control
+            .request
+            .store(Request::Hold as u8, Ordering::Relaxed);
         bench.run(true, |bench| {
             bench.controller.due() > Duration::from_secs(5)
         });
         assert!(bench.path.is_empty());
-        assert_eq!(bench.remote.stage(), Stage::Idle);
+        assert_eq!(bench.control.state(), MotionState::Idle);
     }
 }

@@ -1,4 +1,4 @@
-//! The port at which a controller's datagrams arrive, and why it cannot be had. It hears nothing itself.
+//! The port for a controller's datagrams, and why it cannot be opened. It receives nothing itself.
 
 use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -24,15 +24,15 @@ impl Address {
     }
 }
 
-/// Opens it. The error says in one sentence what is wrong and what to do.
+/// Opens it. The error names cause and remedy.
 pub(super) fn open(listen: SocketAddr) -> anyhow::Result<UdpLink> {
     UdpLink::bind(listen).map_err(|error| {
         #[expect(clippy::wildcard_enum_match_arm, reason = "some 40 other kinds")]
         let why = match error.kind() {
-            ErrorKind::AddrInUse => taken(listen, owner(listen.port())),
+            ErrorKind::AddrInUse => in_use(listen, owner(listen.port())),
             ErrorKind::AddrNotAvailable => not_ours(listen.ip(), &addresses()),
             ErrorKind::PermissionDenied => {
-                "ports below 1024 are for root; the controller's own is 49938 (LWR) or 30200 (Sunrise)".to_owned()
+                "ports below 1024 are for root\nhint: the port of the controller is 49938 (LWR) or 30200 (Sunrise)".to_owned()
             }
             _ => error.to_string(),
         };
@@ -40,7 +40,7 @@ pub(super) fn open(listen: SocketAddr) -> anyhow::Result<UdpLink> {
     })
 }
 
-fn taken(listen: SocketAddr, owner: Option<String>) -> String {
+fn in_use(listen: SocketAddr, owner: Option<String>) -> String {
     let port = listen.port();
     let owner = owner.unwrap_or_else(|| {
         format!("another program (as root, `ss -ulpn 'sport = :{port}'` names it)")
@@ -80,7 +80,7 @@ pub(super) fn addresses() -> Vec<Address> {
     interfaces.filter_map(address).collect()
 }
 
-/// The program that holds a UDP port, as far as this user may know.
+/// The program that holds a UDP port, if this user can read it.
 fn owner(port: u16) -> Option<String> {
     let inode = inode(port)?;
     let link = format!("socket:[{inode}]");
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn holder_of_a_port_stands_in_the_kernels_table() {
+    fn fri_port_holder_is_found_in_kernel_table() {
         let table = "   sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode ref pointer drops
   117: 0100007F:C312 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 48213 2 0000000000000000 0
   118: 00000000:0044 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 7 2 0000000000000000 0
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn netmasks_tell_who_is_near() {
+    fn fri_netmask_decides_whether_an_address_is_near() {
         let near = |prefix, ip: [u8; 4]| address([192, 168, 0, 5], prefix).is_near(ip.into());
         assert!(near(24, [192, 168, 0, 20]));
         assert!(!near(24, [192, 168, 1, 20]));
@@ -160,13 +160,13 @@ mod tests {
     }
 
     #[test]
-    fn texts_name_cause_and_remedy() {
+    fn fri_port_errors_name_cause_and_remedy() {
         let listen = "0.0.0.0:49938".parse().unwrap();
         assert_eq!(
-            taken(listen, Some("`lwr_driver` (process 812)".into())),
+            in_use(listen, Some("`lwr_driver` (process 812)".into())),
             "UDP port 49938 is taken by `lwr_driver` (process 812), a second client on this host; end it first"
         );
-        assert!(taken(listen, None).contains("ss -ulpn"));
+        assert!(in_use(listen, None).contains("ss -ulpn"));
         assert_eq!(
             not_ours(
                 IpAddr::from([192, 168, 0, 7]),

@@ -1,5 +1,10 @@
-//! `takt fri move`: one joint, a little, with somebody standing by. It refuses what is not small, a connection that is not
-//! sound, and goals near the end of a range; the motion itself is in `motion`. It is no safety function.
+//! `takt fri move`: a small motion of one joint, with an operator present. It rejects motions that are not small,
+//! connections that are not sound, and goals near the end of a range; the motion itself is in `motion`. It is no safety
+//! function.
+//!
+//! It starts no controller: the generation of the robot is known only after its first datagram, the guard of its session
+//! allows no more than the requested speed, and its diagnoses need power, overlay and state of the session, which drivers do
+//! not report.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -14,51 +19,53 @@ use takt_fri::lwr;
 use takt_fri::sunrise;
 
 use super::live::Seen;
-use super::motion::{Goal, MARGIN_RAD, Motion, Remote, Stage, Why, takes_positions};
+use super::motion::{
+    BrakeCause, Control, Goal, MARGIN_RAD, Motion, MotionState, accepts_positions,
+};
 use super::watch::{Port, Watched};
 use crate::output::{complain, say, span};
 use crate::{Verdict, confirm};
 
-/// Farthest that is still small, degrees.
+/// Largest distance, degrees.
 const BY_MAX_DEG: f64 = 15.0;
-/// Fastest, degrees per second.
+/// Largest speed, degrees per second.
 const SPEED_MAX_DEG_PER_S: f64 = 20.0;
-/// What the guard of the session lets pass above the speed asked for.
+/// Speed that the guard of the session accepts, as a share of the requested one.
 const SPEED_SLACK: f64 = 1.05;
-/// Measurements before quality is believed.
+/// Measurements after which quality is valid.
 const SETTLED: u64 = 150;
-/// How long the robot gets to come to rest where it was told to be.
+/// Time for the robot to come to rest at its goal.
 const REST: Duration = Duration::from_millis(300);
-/// How long braking may take.
+/// Timeout of braking.
 const BRAKING: Duration = Duration::from_secs(5);
 
-/// Move one joint a little, when the robot program lets it.
+/// Move one joint a little, when the robot program permits it.
 ///
-/// It becomes the robot's partner, looks whether the connection is sound and the goal within range, asks, waits for
-/// command mode (an LWR's friStart, an iiwa's motion with an overlay of positions), moves, and ends. Then nobody answers
-/// the controller, which ends command mode. Ctrl-C brakes. Exit status: 0 the joint is there; 1 it is not; 2 it could
-/// not be tried.
+/// It becomes the client of the robot, checks that the connection is sound and the goal within range, requests a
+/// confirmation, waits for command mode (an LWR's friStart, an iiwa's motion with an overlay of positions), moves, and
+/// ends. Afterwards the controller receives no answers, and ends command mode. The joint moves and brakes within the last
+/// stage of the drivers. Ctrl-C brakes. Exit status: 0 the joint arrived; 1 it did not; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt fri move --listen 0.0.0.0:49938 --joint 4 --by 5deg
   takt fri move --listen 0.0.0.0:30200 --joint 7 --by -0.05rad --velocity 2deg/s --yes")]
 pub(crate) struct Shift {
-    /// Where the controller's datagrams arrive.
+    /// Local address for the controller's datagrams.
     #[arg(long, value_name = "IP:PORT")]
     listen: SocketAddr,
-    /// Which joint, 1 to 7 from the base on.
+    /// The joint, 1 to 7 from the base on.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=7))]
     joint: u8,
-    /// By how much: 5deg, -0.05rad; at most 15 degrees.
+    /// Distance: 5deg, -0.05rad; at most 15 degrees.
     #[arg(long, value_name = "ANGLE", value_parser = small_angle, allow_hyphen_values = true)]
     by: f64,
-    /// How fast at most: 5deg/s, 0.1rad/s; at most 20 degrees per second.
+    /// Largest speed: 5deg/s, 0.1rad/s; at most 20 degrees per second.
     #[arg(long, value_name = "SPEED", default_value = "5deg/s", value_parser = low_speed)]
     velocity: f64,
     /// How long to wait for a sound connection, and then for command mode.
     #[arg(long, alias = "within", value_name = "TIME", default_value = "30s", value_parser = span)]
     ready_timeout: Duration,
-    /// Do not ask whether it is safe.
+    /// It is safe that the robot moves; do not ask.
     #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
     #[command(flatten)]
@@ -106,24 +113,24 @@ fn low_speed(text: &str) -> Result<f64, String> {
     Ok(speed)
 }
 
-/// Why it did not come to its end; told as what is found, not as a fault of the call.
+/// `Err` in the result: why the joint did not arrive, a finding rather than an error of the call.
 type Outcome = anyhow::Result<Result<(), String>>;
 
 impl Shift {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let remote = Arc::new(Remote::default());
+        let control = Arc::new(Control::default());
         let goal = Goal {
             joint: usize::from(self.joint - 1),
             by_rad: self.by,
             speed: self.velocity,
         };
-        let motion = Motion::new(goal, Arc::clone(&remote));
+        let motion = Motion::new(goal, Arc::clone(&control));
         let mut watched = Watched::start(&self.port, self.listen, self.config(), motion)?;
         complain(&format!(
             "waiting for a controller at {}",
             watched.live.local
         ));
-        let outcome = self.lead(&mut watched, &remote);
+        let outcome = self.perform(&mut watched, &control);
         watched.live.stop()?;
         match outcome? {
             Ok(()) => Ok(Verdict::Good),
@@ -134,7 +141,7 @@ impl Shift {
         }
     }
 
-    /// Sessions whose guards let no more pass than was asked for.
+    /// Sessions whose guards accept no more than was requested.
     fn config(&self) -> ClientConfig {
         let guard = |names| Guard {
             speed_rad_per_s: [self.velocity * SPEED_SLACK; AXES],
@@ -154,7 +161,7 @@ impl Shift {
     }
 
     /// From the first measurement to the end of the motion.
-    fn lead(&self, watched: &mut Watched, remote: &Remote) -> Outcome {
+    fn perform(&self, watched: &mut Watched, control: &Control) -> Outcome {
         let before = match self.sound(watched)? {
             Ok(seen) => seen,
             Err(why) => return Ok(Err(why)),
@@ -165,8 +172,8 @@ impl Shift {
         };
         complain(&plan);
         confirm::motion("this", self.confirm_motion)?;
-        remote.go();
-        if let Err(why) = self.follow(watched, remote)? {
+        control.start();
+        if let Err(why) = self.follow(watched, control)? {
             return Ok(Err(why));
         }
         rest(watched);
@@ -184,13 +191,13 @@ impl Shift {
         Ok(Ok(()))
     }
 
-    /// Waits until the connection is fit to be moved over.
+    /// Waits until the connection is sound enough for a motion.
     fn sound(&self, watched: &mut Watched) -> anyhow::Result<Result<Seen, String>> {
         let started = Instant::now();
         loop {
-            let (seen, news) = watched.look();
+            let (seen, faults) = watched.look();
             let is_there = seen.status.phase != Phase::Offline;
-            if let Some(fault) = news.into_iter().next() {
+            if let Some(fault) = faults.into_iter().next() {
                 return Ok(Err(fault));
             }
             let is_sound = seen.status.quality.is_some_and(Quality::is_sound);
@@ -204,55 +211,55 @@ impl Shift {
         }
     }
 
-    /// The joint's name and what is going to happen, or which limit forbids it.
+    /// Name and plan of the motion, or the limit that forbids it.
     fn plan(&self, seen: &Seen) -> Result<(&'static str, String), String> {
         let status = &seen.status;
         let (Some(version), Some(joints)) = (status.version, status.measured) else {
-            return Err("the controller tells no joint positions".to_owned());
+            return Err("the controller reports no joint positions".to_owned());
         };
         plan(version, &joints, self.joint, self.by, self.velocity)
     }
 
     /// Watches the motion to its end. Ctrl-C brakes.
-    fn follow(&self, watched: &mut Watched, remote: &Remote) -> Outcome {
+    fn follow(&self, watched: &mut Watched, control: &Control) -> Outcome {
         let started = Instant::now();
         let mut braking: Option<Instant> = None;
-        let mut is_told = false;
+        let mut is_reported = false;
         loop {
-            let stage = remote.stage();
-            if stage == Stage::Moving && !is_told {
+            let state = control.state();
+            if state == MotionState::Moving && !is_reported {
                 complain("the robot follows; Ctrl-C brakes");
-                is_told = true;
+                is_reported = true;
             }
             let seen = watched.live.seen();
-            if stage.is_end() {
-                return Ok(ended(stage, remote.why(), &seen));
+            if state.is_end() {
+                return Ok(ended(state, control.cause(), &seen));
             }
-            if stage == Stage::Idle && started.elapsed() >= self.ready_timeout {
+            if state == MotionState::Idle && started.elapsed() >= self.ready_timeout {
                 return Ok(Err(idle(&seen)));
             }
-            if stage == Stage::Idle && braking.is_some() {
+            if state == MotionState::Idle && braking.is_some() {
                 return Ok(Err("ended before anything moved".to_owned()));
             }
             if braking.is_some_and(|since| since.elapsed() >= BRAKING) {
                 return Ok(Err(
-                    "the controller went silent while the robot braked".to_owned()
+                    "the controller stopped sending while the robot braked".to_owned()
                 ));
             }
             if watched.pause() && braking.is_none() {
-                remote.brake();
+                control.brake();
                 braking = Some(Instant::now());
             }
             if seen.status.phase == Phase::Offline {
                 return Ok(Err(
-                    "the controller went silent; it brakes by itself".to_owned()
+                    "the controller stopped sending; it brakes by itself".to_owned()
                 ));
             }
         }
     }
 }
 
-/// What is going to happen, or which limit forbids it.
+/// Name and plan of the motion, or the limit that forbids it.
 fn plan(
     version: Version,
     joints: &[f64; AXES],
@@ -274,17 +281,17 @@ fn plan(
         let limit = limit.copysign(to);
         let range = range.to_degrees();
         return Err(format!(
-            "{name} is at {from:.2} deg and would go to {to:.2} deg, beyond {limit:.0} deg: its range of {range:.0} deg less 2"
+            "{name} is at {from:.2} deg and would move to {to:.2} deg, beyond {limit:.0} deg: its range of {range:.0} deg less 2"
         ));
     }
     let text = format!(
-        "{name} (joint {joint}) goes from {from:.2} deg to {to:.2} deg at up to {:.1} deg/s, as soon as the robot follows",
+        "{name} (joint {joint}) moves from {from:.2} deg to {to:.2} deg at up to {:.1} deg/s, as soon as the robot follows",
         speed.to_degrees()
     );
     Ok((name, text))
 }
 
-/// Why the connection is not fit.
+/// Why the connection is not sound.
 fn unsound(seen: &Seen) -> String {
     let quality = seen.status.quality;
     let quality = quality.map_or_else(|| "unknown".to_owned(), |it| it.to_string());
@@ -292,70 +299,74 @@ fn unsound(seen: &Seen) -> String {
     let because = if verdict.is_good() {
         String::new()
     } else {
-        format!(": {verdict}; {}", verdict.remedy())
+        format!(": {verdict}\nhint: {}", verdict.remedy())
     };
-    format!("quality is {quality}, too bad to move anything{because}")
+    format!("quality is {quality}, too bad for a motion{because}")
 }
 
-/// Why the motion was never begun.
+/// Why the motion was not started.
 fn idle(seen: &Seen) -> String {
     let status = &seen.status;
     let state = status.state;
     let state = state.map_or_else(|| "unknown".to_owned(), |it| it.to_string());
     if status.has_power == Some(false) {
         return format!(
-            "the drives have no power (state {state}): release the brakes at the controller"
+            "the drives have no power (state {state})\nhint: release the brakes at the controller"
         );
     }
-    if let Some(mode) = status.overlay.filter(|mode| !takes_positions(Some(*mode))) {
+    if let Some(mode) = status
+        .overlay
+        .filter(|mode| !accepts_positions(Some(*mode)))
+    {
         return format!(
-            "the overlay of the robot program wants {mode} (state {state}): only one of joint positions (FRIJointOverlay, POSITION) can be moved"
+            "the overlay of the robot program accepts {mode} (state {state})\n\
+             hint: use one of joint positions (FRIJointOverlay, POSITION)"
         );
     }
-    let what = match status.version {
+    let remedy = match status.version {
         Some(Version::Sunrise(_)) => {
-            "the robot program must run a motion with an overlay of joint positions (FRIJointOverlay, POSITION)"
+            "run a motion with an overlay of joint positions in the robot program (FRIJointOverlay, POSITION)"
         }
-        Some(Version::Lwr) | None => "the KRL program must call friStart",
+        Some(Version::Lwr) | None => "call friStart in the KRL program",
     };
-    format!("the robot does not follow (state {state}): {what}")
+    format!("the robot does not follow (state {state})\nhint: {remedy}")
 }
 
-fn ended(stage: Stage, why: Why, seen: &Seen) -> Result<(), String> {
-    match stage {
-        Stage::Arrived => Ok(()),
-        Stage::Beyond => Err("the controller's own set-point is nearer to the end of the range than the measured one: nothing was moved".to_owned()),
-        Stage::Left if seen.status.has_power == Some(false) => {
-            Err("the drives lost their power on the way; the controller's own message says why".to_owned())
+fn ended(state: MotionState, cause: BrakeCause, seen: &Seen) -> Result<(), String> {
+    match state {
+        MotionState::Arrived => Ok(()),
+        MotionState::Beyond => Err("the controller's own set-point is nearer to the end of the range than the measured one: nothing was moved".to_owned()),
+        MotionState::Left if seen.status.has_power == Some(false) => {
+            Err("the drives lost their power during the motion\nhint: read the message of the controller".to_owned())
         }
-        Stage::Left => {
+        MotionState::Left => {
             let state = seen.status.state.map_or_else(|| "?".to_owned(), |it| it.to_string());
-            Err(format!("the controller left command mode on the way (now {state}); its own message says why"))
+            Err(format!("the controller left command mode during the motion (now {state})\nhint: read the message of the controller"))
         }
-        Stage::Idle | Stage::Moving | Stage::Braking | Stage::Stopped => Err(match why {
-            Why::Asked => "braked to rest on the way, as asked",
-            Why::Quality => "braked to rest on the way, since quality became too bad; `takt fri stat` says who is late",
-            Why::Withheld => "braked to rest on the way, since the session withheld a position",
+        MotionState::Idle | MotionState::Moving | MotionState::Braking | MotionState::Stopped => Err(match cause {
+            BrakeCause::Requested => "braked to rest before the goal, as requested",
+            BrakeCause::Quality => "braked to rest before the goal: quality became too bad\nhint: `takt fri stat` reports which side is late",
+            BrakeCause::Withheld => "braked to rest before the goal: the session withheld a position",
         }
         .to_owned()),
     }
 }
 
-/// That the joint is there, or did not go at least half of the way in its direction; both rad.
+/// That the joint arrived, or did not move at least half of its distance in that direction; both rad.
 fn arrived(name: &str, by: f64, moved: f64) -> Result<String, String> {
-    let (asked, measured) = (by.to_degrees(), moved.to_degrees());
+    let (requested, measured) = (by.to_degrees(), moved.to_degrees());
     if moved * by.signum() * 2.0 < by.abs() {
         return Err(format!(
-            "{name} did not move as commanded: {asked:.2} deg were asked for, {measured:.2} deg are measured\n\
-             hint: look at its brake, at contact with its surroundings, and at the override and messages of the controller"
+            "{name} did not move as commanded: {requested:.2} deg requested, {measured:.2} deg measured\n\
+             hint: check its brake, contact with its surroundings, and the override and messages of the controller"
         ));
     }
     Ok(format!(
-        "{name} is there: {asked:.2} deg were asked for, {measured:.2} deg are measured"
+        "{name} arrived: {requested:.2} deg requested, {measured:.2} deg measured"
     ))
 }
 
-/// Gives the arm time to be where it was told to be.
+/// Waits until the arm has arrived.
 fn rest(watched: &mut Watched) {
     let until = Instant::now() + REST;
     while Instant::now() < until && !watched.pause() {}
@@ -368,7 +379,7 @@ mod tests {
     use takt_fri::sunrise::wire::CommandMode;
 
     #[test]
-    fn angles_and_speeds_have_units_and_bounds() {
+    fn fri_move_angles_and_speeds_have_units_and_bounds() {
         assert!((small_angle("5deg").unwrap() - 0.087_266).abs() < 1e-6);
         assert!((small_angle("-0.1rad").unwrap() + 0.1).abs() < 1e-12);
         assert!(small_angle("15deg").is_ok());
@@ -384,41 +395,38 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_that_forbids_it_is_named() {
+    fn fri_move_beyond_the_range_names_the_limit() {
         let joints = [0.0, 117.0_f64.to_radians(), 0.0, 0.0, 0.0, 0.0, 0.0];
-        let told =
+        let planned =
             |version, joint, by_deg: f64| plan(version, &joints, joint, by_deg.to_radians(), 0.1);
         assert_eq!(
-            told(Version::Lwr, 2, 2.0).unwrap_err(),
-            "A2 is at 117.00 deg and would go to 119.00 deg, beyond 118 deg: its range of 120 deg less 2"
+            planned(Version::Lwr, 2, 2.0).unwrap_err(),
+            "A2 is at 117.00 deg and would move to 119.00 deg, beyond 118 deg: its range of 120 deg less 2"
         );
-        let (name, text) = told(Version::Lwr, 3, -2.0).unwrap();
+        let (name, text) = planned(Version::Lwr, 3, -2.0).unwrap();
         assert_eq!(name, "E1");
         assert!(
             text.contains("from 0.00 deg to -2.00 deg at up to 5.7 deg/s"),
             "{text}"
         );
-        let (name, _) = told(Version::Sunrise(None), 3, -2.0).unwrap();
+        let (name, _) = planned(Version::Sunrise(None), 3, -2.0).unwrap();
         assert_eq!(name, "A3");
-        assert!(told(Version::Lwr, 2, 1.0).is_ok());
+        assert!(planned(Version::Lwr, 2, 1.0).is_ok());
     }
 
     #[test]
-    fn shift_of_a_joint_at_rest_fails() {
+    fn fri_move_without_motion_fails() {
         for (by, moved) in [(0.1, 0.0), (0.1, 0.04), (-0.1, 0.1), (-0.1, -0.001)] {
             let text = arrived("A4", by, moved).unwrap_err();
             assert!(text.starts_with("A4 did not move as commanded: "), "{text}");
             assert!(text.contains("\nhint: "), "{text}");
         }
         let text = arrived("A4", -0.1, -0.099).unwrap();
-        assert_eq!(
-            text,
-            "A4 is there: -5.73 deg were asked for, -5.67 deg are measured"
-        );
+        assert_eq!(text, "A4 arrived: -5.73 deg requested, -5.67 deg measured");
     }
 
     #[test]
-    fn what_holds_a_robot_is_named() {
+    fn fri_move_names_what_holds_the_robot() {
         let seen = |version, has_power| Seen {
             status: Status {
                 version: Some(version),
@@ -432,16 +440,28 @@ mod tests {
         assert!(idle(&seen(Version::Sunrise(None), true)).contains("FRIJointOverlay"));
         let mut wrench = seen(Version::Sunrise(None), true);
         wrench.status.overlay = Some(CommandMode::Wrench);
-        assert!(idle(&wrench).contains("wants wrench"), "{}", idle(&wrench));
-        let told = ended(Stage::Left, Why::Asked, &seen(Version::Lwr, false)).unwrap_err();
-        assert!(told.contains("lost their power"), "{told}");
-        let told = ended(Stage::Left, Why::Asked, &seen(Version::Lwr, true)).unwrap_err();
-        assert!(told.contains("left command mode"), "{told}");
+        assert!(
+            idle(&wrench).contains("accepts wrench"),
+            "{}",
+            idle(&wrench)
+        );
+        let text = ended(
+            MotionState::Left,
+            BrakeCause::Requested,
+            &seen(Version::Lwr, false),
+        )
+        .unwrap_err();
+        assert!(text.contains("lost their power"), "{text}");
+        let text = ended(
+            MotionState::Left,
+            BrakeCause::Requested,
+            &seen(Version::Lwr, true),
+        )
+        .unwrap_err();
+        assert!(text.contains("left command mode"), "{text}");
         let bad = unsound(&Seen::default());
         assert!(
-            bad.starts_with(
-                "quality is unknown, too bad to move anything: no measurement received"
-            ),
+            bad.starts_with("quality is unknown, too bad for a motion: no measurement received"),
             "{bad}"
         );
     }

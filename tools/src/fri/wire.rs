@@ -1,4 +1,4 @@
-//! A look at all packets of this host's interfaces while no measurement comes (`packet(7)`); needs CAP_NET_RAW. It
+//! Capture of all packets of this host's interfaces while no measurement arrives (`packet(7)`); needs CAP_NET_RAW. It
 //! judges none of them.
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -10,21 +10,21 @@ use nix::sys::socket::{
 
 use super::silence::Evidence;
 
-/// Packets taken at one look, so that a busy network keeps nobody here.
+/// Most packets received at once.
 const PACKETS_MAX: usize = 4_096;
 
-/// A socket that sees all packets.
+/// A socket that receives all packets.
 pub(super) struct Wire(Option<OwnedFd>);
 
 impl Wire {
-    /// Opens it, if this user may.
+    /// Opens it, if this user is permitted to.
     pub(super) fn open() -> Self {
         let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
         let all = SockProtocol::EthAll;
         Self(socket(AddressFamily::Packet, SockType::Datagram, flags, all).ok())
     }
 
-    /// Takes what came since the last look.
+    /// Receives the packets since the last call.
     pub(super) fn look(&self, evidence: &mut Evidence) {
         evidence.is_allowed = self.0.is_some();
         let Some(socket) = &self.0 else { return };
@@ -42,9 +42,9 @@ impl Wire {
     }
 }
 
-/// Whether this host knows a way there.
+/// Whether this host has a route there.
 pub(super) fn has_route(to: Ipv4Addr) -> bool {
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0));
-    // Sends nothing: only asks the routes.
+    // Sends nothing: only looks up the route.
     socket.is_ok_and(|socket| socket.connect(SocketAddr::from((to, 9))).is_ok())
 }

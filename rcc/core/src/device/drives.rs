@@ -4,12 +4,7 @@
 //!
 //! Drives are enabled as soon as no net commands the arm, and re-enabled after a fault once no net has commanded it
 //! for a second: motion from before a fault does not continue. With `recovery = "on_restart"` a fault shuts the arm
-//! down. A shutdown removes power when the motors are at standstill:
-//!
-//! ```text
-//! shutdown: targets brake ──▶ standstill ──▶ disable operation ──▶ disable voltage
-//!                └─ timeout ──▶ quick stop ─┴─ timeout ─────────▲
-//! ```
+//! down. A shutdown removes power when the motors are at standstill ([`Shutdown`]).
 
 mod check;
 mod driven;
@@ -18,7 +13,7 @@ use std::fmt;
 use std::time::Duration;
 
 use takt_can::cia402::proof::Objects;
-use takt_can::cia402::{Goal, Runaway, State};
+use takt_can::cia402::{Goal, Power, Runaway, Shutdown, State, axis_goal};
 use takt_net::JointState;
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
@@ -29,19 +24,12 @@ use crate::device::continuity::Continuity;
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus};
 pub(super) use check::{check, describe};
-use driven::{Driven, Power, When};
+use driven::{Driven, When, time_of};
 
 /// Set-points older than this many cycles of the segment are ignored.
 const STALE_AFTER: i64 = 10;
 /// Faults of drives are reset after this time without a command.
 const REST: Duration = Duration::from_secs(1);
-/// Time for motors to reach standstill by their targets; then quick stop.
-const BRAKE_WITHIN: Duration = Duration::from_secs(2);
-/// Time for a quick stop; then power is removed.
-const QUICK_STOP_WITHIN: Duration = Duration::from_millis(500);
-/// Time for a drive to close its brake and disable operation.
-const DISABLE_WITHIN: Duration = Duration::from_millis(500);
-
 /// The latest state of an axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Feedback {
@@ -113,9 +101,8 @@ pub(super) struct Arm {
     commanded: Nanos,
     last: Option<Nanos>,
     powered: bool,
-    /// When shutdown was requested, and when the motors then reached standstill.
-    stopping: Option<Nanos>,
-    standstill: Option<Nanos>,
+    /// The shutdown, once requested.
+    shutdown: Option<Shutdown>,
     held: bool,
     continuity: Continuity,
 }
@@ -135,8 +122,7 @@ impl Arm {
             commanded: Nanos(0),
             last: None,
             powered: false,
-            stopping: None,
-            standstill: None,
+            shutdown: None,
             held: false,
             continuity: Continuity::default(),
         }
@@ -179,7 +165,7 @@ impl Arm {
         let (goal, reset) = if stopping {
             (self.shutdown_goal(now), false)
         } else {
-            (self.stopping, self.standstill) = (None, None);
+            self.shutdown = None;
             self.choose_goal(now)
         };
         let may_move = self.follows() && !stopping && !self.held;
@@ -197,15 +183,7 @@ impl Arm {
         let joints = self.joints.iter_mut().zip(&self.taken.joints);
         for (number, (driven, set_points)) in joints.enumerate() {
             let target = driven.aim(set_points, may_move, &when);
-            let goal = match goal {
-                // A drive without power has no brake to close: SwitchedOn would give it power.
-                Some(Goal::SwitchedOn) if driven.power() != Power::Drives => {
-                    Some(Goal::SwitchOnDisabled)
-                }
-                // A runaway axis cannot brake by targets.
-                _ if driven.has_run_away() => Some(Goal::SwitchOnDisabled),
-                goal => goal,
-            };
+            let goal = axis_goal(goal, driven.power(), driven.has_run_away());
             let order = Order {
                 goal,
                 reset,
@@ -243,29 +221,12 @@ impl Arm {
 
     /// The goal of all drives during shutdown.
     fn shutdown_goal(&mut self, now: Nanos) -> Option<Goal> {
-        let began = *self.stopping.get_or_insert(now);
-        if self.standstill.is_none() && self.joints.iter().all(|joint| joint.is_at_rest(now)) {
-            self.standstill = Some(now);
-        }
-        let Some(standstill) = self.standstill else {
-            let waited = now - began;
-            let brakes = Nanos::from(BRAKE_WITHIN);
-            return if waited <= brakes {
-                None
-            } else if waited <= brakes + Nanos::from(QUICK_STOP_WITHIN) {
-                Some(Goal::QuickStop)
-            } else {
-                Some(Goal::SwitchOnDisabled)
-            };
-        };
-        // Disable operation comes first: in this transition drives close their brakes under torque (605Ch).
-        let drives = |joint: &Driven| joint.power() == Power::Drives;
-        let in_time = now - standstill <= Nanos::from(DISABLE_WITHIN);
-        Some(if in_time && self.joints.iter().any(drives) {
-            Goal::SwitchedOn
-        } else {
-            Goal::SwitchOnDisabled
-        })
+        let is_at_rest = self.joints.iter().all(|joint| joint.is_at_rest(now));
+        let has_torque = |joint: &Driven| joint.power() == Power::Drives;
+        let has_torque = self.joints.iter().any(has_torque);
+        let now = time_of(now);
+        let shutdown = self.shutdown.get_or_insert_with(|| Shutdown::new(now));
+        shutdown.step(is_at_rest, has_torque, now)
     }
 
     fn publish(&mut self, tick: &Tick) {

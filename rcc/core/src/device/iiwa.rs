@@ -4,6 +4,7 @@
 
 mod end;
 
+use takt_fri::client::Version;
 use takt_fri::linux::UdpLink;
 use takt_fri::sunrise::wire::Quality;
 use takt_net::JointLimits;
@@ -110,7 +111,6 @@ const fn wrench_max(model: IiwaModel) -> [f64; 6] {
 /// An iiwa by its data sheet: axis ranges and speeds.
 #[must_use]
 pub fn describe(name: &str, model: IiwaModel) -> ArmDescription {
-    let ranges = [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0_f64];
     let (kinematics, speeds) = match model {
         IiwaModel::Iiwa7 => (
             "kuka_iiwa7",
@@ -121,10 +121,11 @@ pub fn describe(name: &str, model: IiwaModel) -> ArmDescription {
             [85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0_f64],
         ),
     };
+    let ranges = Version::Sunrise(None).position_max_rad();
     let limits = ranges.into_iter().zip(speeds);
     let limits = limits.map(|(range, speed)| JointLimits {
-        position_min: -range.to_radians(),
-        position_max: range.to_radians(),
+        position_min: -range,
+        position_max: range,
         velocity_max: speed.to_radians() * SPEED_SHARE,
         acceleration_max: ACCELERATION,
     });

@@ -5,6 +5,7 @@ mod end;
 mod impedance;
 mod program;
 
+use takt_fri::client::Version;
 use takt_fri::linux::UdpLink;
 use takt_fri::lwr::wire::Quality;
 use takt_net::JointLimits;
@@ -32,10 +33,9 @@ const WRENCH_MAX: [f64; 6] = [350.0, 350.0, 350.0, 100.0, 100.0, 100.0];
 /// An LWR by its controller: axis ranges, and the speed and acceleration that existing drivers use for all axes.
 #[must_use]
 pub fn describe(name: &str) -> ArmDescription {
-    let ranges = [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 170.0_f64];
-    let limits = ranges.map(|range| JointLimits {
-        position_min: -range.to_radians(),
-        position_max: range.to_radians(),
+    let limits = Version::Lwr.position_max_rad().map(|range| JointLimits {
+        position_min: -range,
+        position_max: range,
         velocity_max: 112.5_f64.to_radians(),
         acceleration_max: 4.0,
     });

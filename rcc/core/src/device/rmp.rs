@@ -26,8 +26,6 @@ pub use wire::{CanLink, Wire};
 const VELOCITY_MAX: f64 = 1.8;
 /// Largest rotation that nets may command, rad/s.
 const ROTATION_MAX: f64 = 2.0;
-/// Acceleration limits, m/s² and rad/s². No manual of a power base states one; riders regard these as gentle.
-const ACCELERATION: [f64; 2] = [1.0, 1.5];
 /// Shutdown time limit: from full speed a base needs half of it to stop.
 const REST_WITHIN: Duration = Duration::from_millis(3_600);
 /// Longest sleep of the thread: a tenth of the power bases' cycle would be a waste, a whole one late.

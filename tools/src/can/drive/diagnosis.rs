@@ -1,5 +1,4 @@
-//! Why a drive did not do what it should: the cause, and what to do about it. How it is found out is the business
-//! of the session.
+//! Why a drive did not do what it should: the cause, and the remedy. The session finds it.
 
 use std::fmt;
 
@@ -18,41 +17,41 @@ pub(super) enum Cause {
     NotADrive(u32),
     /// The objects of that axis are not there.
     NoAxis(u8, SdoError),
-    /// It does not take a write.
+    /// It rejects a write.
     Refused(SdoError),
     /// The state machine does not go where it should.
     Drive(DriveFault),
-    /// 6040h does not hold what was written: somebody else writes it.
+    /// 6040h does not hold what was written: another master writes it.
     Overwritten { wrote: u16, holds: u16 },
-    /// It began anew meanwhile.
+    /// It restarted.
     Rebooted,
     /// It left Operational.
     Left(NmtState),
-    /// Enabled, told to turn, and at rest.
+    /// Enabled, commanded to turn, and at rest.
     DoesNotTurn { wanted: i32, shown: i32 },
-    /// It left Operation enabled without being told to.
+    /// It left Operation enabled without a command.
     Dropped(State),
-    /// It turned, was told to stop, and turns.
+    /// It turned, was commanded to stop, and turns.
     DoesNotStop { shown: i32 },
-    /// It cannot watch the heartbeat of this program.
+    /// It cannot monitor the heartbeat of this program.
     Unguarded(SdoError),
-    /// It would go on if the heartbeat ended: 6007h is 0.
+    /// It would continue if the heartbeat ended: 6007h is 0.
     NoReaction,
     /// The jog is faster than 607Fh or 6080h allows.
     TooFast(TooFast),
-    /// Its motor is not where its velocity can have brought it, or too fast.
+    /// Its motor is not where its velocity can have moved it, or too fast.
     Runaway(Runaway),
 }
 
-/// A cause with what is known about it.
+/// A cause and its evidence.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Diagnosis {
     pub(super) node: NodeId,
     pub(super) cause: Cause,
-    /// What the drive says about it, one line each.
+    /// Objects of the drive that explain it, one line each.
     pub(super) facts: Vec<String>,
-    /// Another master's frame to the drive.
-    pub(super) stranger: Option<Message>,
+    /// Another master's message to the drive.
+    pub(super) other_master: Option<Message>,
 }
 
 impl Cause {
@@ -95,58 +94,59 @@ impl fmt::Display for Diagnosis {
             Cause::Silent(refusal) => refusal.fmt(f),
             Cause::NotADrive(kind) => write!(
                 f,
-                "1000h of node {node} is {kind:08X}h: that is no drive of CiA 402; see takt can scan"
+                "1000h of node {node} is {kind:08X}h: it is no CiA 402 drive\nhint: `takt can scan` lists the nodes"
             ),
             Cause::NoAxis(axis, refusal) => write!(
                 f,
-                "node {node} has no axis {axis}: {refusal}; axes count from 0, 800h apart"
+                "node {node} has no axis {axis}: {refusal}\nhint: axes count from 0, 800h apart"
             ),
             Cause::Refused(refusal) => write!(
                 f,
-                "{refusal}; is the object written by a PDO of another master, or has the drive not this mode?"
+                "{refusal}\nhint: check whether a PDO of another master writes the object, and whether the drive has this mode"
             ),
             Cause::Drive(DriveFault::Stuck { state, sent, .. }) => write!(
                 f,
-                "{state} although 6040h is {sent}: an input, the interlock or a parameter of the drive keeps it there"
+                "{state} although 6040h is {sent}\nhint: check inputs, interlock and parameters of the drive"
             ),
             Cause::Drive(drive_fault) => drive_fault.fmt(f),
             Cause::Overwritten { wrote, holds } => write!(
                 f,
-                "6040h holds {holds:04X}h although {wrote:04X}h was written: another master writes it; stop that one \
-                 (takt can dump --filter node={node})"
+                "6040h holds {holds:04X}h although {wrote:04X}h was written: another master writes it\n\
+                 hint: find it by `takt can dump --filter node={node}` and stop it"
             ),
             Cause::Rebooted => write!(
                 f,
-                "node {node} began anew (boot-up): its supply broke down, it was reset, or its firmware failed"
+                "node {node} restarted (boot-up)\nhint: check its supply, whether it was reset, and its firmware"
             ),
             Cause::Left(state) => write!(
                 f,
-                "node {node} went to {state}: another master commanded it, or 1029h reacts to an error"
+                "node {node} went to {state}\nhint: check for another master, and the reaction to errors in 1029h"
             ),
             Cause::DoesNotTurn { wanted, shown } => write!(
                 f,
-                "enabled and told to turn with {wanted}, 606Ch shows {shown}: is the motor blocked or its brake \
-                 closed, a limit switch reached, torque or speed limited to 0?"
+                "did not move: enabled and commanded to turn with {wanted}, 606Ch shows {shown}\n\
+                 hint: check motor, brake, limit switches, and the limits of torque and speed"
             ),
             Cause::Dropped(state) => write!(
                 f,
-                "it left Operation enabled for {state} by itself: an enabling input, safe torque off, or another master"
+                "it left Operation enabled for {state} without a command\n\
+                 hint: check enabling inputs, safe torque off, and for another master"
             ),
             Cause::DoesNotStop { shown } => write!(
                 f,
-                "told to stop, 606Ch still shows {shown}: its load drives it; use the emergency stop, and see whether \
-                 the brake holds"
+                "commanded to stop, 606Ch still shows {shown}: its load drives it\n\
+                 hint: use the emergency stop, and check whether the brake holds"
             ),
             Cause::Unguarded(refusal) => write!(
                 f,
-                "the drive cannot watch the heartbeat of this program ({refusal}), so it would go on turning without \
-                 it; with somebody at the emergency stop, say --unguarded"
+                "the drive cannot monitor the heartbeat of this program ({refusal}), so it would continue to turn without \
+                 it\nhint: with an operator at the emergency stop, use --unguarded"
             ),
             Cause::TooFast(error) => write!(f, "{error}\nhint: --jog {:.0} at most", error.allowed.floor()),
             Cause::Runaway(runaway) => runaway.fmt(f),
             Cause::NoReaction => f.write_str(
-                "6007h is 0: the drive would go on turning if this program ended; set it to 1, 2 or 3, or, with \
-                 somebody at the emergency stop, say --unguarded",
+                "6007h is 0: the drive would continue to turn if this program ended\n\
+                 hint: set it to 1, 2 or 3, or, with an operator at the emergency stop, use --unguarded",
             ),
         }
     }

@@ -1,5 +1,4 @@
-//! What a drive says of itself, in words: the objects that explain why it is as it is. Objects that it has not, it
-//! says nothing of.
+//! Objects of a drive that explain its state, as text. Objects that it does not have are left out.
 
 use takt_can::canopen::Emergency;
 use takt_cia402::dictionary::Address;
@@ -64,7 +63,7 @@ pub(super) fn modes(word: u32) -> String {
     all.join(", ")
 }
 
-/// Which objects explain it.
+/// The objects that explain it.
 fn about(drive_fault: Option<DriveFault>) -> &'static [u16] {
     match drive_fault {
         Some(DriveFault::Fault | DriveFault::ResetRefused(_) | DriveFault::EnablingFails(_)) => {
@@ -83,7 +82,7 @@ fn about(drive_fault: Option<DriveFault>) -> &'static [u16] {
     }
 }
 
-/// What the drive says that explains an obstacle, or, without one, that it does not turn. One line each.
+/// The objects that explain a drive fault or, without one, that it does not turn. One line each.
 pub(super) fn facts<W: Wire>(
     wire: &mut W,
     asker: &mut SdoClient,
@@ -96,8 +95,8 @@ pub(super) fn facts<W: Wire>(
         let address = Address::new(*index, sub);
         let address = address.on_axis(axis).unwrap_or(address);
         match asker.read(wire, address, false)? {
-            Ok(bytes) => facts.push(format!("{address} {}", told(*index, &bytes))),
-            // What is silent now has nothing more to say.
+            Ok(bytes) => facts.push(format!("{address} {}", describe(*index, &bytes))),
+            // It has no more answers now.
             Err(refusal) if refusal.is_timeout() => break,
             Err(_) => {}
         }
@@ -105,7 +104,7 @@ pub(super) fn facts<W: Wire>(
     Ok(facts)
 }
 
-/// An emergency in words.
+/// An emergency as text.
 pub(super) fn emergency(emergency: &Emergency) -> String {
     let register = emergency.register;
     let bits = bits(register.into(), &ERROR_BITS);
@@ -113,8 +112,8 @@ pub(super) fn emergency(emergency: &Emergency) -> String {
     format!("emergency: {code}, error register {register:02X}h: {bits}")
 }
 
-/// An object in words.
-fn told(index: u16, bytes: &[u8]) -> String {
+/// An object as text.
+fn describe(index: u16, bytes: &[u8]) -> String {
     let raw = number(bytes).unwrap_or(0);
     let [a, b, ..] = raw.to_le_bytes();
     let short = u16::from_le_bytes([a, b]);
@@ -149,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn objects_are_told_in_words() {
+    fn drive_objects_are_described() {
         for (index, bytes, words) in [
             (0x603F, &[0x20, 0x32][..], "DC link under-voltage (3220h)"),
             (0x1001, &[0x11], "11h: generic, communication"),
@@ -165,7 +164,7 @@ mod tests {
             ),
             (0x6072, &[0xE8, 3], "100.0 %"),
         ] {
-            let text = told(index, bytes);
+            let text = describe(index, bytes);
             assert!(text.contains(words), "{index:04X}h: {text}");
         }
     }

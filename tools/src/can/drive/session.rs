@@ -1,9 +1,9 @@
-//! One drive, led over SDO: asked, commanded by the master of `takt-cia402`, brought to rest and switched off, however
-//! it ends. It decides by the drive's answers alone; what it prints, the caller says.
+//! One drive, commanded over SDO by the master of `takt-cia402`, brought to rest and switched off, however the session
+//! ends. It decides by the drive's answers alone and prints nothing itself.
 //!
 //! ```text
-//! look (1000h, axis) -> guard (1016h, heartbeat) -> enable -> hold or jog -> stop -> off
-//!                                                      \---- diagnosis, Ctrl-C: quick stop ----/
+//! identify (1000h, axis) -> guard (1016h, heartbeat) -> enable -> hold or jog -> stop -> off
+//!                                                          \---- diagnosis, Ctrl-C: quick stop ----/
 //! ```
 
 mod lead;
@@ -19,26 +19,25 @@ use takt_cia402::{
 
 use super::diagnosis::{Cause, Diagnosis};
 use super::facts::facts;
-use super::overheard::Overheard;
+use super::observer::Observer;
 use crate::can::sdo_client::{SdoClient, SdoError, TIMEOUT, number};
 use crate::can::wire::Wire;
 use crate::jog::{Limits, Speed};
 
-/// Time from one look at the drive to the next.
+/// Period in which the drive is read and commanded.
 const CYCLE: Duration = Duration::from_millis(10);
-/// Time between heartbeats of this program, and after which the drive takes it for gone.
+/// Time between heartbeats of this program, and its timeout in the drive.
 const BEAT: Duration = Duration::from_millis(100);
 const BEAT_LOST_MS: u32 = 500;
-/// How long a drive may take from a new velocity to turning, from the stop to rest, and to switch off.
+/// Timeouts from a new velocity to turning, and from the stop to rest: the ramp is the drive's own.
 const TURN: Duration = Duration::from_secs(1);
 const REST: Duration = Duration::from_secs(5);
-const OFF: Duration = Duration::from_secs(1);
-/// How long somebody may take to show that a number is taken.
+/// Timeout of a node's answer when its number is probed.
 const FREE: Duration = Duration::from_millis(50);
 /// Consumer heartbeat time.
 const CONSUMER: Address = Address::new(0x1016, 1);
-/// Looks at rest, one after the other, that make it stand.
-const STANDS: u8 = 3;
+/// Consecutive cycles at rest after which it is at standstill.
+const AT_REST: u8 = 3;
 
 /// What to do.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +50,7 @@ pub(super) struct Plan {
     /// Time in Operation enabled.
     pub(super) hold: Duration,
     pub(super) jog: Option<Jog>,
-    /// How the drive keeps to its profile.
+    /// Tolerated deviations of the drive from its profile.
     pub(super) profile: MasterOptions,
 }
 
@@ -65,10 +64,10 @@ pub(super) struct Jog {
     pub(super) unguarded: bool,
 }
 
-/// The words at a time.
+/// Words of the drive at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Step {
-    /// Since the begin.
+    /// Since the start of the session.
     pub(super) at: Duration,
     pub(super) status: StatusWord,
     pub(super) control: ControlWord,
@@ -80,7 +79,7 @@ pub(super) struct Step {
     pub(super) velocity: i32,
 }
 
-/// What came of it.
+/// The result.
 #[derive(Clone, Debug)]
 pub(super) struct Report {
     pub(super) node: NodeId,
@@ -88,7 +87,7 @@ pub(super) struct Report {
     /// Whenever a word changed.
     pub(super) steps: Vec<Step>,
     pub(super) diagnosis: Option<Diagnosis>,
-    /// Somebody asked to end.
+    /// It was stopped on request.
     pub(super) stopped: bool,
     pub(super) commanded: bool,
     pub(super) jogged: bool,
@@ -118,35 +117,35 @@ type Show<'s> = &'s mut dyn FnMut(&Step) -> anyhow::Result<()>;
 
 /// A session with one drive.
 pub(super) struct Session<'s, W> {
-    wire: Overheard<'s, W>,
+    wire: Observer<'s, W>,
     asker: SdoClient,
     plan: Plan,
     show: Show<'s>,
     master: Master,
     begun: Duration,
     steps: Vec<Step>,
-    /// What was written last, so that only changes go over the bus.
+    /// The last written word, so that only changes are sent.
     control: Option<ControlWord>,
     mode: Option<i8>,
-    /// The number that this program has while it sends heartbeats, and when the next one is due.
+    /// Node number of this program while it sends heartbeats, and when the next one is due.
     own: Option<(NodeId, Duration)>,
     /// 1016h:01 as it was.
     consumer: Option<[u8; 4]>,
-    /// A reset was asked for.
+    /// A reset was requested.
     resetting: bool,
-    /// It has been in Operation enabled, and is not to leave that.
+    /// It has been in Operation enabled, and must not leave it.
     enabled: bool,
-    /// It was told to turn, and not seen at rest since.
+    /// It was commanded to turn, and not at rest since.
     moving: bool,
-    /// Its jog is over, and it is to come to rest.
+    /// Its jog is over, and it comes to rest.
     stopping: bool,
     /// It is being switched off.
     leaving: bool,
     /// 607Ah as it was written.
     aligned: Option<i32>,
-    /// What the drive allows.
+    /// The limits of the drive.
     limits: Limits,
-    /// Whether the motor is where its velocity can have brought it.
+    /// Whether the motor is where its velocity can have moved it.
     monitor: Monitor,
     /// Where the monitored motion began, 6064h, and when; `None` while it is not monitored.
     origin: Option<(i32, Duration)>,
@@ -156,7 +155,7 @@ impl<'s, W: Wire> Session<'s, W> {
     pub(super) fn new(wire: &'s mut W, plan: Plan, show: Show<'s>) -> Self {
         let begun = wire.now();
         Self {
-            wire: Overheard::new(wire, plan.node),
+            wire: Observer::new(wire, plan.node),
             asker: SdoClient::new(plan.node, TIMEOUT),
             master: Master::new(plan.profile),
             plan,
@@ -182,15 +181,15 @@ impl<'s, W: Wire> Session<'s, W> {
         }
     }
 
-    /// Looks only, until somebody asks to end or the time is over.
+    /// Reads only, until it is stopped or the time is over.
     pub(super) fn watch(mut self, time: Option<Duration>) -> anyhow::Result<Report> {
         let end = time.map(|time| self.begun + time);
-        let done = self.look().and_then(|()| self.stare(end));
+        let done = self.identify().and_then(|()| self.read_until(end));
         let diagnosis = self.diagnose(&done)?;
         self.report(done, diagnosis, false)
     }
 
-    fn stare(&mut self, end: Option<Duration>) -> Go<()> {
+    fn read_until(&mut self, end: Option<Duration>) -> Go<()> {
         while !self.wire.is_stopped() && end.is_none_or(|end| self.wire.now() < end) {
             let begun = self.wire.now();
             let control = self.read(0x6040)?;
@@ -201,11 +200,11 @@ impl<'s, W: Wire> Session<'s, W> {
         Ok(())
     }
 
-    /// All of it.
+    /// The whole session.
     pub(super) fn run(mut self) -> anyhow::Result<Report> {
-        let done = self.look().and_then(|()| self.lead());
+        let done = self.identify().and_then(|()| self.command());
         if matches!(done, Err(End::Because(Cause::Runaway(_)))) {
-            // It does not follow its commands: only removing its power is left.
+            // It does not follow its commands: only removing its power stops it.
             self.moving = false;
             self.enabled = false;
             let _ = self.order(ControlWord::DISABLE_VOLTAGE);
@@ -214,7 +213,7 @@ impl<'s, W: Wire> Session<'s, W> {
             let _ = self.order(ControlWord::QUICK_STOP);
         }
         let diagnosis = self.diagnose(&done)?;
-        // However it went: at rest, without power, as it was.
+        // Whatever happened: at rest, without power, as it was.
         let down = self.go_down();
         let later = self.diagnose(&down)?;
         self.restore()?;
@@ -245,7 +244,7 @@ impl<'s, W: Wire> Session<'s, W> {
         })
     }
 
-    /// What the drive says about the end, while it still says it.
+    /// The diagnosis, while the drive still shows it.
     fn diagnose(&mut self, end: &Go<()>) -> anyhow::Result<Option<Diagnosis>> {
         let Err(End::Because(cause)) = end else {
             return Ok(None);
@@ -270,17 +269,17 @@ impl<'s, W: Wire> Session<'s, W> {
             | Cause::NoReaction => None,
         };
         let axis = self.plan.axis;
-        let mut told = match about {
+        let mut evidence = match about {
             Some(about) => facts(&mut self.wire, &mut self.asker, axis, about)?,
             None => Vec::new(),
         };
-        let emergency = self.wire.heard.emergency;
-        told.extend(emergency.map(|emergency| super::facts::emergency(&emergency)));
+        let emergency = self.wire.observed.emergency;
+        evidence.extend(emergency.map(|emergency| super::facts::emergency(&emergency)));
         Ok(Some(Diagnosis {
             node: self.plan.node,
             cause: *cause,
-            facts: told,
-            stranger: self.wire.heard.stranger,
+            facts: evidence,
+            other_master: self.wire.observed.other_master,
         }))
     }
 
@@ -289,7 +288,7 @@ impl<'s, W: Wire> Session<'s, W> {
         address.on_axis(self.plan.axis).unwrap_or(address)
     }
 
-    /// A number; `None` if the drive has no such object.
+    /// Reads a number; `None` if the drive does not have the object.
     fn read(&mut self, index: u16) -> Go<Option<u32>> {
         let address = self.address(index);
         match self.asker.read(&mut self.wire, address, false)? {
@@ -307,8 +306,8 @@ impl<'s, W: Wire> Session<'s, W> {
         }
     }
 
-    /// Is it a drive, and has it that axis?
-    fn look(&mut self) -> Go<()> {
+    /// Checks that it is a drive and has the axis.
+    fn identify(&mut self) -> Go<()> {
         let kind = self.read(0x1000)?.unwrap_or(0);
         if low_word(kind) != 402 {
             return Err(End::Because(Cause::NotADrive(kind)));
@@ -321,7 +320,7 @@ impl<'s, W: Wire> Session<'s, W> {
         }
     }
 
-    fn lead(&mut self) -> Go<()> {
+    fn command(&mut self) -> Go<()> {
         self.check_limits()?;
         self.guard()?;
         self.start()?;
@@ -334,7 +333,7 @@ impl<'s, W: Wire> Session<'s, W> {
         }
     }
 
-    /// Whether the drive allows the speed of the jog; before it gets power.
+    /// Checks that the drive allows the speed of the jog, before it gets power.
     fn check_limits(&mut self) -> Go<()> {
         let (wire, asker) = (&mut self.wire, &mut self.asker);
         self.limits = Limits::read(self.plan.axis, |address| -> Go<Option<u32>> {
@@ -352,7 +351,7 @@ impl<'s, W: Wire> Session<'s, W> {
         }
     }
 
-    /// Lets the drive watch the heartbeat of this program, so that it stops if that ends.
+    /// Makes the drive monitor the heartbeat of this program, so that it stops if that ends.
     fn guard(&mut self) -> Go<()> {
         let must = self.plan.jog.is_some_and(|jog| !jog.unguarded);
         if must && self.read(0x6007)?.map(low_word) == Some(0) {
@@ -378,7 +377,7 @@ impl<'s, W: Wire> Session<'s, W> {
         }
     }
 
-    /// The highest number at which nobody answers.
+    /// The highest number at which no node answers.
     fn free_number(&mut self) -> Go<NodeId> {
         let mut own = self.plan.node;
         for raw in (1..=NodeId::LAST.raw()).rev() {
@@ -406,14 +405,14 @@ impl<'s, W: Wire> Session<'s, W> {
         }
         let until = self.wire.now() + FREE;
         while self.wire.receive_until(until)?.is_some() {}
-        if self.wire.heard.state != Some(NmtState::Operational) {
+        if self.wire.observed.state != Some(NmtState::Operational) {
             self.wire.send(&NmtCommand::Start.frame(Some(node)))?;
         }
-        (self.wire.heard.state, self.wire.heard.boots) = (None, 0);
+        (self.wire.observed.state, self.wire.observed.boots) = (None, 0);
         Ok(())
     }
 
-    /// A heartbeat, if it is time.
+    /// Sends a heartbeat, if one is due.
     fn beat(&mut self) -> Go<()> {
         if let Some((own, due)) = self.own
             && self.wire.now() >= due
@@ -453,8 +452,8 @@ impl<'s, W: Wire> Session<'s, W> {
         Ok(())
     }
 
-    /// Its heartbeat consumer as it was. What it refuses or is silent about, stays. It is left in Operational:
-    /// leaving that is a lost master to a drive, which it answers by 6007h.
+    /// Restores its heartbeat consumer, if it accepts that. It stays in Operational: to a drive, leaving that is a lost
+    /// master, to which it reacts by 6007h.
     fn restore(&mut self) -> anyhow::Result<()> {
         if let Some(before) = self.consumer {
             let _ = self.asker.write(&mut self.wire, CONSUMER, &before, false)?;

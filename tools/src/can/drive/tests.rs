@@ -63,7 +63,7 @@ fn run(lab: &mut Lab, plan: Plan) -> Report {
     Session::new(lab, plan, &mut |_| Ok(())).run().unwrap()
 }
 
-/// The name of what is found, all that is said about it, and that the drive is without power and at rest then.
+/// The cause and the text of a diagnosis; afterwards the drive is without power and at rest.
 fn diagnosed(lab: &mut Lab, plan: Plan) -> (Cause, String) {
     let report = run(lab, plan);
     let text = super::text::verdict(&report);
@@ -88,7 +88,7 @@ fn states(report: &Report) -> Vec<State> {
 }
 
 #[test]
-fn a_drive_comes_up_state_by_state_and_goes_down_again() {
+fn can_drive_is_enabled_state_by_state_and_switched_off() {
     let mut lab = lab();
     let report = run(&mut lab, plan());
     assert_eq!(report.diagnosis, None);
@@ -103,13 +103,13 @@ fn a_drive_comes_up_state_by_state_and_goes_down_again() {
             State::SwitchOnDisabled
         ]
     );
-    assert!(super::text::verdict(&report).contains("ok, came up and went down"));
+    assert!(super::text::verdict(&report).contains("ok, enabled and switched off"));
     let json = super::text::json(&report);
     assert_eq!(
         (&json["enabled"], &json["diagnosis"]),
         (&true.into(), &serde_json::Value::Null)
     );
-    // As it was: nobody's heartbeat is watched, and nothing is taken for a fault.
+    // As it was: no heartbeat is monitored, and nothing counts as a fault.
     lab.run(2000);
     let drive = lab.drive(0);
     assert_eq!(drive.state(), takt_can::canopen::nmt::State::Operational);
@@ -121,7 +121,7 @@ fn a_drive_comes_up_state_by_state_and_goes_down_again() {
 }
 
 #[test]
-fn a_step_shows_both_words_with_their_bits() {
+fn can_drive_step_shows_words_with_their_bits() {
     let mut lab = lab();
     let report = run(&mut lab, plan());
     let texts: Vec<String> = report.steps.iter().map(super::text::step).collect();
@@ -138,7 +138,7 @@ fn a_step_shows_both_words_with_their_bits() {
 }
 
 #[test]
-fn every_drive_with_a_quirk_comes_up() {
+fn can_drive_with_any_quirk_is_enabled() {
     for name in Quirks::NAMES.into_iter().filter(|name| *name != "ssc-5.11") {
         let quirks = Quirks::named(name).unwrap();
         let mut lab = lab_with(DriveConfig {
@@ -152,7 +152,7 @@ fn every_drive_with_a_quirk_comes_up() {
 }
 
 #[test]
-fn an_axis_of_several_is_led_alone() {
+fn can_drive_axis_of_several_moves_alone() {
     let mut lab = Lab::new();
     lab.add_drive(DriveNodeConfig {
         axes: vec![DriveConfig::default(); 3],
@@ -173,7 +173,7 @@ fn an_axis_of_several_is_led_alone() {
 }
 
 #[test]
-fn a_jog_turns_and_comes_to_rest() {
+fn can_jog_turns_and_comes_to_rest() {
     let mut lab = lab();
     let report = run(&mut lab, jog(-20_000, 1000));
     assert_eq!(report.diagnosis, None, "{}", super::text::verdict(&report));
@@ -188,7 +188,7 @@ fn a_jog_turns_and_comes_to_rest() {
 }
 
 #[test]
-fn ctrl_c_brakes_by_a_quick_stop() {
+fn can_jog_on_ctrl_c_makes_a_quick_stop() {
     let mut lab = lab();
     lab.stop_at = Some(lab.now() + Duration::from_secs(1));
     let report = run(&mut lab, jog(20_000, 60_000));
@@ -203,16 +203,16 @@ fn ctrl_c_brakes_by_a_quick_stop() {
     assert_eq!(axis(&mut lab.devices).state(), State::SwitchOnDisabled);
 }
 
-/// This program dies in the middle: the interface fails.
+/// The interface fails during a jog.
 #[test]
-fn a_drive_whose_master_vanishes_stops_by_itself() {
-    struct Dying(Lab, Duration);
-    impl Wire for Dying {
+fn can_drive_without_master_stops_by_itself() {
+    struct Failing(Lab, Duration);
+    impl Wire for Failing {
         fn now(&self) -> Duration {
             self.0.now()
         }
         fn send(&mut self, frame: &Frame) -> anyhow::Result<()> {
-            anyhow::ensure!(self.now() < self.1, "gone");
+            anyhow::ensure!(self.now() < self.1, "interface failed");
             self.0.send(frame)
         }
         fn receive(&mut self, timeout: Duration) -> anyhow::Result<Option<Frame>> {
@@ -222,10 +222,10 @@ fn a_drive_whose_master_vanishes_stops_by_itself() {
             false
         }
     }
-    let mut wire = Dying(lab(), Duration::from_secs(1));
+    let mut wire = Failing(lab(), Duration::from_secs(1));
     let mut show = |_: &super::session::Step| Ok(());
     let failed = Session::new(&mut wire, jog(20_000, 60_000), &mut show).run();
-    assert_eq!(failed.unwrap_err().to_string(), "gone");
+    assert_eq!(failed.unwrap_err().to_string(), "interface failed");
     let lab = &mut wire.0;
     assert!(axis(&mut lab.devices).motor().velocity > 10.0);
     lab.run(1500);
@@ -234,7 +234,7 @@ fn a_drive_whose_master_vanishes_stops_by_itself() {
 }
 
 #[test]
-fn watching_commands_nothing() {
+fn can_drive_watch_commands_nothing() {
     let mut lab = lab();
     lab.at(300, |devices| axis(devices).fault(FaultCode::TEMPERATURE));
     let mut show = |_: &super::session::Step| Ok(());
@@ -251,7 +251,7 @@ fn watching_commands_nothing() {
 }
 
 #[test]
-fn nobody_there() {
+fn can_drive_offline_is_diagnosed() {
     let (cause, text) = diagnosed(&mut Lab::new().with_nothing(), plan());
     assert!(matches!(cause, Cause::Silent(_)), "{text}");
     assert!(text.contains("node 5 does not answer"), "{text}");
@@ -264,7 +264,7 @@ impl Lab {
     }
 }
 
-/// Changes the answer about an object.
+/// Replaces the answer about an object.
 fn answer_instead(frame: Frame, index: u16, value: &[u8]) -> Frame {
     let Message::SdoResponse(node, message) = Message::decode(&frame) else {
         return frame;
@@ -280,7 +280,7 @@ fn answer_instead(frame: Frame, index: u16, value: &[u8]) -> Frame {
 }
 
 #[test]
-fn no_drive_and_no_such_axis() {
+fn can_node_without_the_axis_is_diagnosed() {
     let mut lab = lab();
     lab.tamper = |frame| answer_instead(frame, 0x1000, &[0x91, 1, 3, 0]);
     let (cause, text) = diagnosed(&mut lab, plan());
@@ -292,7 +292,7 @@ fn no_drive_and_no_such_axis() {
 }
 
 #[test]
-fn a_statusword_without_a_state() {
+fn can_drive_statusword_without_state_is_diagnosed() {
     let mut lab = lab();
     lab.tamper = |frame| answer_instead(frame, 0x6041, &[1, 0]);
     let (cause, text) = diagnosed(&mut lab, plan());
@@ -300,7 +300,7 @@ fn a_statusword_without_a_state() {
 }
 
 #[test]
-fn a_fault_with_its_code_and_history() {
+fn can_drive_fault_shows_code_and_history() {
     let mut lab = lab();
     axis(&mut lab.devices).fault(FaultCode::SHORT_CIRCUIT);
     lab.run(50);
@@ -316,7 +316,7 @@ fn a_fault_with_its_code_and_history() {
 }
 
 #[test]
-fn a_fault_that_is_reset_and_one_that_stays() {
+fn can_drive_fault_is_reset_or_reported() {
     let mut lab = lab();
     axis(&mut lab.devices).fault(FaultCode::ENCODER);
     lab.run(50);
@@ -345,7 +345,7 @@ fn a_fault_that_is_reset_and_one_that_stays() {
 }
 
 #[test]
-fn no_voltage_at_the_dc_link() {
+fn can_drive_without_voltage_is_diagnosed() {
     let mut lab = lab();
     axis(&mut lab.devices).dc_link = 3.0;
     let (cause, text) = diagnosed(&mut lab, plan());
@@ -357,7 +357,7 @@ fn no_voltage_at_the_dc_link() {
 }
 
 #[test]
-fn a_service_tool_holds_the_drive() {
+fn can_drive_held_by_a_service_tool_is_diagnosed() {
     let mut lab = lab();
     axis(&mut lab.devices).local = true;
     let (cause, text) = diagnosed(&mut lab, plan());
@@ -366,7 +366,7 @@ fn a_service_tool_holds_the_drive() {
 }
 
 #[test]
-fn an_interlock_is_open() {
+fn can_drive_with_open_interlock_is_diagnosed() {
     let mut lab = lab();
     axis(&mut lab.devices).interlock = true;
     let (cause, text) = diagnosed(&mut lab, plan());
@@ -382,12 +382,12 @@ fn an_interlock_is_open() {
 }
 
 #[test]
-fn another_master_writes_the_controlword() {
+fn can_drive_with_another_master_is_diagnosed() {
     let mut lab = lab();
     let nothing = Frame::new(node(5).cob(RPDO1), &[0, 0]).unwrap();
     let begun = lab.now();
     for ms in 0..6000 {
-        lab.stranger
+        lab.other_master
             .push((begun + Duration::from_millis(ms), nothing));
     }
     let (cause, text) = diagnosed(&mut lab, plan());
@@ -395,11 +395,11 @@ fn another_master_writes_the_controlword() {
         matches!(cause, Cause::Overwritten { holds: 0, .. }),
         "{text}"
     );
-    assert!(text.contains("another master talks to it"), "{text}");
+    assert!(text.contains("another master sends to it"), "{text}");
 }
 
 #[test]
-fn a_mode_that_the_drive_has_not() {
+fn can_drive_without_the_mode_is_diagnosed() {
     let mut lab = lab_with(DriveConfig {
         quirks: Quirks {
             supported_modes: 0x1,
@@ -417,7 +417,7 @@ fn a_mode_that_the_drive_has_not() {
 }
 
 #[test]
-fn a_mode_that_does_not_come() {
+fn can_drive_mode_timeout_is_diagnosed() {
     let mut lab = lab_with(DriveConfig {
         quirks: Quirks {
             mode_delay: Duration::from_secs(10),
@@ -433,9 +433,9 @@ fn a_mode_that_does_not_come() {
     );
 }
 
-/// Somebody has left it in Quick stop active.
+/// It was left in Quick stop active.
 #[test]
-fn a_quick_stop_that_is_held() {
+fn can_drive_held_quick_stop_is_diagnosed() {
     let mut lab = lab();
     let mut asker = SdoClient::new(node(5), TIMEOUT);
     let mut write = |index, value: &[u8]| {
@@ -462,9 +462,9 @@ fn a_quick_stop_that_is_held() {
     );
 }
 
-/// Over SDO nobody gives set-points in a cycle.
+/// Over SDO there are no cyclic set-points.
 #[test]
-fn a_cyclic_mode_that_is_not_followed() {
+fn can_drive_cyclic_mode_not_followed_is_diagnosed() {
     let mut lab = lab_with(DriveConfig {
         quirks: Quirks::named("dm556ec").unwrap(),
         ..DriveConfig::default()
@@ -478,7 +478,7 @@ fn a_cyclic_mode_that_is_not_followed() {
 }
 
 #[test]
-fn a_motor_that_does_not_turn() {
+fn can_jog_of_a_blocked_motor_fails() {
     let mut lab = lab();
     let mut asker = SdoClient::new(node(5), TIMEOUT);
     let none = asker.write(&mut lab, Address::new(0x6072, 0), &[0, 0], false);
@@ -495,18 +495,18 @@ fn a_motor_that_does_not_turn() {
         text.contains("6072h:00 max torque 0.0 % of rated"),
         "{text}"
     );
-    // A jog too short to wait for it is judged at its end.
+    // A jog shorter than the timeout is judged at its end.
     let (cause, _) = diagnosed(&mut lab, jog(20_000, 200));
     assert_eq!(cause.name(), "does-not-turn");
 }
 
 #[test]
-fn jog_above_607f_or_6080h_is_refused() {
+fn can_jog_above_607f_or_6080h_is_rejected() {
     let mut lab = lab();
     let (cause, text) = diagnosed(&mut lab, jog(-200_001, 500));
     assert_eq!(cause.name(), "too-fast", "{text}");
     assert!(
-        text.contains("200001 velocity units requested, 607Fh (max profile velocity) allows 200000\nhint: --jog 200000"),
+        text.contains("200001 velocity units requested, 607Fh (max profile velocity) allows 200000\n        hint: --jog 200000"),
         "{text}"
     );
     let mut asker = SdoClient::new(node(5), TIMEOUT);
@@ -519,7 +519,7 @@ fn jog_above_607f_or_6080h_is_refused() {
         text.contains("6080h (max motor speed) allows 4096"),
         "{text}"
     );
-    // It was not even enabled.
+    // It was not enabled.
     let is_download = |(_, frame): &(Duration, Frame)| {
         matches!(Message::decode(frame), Message::SdoRequest(_, message)
             if !matches!(Request::decode(&message), Some(Request::Upload { .. })))
@@ -527,7 +527,7 @@ fn jog_above_607f_or_6080h_is_refused() {
     assert_eq!(lab.sent.iter().filter(|sent| is_download(sent)).count(), 0);
 }
 
-/// A drive whose 60FFh changes by itself while it turns: it loses power while it is not far yet.
+/// A drive whose 60FFh changes by itself while it turns loses power soon.
 fn runs_away(velocity: i32) -> String {
     let mut lab = lab();
     lab.at(600, move |devices| {
@@ -537,7 +537,10 @@ fn runs_away(velocity: i32) -> String {
     });
     let (cause, text) = diagnosed(&mut lab, jog(20_000, 5000));
     assert_eq!(cause.name(), "runaway", "{text}");
-    assert!(text.contains("its power was taken\nhint: "), "{text}");
+    assert!(
+        text.contains("its power was taken\n        hint: "),
+        "{text}"
+    );
     let turns = axis(&mut lab.devices).motor().position / std::f64::consts::TAU;
     // Of some half a second at full speed before its power went, and coasting.
     assert!(turns.abs() < 60.0, "{turns}");
@@ -545,13 +548,13 @@ fn runs_away(velocity: i32) -> String {
 }
 
 #[test]
-fn jog_of_a_drive_that_runs_away_loses_power() {
+fn can_jog_runaway_loses_power() {
     runs_away(190_000);
     runs_away(-40_000);
 }
 
 #[test]
-fn a_fault_while_it_turns() {
+fn can_jog_fault_is_diagnosed() {
     let mut lab = lab();
     lab.at(1000, |devices| axis(devices).fault(FaultCode::OVER_VOLTAGE));
     let (cause, text) = diagnosed(&mut lab, jog(20_000, 5000));
@@ -563,7 +566,7 @@ fn a_fault_while_it_turns() {
 }
 
 #[test]
-fn silence_while_it_turns() {
+fn can_jog_of_an_offline_drive_is_diagnosed() {
     let mut lab = lab();
     lab.at(1000, |devices| devices[0] = Device::Nothing);
     let (cause, text) = diagnosed(&mut lab, jog(20_000, 5000));
@@ -571,19 +574,19 @@ fn silence_while_it_turns() {
 }
 
 #[test]
-fn a_drive_that_begins_anew() {
+fn can_jog_of_a_restarted_drive_is_diagnosed() {
     let mut lab = lab();
     lab.at(1000, |devices| {
         let config = DriveNodeConfig::new(node(5));
-        let again = DriveNode::power_on(config, Duration::from_secs(1)).unwrap();
-        devices[0] = Device::Drive(Box::new(again));
+        let restarted = DriveNode::power_on(config, Duration::from_secs(1)).unwrap();
+        devices[0] = Device::Drive(Box::new(restarted));
     });
     let (cause, text) = diagnosed(&mut lab, jog(20_000, 5000));
     assert_eq!(cause, Cause::Rebooted, "{text}");
 }
 
 #[test]
-fn a_drive_that_is_taken_out_of_operational() {
+fn can_drive_leaving_operational_is_diagnosed() {
     let mut lab = Lab::new();
     lab.add_drive(DriveNodeConfig {
         heartbeat_ms: 50,
@@ -591,7 +594,7 @@ fn a_drive_that_is_taken_out_of_operational() {
     });
     lab.run(20);
     let preop = NmtCommand::EnterPreOperational.frame(None);
-    lab.stranger.push((Duration::from_secs(1), preop));
+    lab.other_master.push((Duration::from_secs(1), preop));
     let mut asker = SdoClient::new(node(5), TIMEOUT);
     let ignore = asker.write(&mut lab, Address::new(0x6007, 0), &[0, 0], false);
     ignore.unwrap().unwrap();
@@ -602,17 +605,17 @@ fn a_drive_that_is_taken_out_of_operational() {
     let (cause, text) = diagnosed(&mut lab, held);
     assert_eq!(cause.name(), "left-operational", "{text}");
     assert!(
-        text.contains("another master talks to it: NMT enter pre-operational"),
+        text.contains("another master sends to it: NMT enter pre-operational"),
         "{text}"
     );
 }
 
 /// Another master disables it.
 #[test]
-fn a_drive_that_drops_out_by_itself() {
+fn can_drive_disabled_by_others_is_diagnosed() {
     let mut lab = lab();
     let off = Frame::new(node(5).cob(RPDO1), &[0, 0]).unwrap();
-    lab.stranger.push((Duration::from_secs(1), off));
+    lab.other_master.push((Duration::from_secs(1), off));
     let held = Plan {
         hold: Duration::from_secs(5),
         ..plan()
@@ -622,7 +625,7 @@ fn a_drive_that_drops_out_by_itself() {
 }
 
 #[test]
-fn a_load_that_drives_the_motor() {
+fn can_jog_driven_by_its_load_is_diagnosed() {
     let mut lab = lab_with(DriveConfig {
         motor: MotorConfig {
             stops: (-1e9, 1e9),
@@ -641,7 +644,7 @@ fn a_load_that_drives_the_motor() {
 }
 
 #[test]
-fn a_drive_that_would_go_on_without_its_master_is_not_jogged() {
+fn can_jog_without_heartbeat_monitor_needs_the_option() {
     let mut lab = lab();
     let mut asker = SdoClient::new(node(5), TIMEOUT);
     let none = asker.write(&mut lab, Address::new(0x6007, 0), &[0, 0], false);
@@ -677,7 +680,7 @@ fn a_drive_that_would_go_on_without_its_master_is_not_jogged() {
 }
 
 #[test]
-fn modes_have_names() {
+fn can_drive_modes_have_names() {
     assert_eq!(super::mode("csp"), Ok(8));
     assert_eq!(super::mode("-1"), Ok(-1));
     assert!(super::mode("fast").is_err());

@@ -1,4 +1,4 @@
-//! Steps, verdict and JSON of `takt can drive`. It asks nobody.
+//! Steps, verdict and JSON of `takt can drive`. It reads no wire.
 
 use std::fmt::Write as _;
 
@@ -30,10 +30,10 @@ pub(super) fn step(step: &Step) -> String {
     )
 }
 
-/// What came of it.
+/// The result.
 pub(super) fn verdict(report: &Report) -> String {
     let mut text = String::new();
-    // Nobody needs them who turned nothing.
+    // They matter to a jog only.
     for note in report.notes.iter().filter(|_| report.jogged) {
         let _ = writeln!(text, "note: {note}");
     }
@@ -44,20 +44,21 @@ fn judgement(report: &Report) -> String {
     let who = format!("node {} axis {}", report.node, report.axis);
     let Some(diagnosis) = &report.diagnosis else {
         let last = report.steps.last();
-        let state = last.map_or_else(|| "nothing was seen".to_owned(), state);
-        let told = match (report.commanded, report.stopped, report.was_enabled()) {
+        let state = last.map_or_else(|| "no state was read".to_owned(), state);
+        let result = match (report.commanded, report.stopped, report.was_enabled()) {
             (false, ..) => "watched".to_owned(),
             (true, true, _) => "stopped on request".to_owned(),
-            (true, false, _) => "came up and went down".to_owned(),
+            (true, false, _) => "enabled and switched off".to_owned(),
         };
-        return format!("{who}: ok, {told}, now {state}");
+        return format!("{who}: ok, {result}, now {state}");
     };
-    let mut text = format!("{who}: FAIL  {diagnosis}\n");
+    let diagnosis_text = diagnosis.to_string().replace("\nhint", "\n        hint");
+    let mut text = format!("{who}: FAIL  {diagnosis_text}\n");
     for fact in &diagnosis.facts {
         let _ = writeln!(text, "        {fact}");
     }
-    if let Some(stranger) = diagnosis.stranger {
-        let _ = writeln!(text, "        another master talks to it: {stranger}");
+    if let Some(message) = diagnosis.other_master {
+        let _ = writeln!(text, "        another master sends to it: {message}");
     }
     text
 }
@@ -73,7 +74,7 @@ pub(super) fn json(report: &Report) -> Value {
     let diagnosis = report.diagnosis.as_ref().map(|diagnosis| {
         json!({
             "name": diagnosis.cause.name(), "cause": diagnosis.to_string(), "facts": diagnosis.facts,
-            "other_master": diagnosis.stranger.map(|message| message.to_string()),
+            "other_master": diagnosis.other_master.map(|message| message.to_string()),
         })
     });
     json!({

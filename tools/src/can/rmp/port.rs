@@ -1,5 +1,5 @@
-//! Where a power base is: on a CAN bus, where both its boards are heard as one, or at a serial port, whose packets tell
-//! which board they are of.
+//! The link to a power base: a CAN bus, on which both its boards appear as one, or a serial port, whose packets name
+//! their board.
 
 use std::time::Duration;
 
@@ -11,24 +11,24 @@ use takt_can::rmp::Channel;
 use crate::can::wire::Wire;
 use crate::signal::Stop;
 
-/// A way to a power base.
+/// A link to a power base.
 pub(super) trait Port {
-    /// On a clock that does not go back.
+    /// Time of a clock that does not go back.
     fn now(&self) -> Duration;
 
     /// Sends a frame.
     ///
     /// # Errors
-    /// If the way is gone.
+    /// If the link is lost.
     fn send(&mut self, frame: &Frame) -> anyhow::Result<()>;
 
-    /// Waits at most so long for a frame, and of which board it is.
+    /// Waits for a frame up to a timeout; returns it with its board.
     ///
     /// # Errors
-    /// If the way is gone.
+    /// If the link is lost.
     fn receive(&mut self, timeout: Duration) -> anyhow::Result<Option<(Channel, Frame)>>;
 
-    /// Whether somebody asked to end.
+    /// Whether a stop was requested.
     fn is_stopped(&self) -> bool;
 }
 
@@ -62,7 +62,9 @@ pub(super) struct SerialPort {
 impl SerialPort {
     pub(super) fn open(name: &str) -> anyhow::Result<Self> {
         let serial = Serial::open(name).with_context(|| {
-            format!("cannot open serial port {name}: is the USB cable plugged, and may you use it (group dialout)?")
+            format!(
+                "cannot open serial port {name} (hint: check the USB cable and the group dialout)"
+            )
         })?;
         Ok(Self {
             name: name.to_owned(),
@@ -79,13 +81,18 @@ impl Port for SerialPort {
 
     fn send(&mut self, frame: &Frame) -> anyhow::Result<()> {
         let sent = self.serial.send(frame);
-        sent.with_context(|| format!("{} does not take a packet; is it unplugged?", self.name))
+        sent.with_context(|| {
+            format!(
+                "{} accepts no packet (hint: check the USB cable)",
+                self.name
+            )
+        })
     }
 
     fn receive(&mut self, timeout: Duration) -> anyhow::Result<Option<(Channel, Frame)>> {
         let received = self.serial.receive(timeout);
-        let received =
-            received.with_context(|| format!("{} is gone; is it unplugged?", self.name))?;
+        let received = received
+            .with_context(|| format!("{} is lost (hint: check the USB cable)", self.name))?;
         Ok(received.map(|(channel, frame, _)| (channel, frame)))
     }
 

@@ -1,32 +1,30 @@
-//! One power base: heard, driven for a moment, and set up. It judges what is heard; the driver of `takt-can` knows why
-//! a power base that is led does not follow.
+//! One power base: received, driven for a moment, and set up. It judges what it receives; `takt_can::rmp::Base`, on which
+//! the driver is built too, enables and commands the power base and reports why it does not follow.
 
 use std::fmt;
 use std::time::Duration;
 
 use takt_can::Frame;
 use takt_can::rmp::{
-    Base, Channel, Command, Config, DriverConfig, Measurement, Message, Mode, Model, Motion, State,
+    ACCELERATION, Base, Channel, Command, Config, DriverConfig, Measurement, Message, Mode, Model,
+    Motion, State,
 };
 
 use super::port::Port;
 
-/// Accelerations of a jog, m/s² and rad/s².
-const ACCELERATION: f64 = 0.5;
-const ROTATION: f64 = 1.0;
 /// Time between views.
 const VIEW: Duration = Duration::from_millis(200);
-/// How long a power base may take until it is heard, until it follows, and until it stands again.
-const HEARD: Duration = Duration::from_secs(1);
-const FOLLOWS: Duration = Duration::from_secs(6);
-const RESTS: Duration = Duration::from_secs(5);
-/// How long it may do nothing of what it is told.
-const MOVES: Duration = Duration::from_secs(1);
-/// A setting is sent that often, as none is acknowledged.
+/// Timeouts of a power base: until it sends, follows, and is at rest again.
+const SILENT_AFTER: Duration = Duration::from_secs(1);
+const FOLLOWS_WITHIN: Duration = Duration::from_secs(6);
+const RESTS_WITHIN: Duration = Duration::from_secs(5);
+/// Timeout of its reaction to a velocity.
+const MOVES_WITHIN: Duration = Duration::from_secs(1);
+/// Repetitions of a setting, as none is acknowledged.
 const REPEATS: usize = 3;
-/// Slower than this it stands, m/s and rad/s.
-const STANDS: f64 = 0.02;
-/// Share of cycles that may be broken.
+/// Slower than this it is at rest, m/s and rad/s.
+const AT_REST: f64 = 0.02;
+/// Tolerated share of broken cycles.
 const BROKEN: f64 = 0.01;
 const PERIOD: Duration = Duration::from_millis(50);
 
@@ -34,8 +32,8 @@ const PERIOD: Duration = Duration::from_millis(50);
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Plan {
     pub(super) model: Model,
-    /// How long to look; for ever without it. A jog looks as long as it lasts.
-    pub(super) look: Option<Duration>,
+    /// How long to receive; forever without it. A jog has its own duration.
+    pub(super) duration: Option<Duration>,
     pub(super) configs: Vec<Config>,
     pub(super) jog: Option<Jog>,
 }
@@ -48,7 +46,7 @@ pub(super) struct Jog {
     pub(super) time: Duration,
 }
 
-/// What is known at a time.
+/// Its state at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct View {
     pub(super) measured: Option<Measurement>,
@@ -57,7 +55,7 @@ pub(super) struct View {
     pub(super) interface_battery: Option<f64>,
     /// Number of the firmware's build.
     pub(super) build: Option<u16>,
-    /// Its user interface says that the power base is off.
+    /// Its user interface reports that the power base is off.
     pub(super) off: bool,
     /// Whole cycles, and those in which a message was missing.
     pub(super) cycles: u64,
@@ -65,25 +63,25 @@ pub(super) struct View {
     /// Integrators that jumped.
     pub(super) jumps: u64,
     /// Commands of another host.
-    pub(super) strangers: u64,
+    pub(super) other_host: u64,
 }
 
-/// What is wrong.
+/// A finding.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Finding {
-    /// As the driver says it.
+    /// The state that the driver reports.
     Driver(State),
-    /// Something of what it sends in each cycle is missing.
+    /// Messages of its cycles are missing.
     Broken(u64, u64),
-    /// It says that its batteries are low.
+    /// It reports that its batteries are low.
     Battery(f64),
-    /// Somebody else commands it.
-    Stranger(u64),
-    /// It is driven and stands.
-    Stands,
-    /// It is told to rest and moves.
-    Moves,
-    /// A gain schedule that is another than was set.
+    /// Another host commands it.
+    OtherHost(u64),
+    /// It is driven and does not move.
+    DoesNotMove,
+    /// It is commanded to rest and moves.
+    DoesNotStop,
+    /// It shows another gain schedule than was set.
     Gain(u16, u16),
 }
 
@@ -97,9 +95,9 @@ impl Finding {
             Self::Driver(State::Blocked(_)) => "blocked",
             Self::Broken(..) => "broken-cycles",
             Self::Battery(_) => "battery",
-            Self::Stranger(_) => "another-host",
-            Self::Stands => "does-not-move",
-            Self::Moves => "does-not-stop",
+            Self::OtherHost(_) => "another-host",
+            Self::DoesNotMove => "does-not-move",
+            Self::DoesNotStop => "does-not-stop",
             Self::Gain(..) => "gain-not-taken",
         }
     }
@@ -111,36 +109,38 @@ impl fmt::Display for Finding {
             Self::Driver(state) => state.fmt(f),
             Self::Broken(broken, all) => write!(
                 f,
-                "in {broken} of {all} cycles a message is missing: frames are lost; see takt can stat, and at the USB \
-                 port the latency timer of its chip"
+                "in {broken} of {all} cycles a message is missing: frames are lost\n\
+                 hint: see `takt can stat`, and at the USB port the latency timer of its chip"
             ),
-            Self::Battery(volts) => write!(f, "it says that its battery is low ({volts:.1} V): charge it"),
-            Self::Stranger(count) => write!(
+            Self::Battery(volts) => write!(f, "it reports that its battery is low ({volts:.1} V)\nhint: charge it"),
+            Self::OtherHost(count) => write!(
                 f,
-                "another host commands it ({count} commands heard): stop that one, each obeys the other's rest"
+                "another host commands it ({count} commands received)\nhint: stop that host"
             ),
-            Self::Stands => f.write_str(
-                "it follows commands and does not move: is the velocity scale that it stores too low (--config \
-                 velocity=16), are its wheels blocked?",
+            Self::DoesNotMove => f.write_str(
+                "it follows commands and did not move\n\
+                 hint: check its stored velocity scale (--config velocity=16) and its wheels",
             ),
-            Self::Moves => f.write_str("it was told to rest and still moves: switch it off at its emergency stop"),
+            Self::DoesNotStop => f.write_str(
+                "it was commanded to rest and still moves\nhint: switch it off at its emergency stop",
+            ),
             Self::Gain(set, shown) => write!(
                 f,
-                "gain schedule {set} was set, it shows {shown}: it takes settings only while it stands in mode tractor \
-                 or disabled"
+                "gain schedule {set} was set, it shows {shown}: it accepts settings only at rest, in mode tractor or \
+                 disabled"
             ),
         }
     }
 }
 
-/// What came of it.
+/// The result.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Report {
     pub(super) model: Model,
     pub(super) view: View,
-    /// What was set.
+    /// Settings that were sent.
     pub(super) configs: Vec<Config>,
-    /// Where a jog began.
+    /// Whether it was jogged.
     pub(super) jogged: bool,
     pub(super) stopped: bool,
     pub(super) findings: Vec<Finding>,
@@ -173,11 +173,12 @@ impl<'p, P: Port> Session<'p, P> {
             period: PERIOD,
             ..DriverConfig::default()
         };
+        let [linear, angular] = ACCELERATION;
         Self {
             next_view: port.now() + VIEW,
             port,
             plan,
-            base: Base::new(config, ACCELERATION, ROTATION),
+            base: Base::new(config, linear, angular),
             view: View::default(),
             findings: Vec::new(),
         }
@@ -186,7 +187,7 @@ impl<'p, P: Port> Session<'p, P> {
     pub(super) fn run(mut self, show: Show<'_>) -> anyhow::Result<Report> {
         match self.plan.jog {
             Some(jog) => self.jog(jog, show)?,
-            None => self.look(show)?,
+            None => self.watch(show)?,
         }
         let configs = std::mem::take(&mut self.plan.configs);
         if self.view.measured.is_some() {
@@ -203,12 +204,12 @@ impl<'p, P: Port> Session<'p, P> {
         })
     }
 
-    /// Takes what comes until then.
-    fn hear(&mut self, until: Duration, show: Show<'_>) -> anyhow::Result<()> {
+    /// Receives until then.
+    fn receive(&mut self, until: Duration, show: Show<'_>) -> anyhow::Result<()> {
         loop {
             let left = until.saturating_sub(self.port.now());
             if let Some((channel, frame)) = self.port.receive(left)? {
-                self.take(channel, &frame);
+                self.handle_frame(channel, &frame);
             } else if left.is_zero() {
                 return Ok(());
             }
@@ -223,7 +224,7 @@ impl<'p, P: Port> Session<'p, P> {
         }
     }
 
-    fn take(&mut self, channel: Channel, frame: &Frame) {
+    fn handle_frame(&mut self, channel: Channel, frame: &Frame) {
         let view = &mut self.view;
         match Message::decode(frame) {
             Some(Message::Build { build, .. }) => view.build = Some(build),
@@ -231,7 +232,7 @@ impl<'p, P: Port> Session<'p, P> {
                 view.interface_battery = Some(1.4 + 0.0125 * f64::from(ui_battery));
             }
             Some(Message::PowerbaseOff { .. }) => view.off = true,
-            Some(Message::Command(_)) => view.strangers += 1,
+            Some(Message::Command(_)) => view.other_host += 1,
             Some(
                 Message::Attitude { .. }
                 | Message::Speed { .. }
@@ -256,30 +257,30 @@ impl<'p, P: Port> Session<'p, P> {
         view.jumps = self.base.jumps();
     }
 
-    /// Listens only.
-    fn look(&mut self, show: Show<'_>) -> anyhow::Result<()> {
+    /// Receives only.
+    fn watch(&mut self, show: Show<'_>) -> anyhow::Result<()> {
         let begun = self.port.now();
-        let heard = begun + HEARD;
-        let end = self.plan.look.map(|look| begun + look);
+        let silent_at = begun + SILENT_AFTER;
+        let end = self.plan.duration.map(|duration| begun + duration);
         while !self.port.is_stopped() {
             let now = self.port.now();
-            let silent = self.view.cycles == 0 && now >= heard;
+            let silent = self.view.cycles == 0 && now >= silent_at;
             if end.is_some_and(|end| now >= end) || silent && !self.plan.configs.is_empty() {
                 break;
             }
             let until = end.unwrap_or(Duration::MAX).min(now + PERIOD);
-            self.hear(until, show)?;
+            self.receive(until, show)?;
         }
         Ok(())
     }
 
-    /// One period of a host that asks for that motion.
-    fn turn(&mut self, wanted: Option<[f64; 2]>, show: Show<'_>) -> anyhow::Result<()> {
+    /// One period with that velocity.
+    fn command(&mut self, wanted: Option<[f64; 2]>, show: Show<'_>) -> anyhow::Result<()> {
         if let Some(frame) = self.base.poll_transmit(wanted, self.port.now()) {
             self.port.send(&frame)?;
         }
         let until = self.base.poll_timeout();
-        self.hear(until, show)
+        self.receive(until, show)
     }
 
     fn follows(&self) -> bool {
@@ -291,11 +292,11 @@ impl<'p, P: Port> Session<'p, P> {
         forward.abs().max(rotation.abs())
     }
 
-    /// Makes it ready, drives it, brings it to rest, and disables it again.
+    /// Enables it, drives it, brings it to rest, and disables it again.
     fn jog(&mut self, jog: Jog, show: Show<'_>) -> anyhow::Result<()> {
-        let end = self.port.now() + FOLLOWS;
+        let end = self.port.now() + FOLLOWS_WITHIN;
         while !self.follows() && self.port.now() < end && !self.port.is_stopped() {
-            self.turn(None, show)?;
+            self.command(None, show)?;
         }
         if self.follows() {
             self.drive(jog, show)?;
@@ -317,34 +318,34 @@ impl<'p, P: Port> Session<'p, P> {
             .fold(0.0, |most: f64, rate| most.max(rate.abs()));
         let (mut moved, mut fastest) = (begun, 0.0_f64);
         while self.port.now() < begun + jog.time && !self.port.is_stopped() && self.follows() {
-            self.turn(Some(jog.velocity), show)?;
+            self.command(Some(jog.velocity), show)?;
             fastest = fastest.max(self.speed());
             if self.speed() > wanted / 20.0 {
                 moved = self.port.now();
             }
-            if wanted > STANDS && self.port.now() > moved + MOVES {
-                self.findings.push(Finding::Stands);
+            if wanted > AT_REST && self.port.now() > moved + MOVES_WITHIN {
+                self.findings.push(Finding::DoesNotMove);
                 return Ok(());
             }
         }
-        // A jog too short to wait for it is judged at its end.
-        let is_whole = self.follows() && !self.port.is_stopped();
-        if is_whole && wanted > STANDS && fastest <= wanted / 20.0 {
-            self.findings.push(Finding::Stands);
+        // A jog shorter than the timeout is judged at its end.
+        let is_complete = self.follows() && !self.port.is_stopped();
+        if is_complete && wanted > AT_REST && fastest <= wanted / 20.0 {
+            self.findings.push(Finding::DoesNotMove);
         }
         Ok(())
     }
 
     fn rest(&mut self, show: Show<'_>) -> anyhow::Result<()> {
-        let end = self.port.now() + RESTS;
-        self.turn(None, show)?;
-        while self.speed() > STANDS && self.port.now() < end {
-            self.turn(None, show)?;
+        let end = self.port.now() + RESTS_WITHIN;
+        self.command(None, show)?;
+        while self.speed() > AT_REST && self.port.now() < end {
+            self.command(None, show)?;
         }
-        // What is silent shows its last speed for ever.
-        let heard = self.port.now().saturating_sub(self.view.motion.stamp) < HEARD;
-        if self.speed() > STANDS && heard {
-            self.findings.push(Finding::Moves);
+        // A silent power base shows its last speed forever.
+        let is_recent = self.port.now().saturating_sub(self.view.motion.stamp) < SILENT_AFTER;
+        if self.speed() > AT_REST && is_recent {
+            self.findings.push(Finding::DoesNotStop);
         }
         Ok(())
     }
@@ -356,7 +357,7 @@ impl<'p, P: Port> Session<'p, P> {
         };
         for _ in 0..REPEATS {
             self.port.send(&command.frame())?;
-            self.hear(self.port.now() + PERIOD, show)?;
+            self.receive(self.port.now() + PERIOD, show)?;
         }
         Ok(())
     }
@@ -374,14 +375,14 @@ impl<'p, P: Port> Session<'p, P> {
         Ok(())
     }
 
-    /// What is heard that keeps it from moving, or will soon.
+    /// Adds findings on what keeps it from moving, or will soon.
     fn judge(&mut self) {
         let view = &self.view;
         let mut found = Vec::new();
         match view.measured {
             None if view.off => found.push(Finding::Driver(State::PoweredOff)),
             None => found.push(Finding::Driver(State::Silent)),
-            Some(measured) if self.port.now().saturating_sub(measured.stamp) > HEARD => {
+            Some(measured) if self.port.now().saturating_sub(measured.stamp) > SILENT_AFTER => {
                 found.push(Finding::Driver(State::Silent));
             }
             Some(measured) => {
@@ -401,8 +402,8 @@ impl<'p, P: Port> Session<'p, P> {
         if view.broken > 1 && view.broken as f64 > BROKEN * all as f64 {
             found.push(Finding::Broken(view.broken, all));
         }
-        if view.strangers > 0 {
-            found.push(Finding::Stranger(view.strangers));
+        if view.other_host > 0 {
+            found.push(Finding::OtherHost(view.other_host));
         }
         let new = |finding: &Finding| {
             !self
@@ -415,7 +416,7 @@ impl<'p, P: Port> Session<'p, P> {
             found.first(),
             Some(Finding::Driver(State::Silent | State::PoweredOff))
         );
-        // One cause is enough: what a driver says of the same, it says worse.
+        // One cause is enough; the driver's is less precise.
         if silent {
             self.findings
                 .retain(|finding| !matches!(finding, Finding::Driver(_)));
@@ -424,8 +425,7 @@ impl<'p, P: Port> Session<'p, P> {
     }
 }
 
-/// What a measurement shows that keeps it from moving. That its motors are disabled is as it should be while nobody
-/// drives it.
+/// What keeps it from moving, by a measurement. Disabled motors are no finding: they are so unless it is driven.
 fn hindrance(measured: &Measurement) -> Option<Finding> {
     use takt_can::rmp::Hindrance;
     let unit = &measured.unit;

@@ -1,4 +1,4 @@
-//! `takt can rmp` against an emulated power base, with each thing that can be wrong with it.
+//! `takt can rmp` against an emulated power base, with each fault that it can have.
 
 use std::time::Duration;
 
@@ -16,10 +16,10 @@ fn lab() -> Lab {
     lab
 }
 
-fn look() -> Plan {
+fn watch() -> Plan {
     Plan {
         model: Model::Rmp200,
-        look: Some(Duration::from_secs(2)),
+        duration: Some(Duration::from_secs(2)),
         configs: vec![],
         jog: None,
     }
@@ -29,7 +29,7 @@ fn jog(velocity: [f64; 2], ms: u64) -> Plan {
     let time = Duration::from_millis(ms);
     Plan {
         jog: Some(Jog { velocity, time }),
-        ..look()
+        ..watch()
     }
 }
 
@@ -46,10 +46,10 @@ fn names(report: &Report) -> Vec<&'static str> {
 }
 
 #[test]
-fn looking_sends_nothing_and_shows_all() {
+fn rmp_watch_sends_nothing_and_shows_all() {
     let mut lab = lab();
     let mut views = 0;
-    let report = Session::new(&mut lab, look())
+    let report = Session::new(&mut lab, watch())
         .run(&mut |_| views += 1)
         .unwrap();
     assert_eq!(report.findings, []);
@@ -75,20 +75,25 @@ fn looking_sends_nothing_and_shows_all() {
 }
 
 #[test]
-fn a_jog_drives_and_ends_disabled_at_rest() {
+fn rmp_jog_ends_disabled_at_rest() {
     let mut lab = lab();
     let report = run(&mut lab, jog([0.4, 0.0], 2000));
     assert_eq!(report.findings, []);
-    let (told, truth) = (report.view.motion.pose, lab.rmp(0).truth());
-    // Ramps of 0.5 m/s² on both sides.
+    let (reported, truth) = (report.view.motion.pose, lab.rmp(0).truth());
+    // Ramps of 1 m/s² on both sides.
     assert!((truth.x - 0.8).abs() < 0.15, "{}", truth.x);
-    assert!((told.x - truth.x).abs() < 0.02, "{} {}", told.x, truth.x);
+    assert!(
+        (reported.x - truth.x).abs() < 0.02,
+        "{} {}",
+        reported.x,
+        truth.x
+    );
     assert_eq!(lab.rmp(0).mode(), Mode::Disabled);
     assert!(lab.rmp(0).speed().iter().all(|speed| speed.abs() < 0.01));
 }
 
 #[test]
-fn ctrl_c_brakes() {
+fn rmp_jog_on_ctrl_c_brakes() {
     let mut lab = lab();
     lab.stop_at = Some(Duration::from_secs(3));
     let report = run(&mut lab, jog([0.5, 0.5], 60_000));
@@ -99,13 +104,13 @@ fn ctrl_c_brakes() {
 }
 
 #[test]
-fn settings_are_sent_until_they_are_there() {
+fn rmp_settings_are_sent_repeatedly() {
     let mut lab = lab();
     let plan = Plan {
         configs: configs("velocity=16,acceleration=9,turn=5,gain=1")
             .unwrap()
             .0,
-        ..look()
+        ..watch()
     };
     let report = run(&mut lab, plan);
     assert_eq!(report.findings, []);
@@ -115,13 +120,13 @@ fn settings_are_sent_until_they_are_there() {
 }
 
 #[test]
-fn a_gain_that_is_not_taken() {
+fn rmp_gain_not_accepted_is_reported() {
     let mut lab = lab();
     let plan = Plan {
         configs: configs("gain=2").unwrap().0,
-        ..look()
+        ..watch()
     };
-    // The frame with the setting does not arrive at the power base; it goes on with its own.
+    // The frame with the setting does not arrive at the power base, which keeps its own.
     lab.at(1500, |devices| {
         rmp(devices, 0).faults.silent = [true; 2];
     });
@@ -134,7 +139,7 @@ fn a_gain_that_is_not_taken() {
 }
 
 #[test]
-fn settings_of_the_command_line_are_checked() {
+fn rmp_settings_of_the_command_line_are_checked() {
     assert_eq!(
         configs("turn=3,current=256"),
         Ok(Configs(vec![Config::MaxTurn(3), Config::CurrentLimit(256)]))
@@ -158,25 +163,25 @@ fn settings_of_the_command_line_are_checked() {
 }
 
 #[test]
-fn nothing_is_heard_and_a_power_base_that_is_off() {
+fn rmp_silent_or_off_is_reported() {
     let mut lab = Lab::new();
-    assert_eq!(names(&run(&mut lab, look())), ["silent"]);
+    assert_eq!(names(&run(&mut lab, watch())), ["silent"]);
     assert_eq!(
         names(&run(&mut Lab::new(), jog([0.2, 0.0], 500))),
         ["silent"]
     );
     let mut lab = self::lab();
     lab.rmp(0).power(false);
-    let report = run(&mut lab, look());
+    let report = run(&mut lab, watch());
     assert_eq!(names(&report), ["powered-off"]);
     assert!(text::report("can0", &report).contains("switch it on"));
     assert_eq!(names(&run(&mut lab, jog([0.2, 0.0], 500))), ["powered-off"]);
 }
 
 #[test]
-fn each_hindrance_is_told() {
-    type Injure = fn(&mut [Device]);
-    let cases: [(Injure, &str); 4] = [
+fn rmp_each_hindrance_is_reported() {
+    type Fault = fn(&mut [Device]);
+    let cases: [(Fault, &str); 4] = [
         (
             |d| rmp(d, 0).faults.emergency_stop = true,
             "emergency stop is open",
@@ -185,9 +190,9 @@ fn each_hindrance_is_told() {
         (|d| rmp(d, 0).faults.refuses_mode = true, "it stays in mode"),
         (|d| rmp(d, 0).faults.word1 = 0x4000, "battery is low"),
     ];
-    for (injure, words) in cases {
+    for (fault, words) in cases {
         let mut lab = lab();
-        injure(&mut lab.devices);
+        fault(&mut lab.devices);
         let report = run(&mut lab, jog([0.2, 0.0], 1000));
         let shown = text::report("can0", &report);
         assert!(shown.contains(words), "{words}\n{shown}");
@@ -196,7 +201,7 @@ fn each_hindrance_is_told() {
 }
 
 #[test]
-fn what_fails_while_it_drives_is_told() {
+fn rmp_fault_during_a_jog_is_reported() {
     let mut lab = lab();
     lab.at(3000, |devices| rmp(devices, 0).faults.emergency_stop = true);
     let report = run(&mut lab, jog([0.2, 0.0], 20_000));
@@ -207,14 +212,14 @@ fn what_fails_while_it_drives_is_told() {
     assert_eq!(names(&report), ["silent"]);
     let mut lab = self::lab();
     lab.at(500, |devices| devices[0] = Device::Nothing);
-    assert_eq!(names(&run(&mut lab, look())), ["silent"]);
+    assert_eq!(names(&run(&mut lab, watch())), ["silent"]);
 }
 
 #[test]
-fn a_message_that_is_missing_in_every_cycle() {
+fn rmp_missing_message_is_reported() {
     let mut lab = lab();
     lab.rmp(0).faults.lacks = Some(0x404);
-    let report = run(&mut lab, look());
+    let report = run(&mut lab, watch());
     assert!(
         names(&report).contains(&"broken-cycles"),
         "{:?}",
@@ -223,14 +228,15 @@ fn a_message_that_is_missing_in_every_cycle() {
 }
 
 #[test]
-fn another_host_that_commands_it() {
+fn rmp_other_host_is_reported() {
     let mut lab = lab();
     let rest: Frame = Command::default().frame();
     for turn in 0..20_u64 {
-        lab.stranger.push((Duration::from_millis(50 * turn), rest));
+        lab.other_master
+            .push((Duration::from_millis(50 * turn), rest));
     }
-    let report = run(&mut lab, look());
-    assert_eq!(report.findings, [Finding::Stranger(20)]);
+    let report = run(&mut lab, watch());
+    assert_eq!(report.findings, [Finding::OtherHost(20)]);
 }
 
 #[test]
@@ -239,7 +245,7 @@ fn rmp_short_jog_without_motion_fails() {
     lab.rmp(0).faults.keeps_scale = true;
     lab.rmp(0).store_scale(0);
     let report = run(&mut lab, jog([0.3, 0.0], 800));
-    assert_eq!(report.findings, [Finding::Stands]);
+    assert_eq!(report.findings, [Finding::DoesNotMove]);
 }
 
 #[test]
@@ -256,14 +262,14 @@ fn rmp_largest_jog_is_within_every_model() {
     }
 }
 
-/// It keeps the scale that it has stored, which is none.
+/// It keeps its stored scale, which is zero.
 #[test]
-fn a_power_base_that_follows_and_does_not_move() {
+fn rmp_jog_without_motion_fails() {
     let mut lab = lab();
     lab.rmp(0).faults.keeps_scale = true;
     lab.rmp(0).store_scale(0);
     let report = run(&mut lab, jog([0.3, 0.0], 5000));
-    assert_eq!(report.findings, [Finding::Stands]);
+    assert_eq!(report.findings, [Finding::DoesNotMove]);
     assert!(
         report.findings[0]
             .to_string()

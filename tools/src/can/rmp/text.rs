@@ -1,4 +1,4 @@
-//! A power base in words and as JSON. It asks nobody.
+//! A power base as text and as JSON. It reads no wire.
 
 use std::fmt::Write as _;
 
@@ -15,12 +15,12 @@ fn joined(names: impl Iterator<Item = &'static str>) -> String {
     }
 }
 
-/// Some lines on how it is now.
+/// Its state in some lines.
 pub(super) fn view(view: &View) -> String {
     let Some(measured) = &view.measured else {
         return match view.off {
             true => "the user interface is on, the power base is off\n".to_owned(),
-            false => "nothing is heard\n".to_owned(),
+            false => "nothing is received\n".to_owned(),
         };
     };
     let mut text = words(measured);
@@ -71,7 +71,7 @@ fn words(measured: &Measurement) -> String {
     )
 }
 
-/// What came of it.
+/// The result.
 pub(super) fn report(place: &str, report: &Report) -> String {
     let build = report
         .view
@@ -82,19 +82,20 @@ pub(super) fn report(place: &str, report: &Report) -> String {
     for config in &report.configs {
         let _ = writeln!(
             text,
-            "set        {config} (it tells nobody whether it took it)"
+            "set        {config} (it does not acknowledge settings)"
         );
     }
     for finding in &report.findings {
+        let finding = finding.to_string().replace("\nhint", "\n      hint");
         let _ = writeln!(text, "{place}: FAIL  {finding}");
     }
     if report.findings.is_empty() {
-        let told = match (report.jogged, report.stopped) {
+        let result = match (report.jogged, report.stopped) {
             (true, true) => "ok, stopped on request",
-            (true, false) => "ok, drove and stands",
+            (true, false) => "ok, drove and is at rest",
             (false, _) => "ok",
         };
-        let _ = writeln!(text, "{place}: {told}");
+        let _ = writeln!(text, "{place}: {result}");
     }
     text
 }

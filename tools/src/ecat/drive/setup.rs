@@ -1,5 +1,4 @@
-//! What a drive needs before it can be brought up, and what it can be asked when it does not come. Nothing is
-//! commanded here.
+//! Configuration of a drive before it can be enabled, and its diagnosis when it is not. Nothing is commanded here.
 
 use takt_cia402::dictionary::Address;
 use takt_ethercat::axis::{self, Axis, AxisState};
@@ -11,7 +10,7 @@ use super::{Order, error_text};
 use crate::ecat::session::{Session, Wire};
 use crate::jog::Limits;
 
-/// Reads an entry; `None` if the drive has it not or does not answer.
+/// Reads an entry; `None` if the drive does not have it or does not answer.
 fn upload<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
@@ -21,11 +20,11 @@ fn upload<W: Wire>(
         address,
         whole: Whole::Entry,
     };
-    let answer = session.ask(slave, kind, Vec::with_capacity(64))?;
+    let answer = session.request(slave, kind, Vec::with_capacity(64))?;
     Ok(answer.ok())
 }
 
-/// How many axes a drive has, by the statuswords that it knows.
+/// Number of axes of a drive, by its statuswords.
 fn axes<W: Wire>(session: &mut Session<W>, slave: usize) -> anyhow::Result<u8> {
     let plain = Address::new(0x6041, 0);
     for number in 0..8 {
@@ -48,7 +47,7 @@ fn number(bytes: &[u8]) -> u32 {
     u32::from_le_bytes(four)
 }
 
-/// What the axis shows of its limits.
+/// The limits that the axis shows.
 pub(super) fn limits<W: Wire>(session: &mut Session<W>, order: &Order) -> anyhow::Result<Limits> {
     Limits::read(order.axis, |address| {
         let bytes = upload(session, order.slave, address)?;
@@ -56,7 +55,7 @@ pub(super) fn limits<W: Wire>(session: &mut Session<W>, order: &Order) -> anyhow
     })
 }
 
-/// How the segment is to be brought up for an axis, from what is known of it in PRE-OP; or why it cannot be.
+/// The configuration of the segment for an axis, by its slave in PRE-OP; or why there is none.
 pub(super) fn config<W: Wire>(
     session: &mut Session<W>,
     order: &Order,
@@ -73,7 +72,7 @@ pub(super) fn config<W: Wire>(
     if order.axis >= count {
         return Ok(Err(match count {
             0 => format!(
-                "slave {number} has no statusword (6041h); it is no CiA 402 drive, or has no CoE"
+                "slave {number} has no statusword (6041h): it is no CiA 402 drive, or has no CoE"
             ),
             count => format!(
                 "slave {number} has {count} axes, counted from 0; there is no axis {}",
@@ -114,14 +113,14 @@ pub(super) fn missing<W: Wire>(session: &Session<W>, order: &Order) -> Option<St
         .map_or_else(|| format!("{al} shown: {code}"), |fault| fault.to_string());
     // Codes 002Dh to 0036h are of clocks and SYNC signals.
     let hint = if !order.sync0 && matches!(code.0, 0x002C..=0x0036) {
-        "; it may want SYNC0: --sync0"
+        "\n      hint: it may need SYNC0: --sync0"
     } else {
         ""
     };
     Some(format!("slave {number}: {why}{hint}"))
 }
 
-/// What else the drive says: error code, supported modes, error register.
+/// What else the drive shows: error code, supported modes, error register.
 pub(super) fn reasons<W: Wire>(
     session: &mut Session<W>,
     order: &Order,

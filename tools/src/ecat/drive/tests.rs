@@ -1,6 +1,6 @@
-//! Drives brought up, jogged, stopped and found faulty, on an emulated segment in virtual time.
+//! `takt ecat drive` on an emulated segment, in virtual time: drives enabled, jogged, stopped, with faults.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::cell::Cell;
 use std::time::Duration;
 
 use takt_cia402::State;
@@ -33,11 +33,11 @@ fn order() -> Order {
     }
 }
 
-/// What came of it, and what was told meanwhile; stopped when a line with `stop_at` was told.
+/// The result and what was printed; stopped when a line with `stop_at` was printed.
 fn done(segment: Segment, order: &Order, stop_at: Option<&str>) -> (Outcome, Vec<String>) {
     done_with(segment, order, |line, stop| {
         if stop_at.is_some_and(|text| line.contains(text)) {
-            stop.store(true, Ordering::Relaxed);
+            stop.set(true);
         }
     })
 }
@@ -46,22 +46,22 @@ fn done(segment: Segment, order: &Order, stop_at: Option<&str>) -> (Outcome, Vec
 fn done_with(
     segment: Segment,
     order: &Order,
-    mut at: impl FnMut(&str, &AtomicBool),
+    mut at: impl FnMut(&str, &Cell<bool>),
 ) -> (Outcome, Vec<String>) {
     let mut session = up(segment, AlState::PreOp);
-    let (stop, mut lines) = (AtomicBool::new(false), Vec::new());
-    let mut tell = |line: &str| {
+    let (stop, mut lines) = (Cell::new(false), Vec::new());
+    let mut print = |line: &str| {
         at(line, &stop);
         lines.push(line.to_owned());
         Ok(())
     };
-    let outcome = perform(&mut session, order, &stop, &mut tell).unwrap();
+    let outcome = perform(&mut session, order, &|| stop.get(), &mut print).unwrap();
     session.leave().unwrap();
     (outcome, lines)
 }
 
 #[test]
-fn a_drive_comes_up_step_by_step_with_its_words_named() {
+fn ecat_drive_is_enabled_step_by_step_and_switched_off() {
     let (segment, _) = line(ServoConfig::default());
     let (outcome, lines) = done(segment, &order(), None);
     assert_eq!(outcome, Outcome::Done(None), "{lines:#?}");
@@ -78,17 +78,21 @@ fn a_drive_comes_up_step_by_step_with_its_words_named() {
             "ready to switch on",
             "switched on",
             "operation enabled",
+            "switched on",
             "switch on disabled"
         ],
         "{lines:#?}"
     );
-    let told = |text: &str| lines.iter().any(|line| line.contains(text));
-    assert!(told("6040h 0x0006 enable-voltage+quick-stop"), "{lines:#?}");
-    assert!(told("operation-enabled"), "{lines:#?}");
+    let printed = |text: &str| lines.iter().any(|line| line.contains(text));
+    assert!(
+        printed("6040h 0x0006 enable-voltage+quick-stop"),
+        "{lines:#?}"
+    );
+    assert!(printed("operation-enabled"), "{lines:#?}");
 }
 
 #[test]
-fn an_axis_is_jogged_by_so_many_increments() {
+fn ecat_jog_moves_by_the_increments() {
     let (segment, drive) = line(ServoConfig::default());
     let before = drive.axis(0, |axis| axis.motor().position).unwrap();
     let jog = Order {
@@ -110,7 +114,7 @@ fn an_axis_is_jogged_by_so_many_increments() {
 }
 
 #[test]
-fn jog_of_a_blocked_motor_fails() {
+fn ecat_jog_of_a_blocked_motor_fails() {
     let mut blocked = ServoConfig::default();
     blocked.axes[0].motor.coulomb = 1e6;
     let (segment, _) = line(blocked);
@@ -128,7 +132,7 @@ fn jog_of_a_blocked_motor_fails() {
 }
 
 #[test]
-fn jog_above_607f_is_refused_before_power() {
+fn ecat_jog_above_607f_is_rejected_before_power() {
     let (segment, _) = line(ServoConfig::default());
     // 607Fh of the drive is 200,000 increments/s; the middle of the move is twice as fast as its mean.
     let fast = Order {
@@ -136,9 +140,9 @@ fn jog_above_607f_is_refused_before_power() {
         ..order()
     };
     let (outcome, lines) = done(segment, &fast, None);
-    let told = outcome.to_string();
+    let text = outcome.to_string();
     assert_eq!(
-        told,
+        text,
         "FAIL  axis 0: the jog is too fast: 300000 increments/s requested, 607Fh (max profile velocity) allows 200000\n      \
          hint: give it more time (--duration 1.5s) or fewer increments"
     );
@@ -171,7 +175,7 @@ fn loses_power(happens: impl Fn(&mut Drive)) -> String {
 }
 
 #[test]
-fn jog_with_permuted_outputs_loses_power() {
+fn ecat_jog_with_permuted_outputs_loses_power() {
     // 607Ah takes the bytes of 60FFh, 6060h those of 607Ah.
     let why = loses_power(|axis| axis.process_data.outputs = Distortion::order([0, 1, 3, 2, 4]));
     assert!(why.contains("increments of allowed lag"), "{why}");
@@ -180,14 +184,14 @@ fn jog_with_permuted_outputs_loses_power() {
 }
 
 #[test]
-fn jog_with_shifted_outputs_loses_power() {
+fn ecat_jog_with_shifted_outputs_loses_power() {
     for shift in 1..13 {
         loses_power(|axis| axis.process_data.outputs = Distortion::shifted(shift));
     }
 }
 
 #[test]
-fn jog_of_a_driven_motor_loses_power() {
+fn ecat_jog_of_a_driven_motor_loses_power() {
     // Its load is stronger than it is, against its target.
     let why = loses_power(|axis| axis.motor_mut().external = -5.0);
     assert!(why.contains("increments of allowed lag"), "{why}");
@@ -195,13 +199,13 @@ fn jog_of_a_driven_motor_loses_power() {
 }
 
 #[test]
-fn jog_with_frozen_outputs_loses_power() {
+fn ecat_jog_with_frozen_outputs_loses_power() {
     let why = loses_power(|axis| axis.process_data.outputs = Distortion::frozen());
     assert!(why.contains("increments of allowed lag"), "{why}");
 }
 
 #[test]
-fn a_jog_that_is_stopped_brakes_before_the_power_goes() {
+fn ecat_jog_stopped_brakes_before_power_is_removed() {
     let (segment, drive) = line(ServoConfig::default());
     let before = drive.axis(0, |axis| axis.motor().position).unwrap();
     let jog = Order {
@@ -223,7 +227,7 @@ fn a_jog_that_is_stopped_brakes_before_the_power_goes() {
 }
 
 #[test]
-fn drive_with_a_stale_mapping_gets_no_power_and_is_reported() {
+fn ecat_drive_with_a_stale_mapping_gets_no_power() {
     let (segment, drive) = line(ServoConfig::default());
     drive
         .axis(0, |axis| {
@@ -231,22 +235,22 @@ fn drive_with_a_stale_mapping_gets_no_power_and_is_reported() {
         })
         .unwrap();
     let (outcome, lines) = done(segment, &order(), None);
-    let told = outcome.to_string();
+    let text = outcome.to_string();
     assert!(
-        told.starts_with("FAIL  axis 0: 6060h by PDO 8, by SDO "),
-        "{told}"
+        text.starts_with("FAIL  axis 0: 6060h by PDO 8, by SDO "),
+        "{text}"
     );
     assert!(
-        told.contains(": the slave does not use the mapping it acknowledged"),
-        "{told}"
+        text.contains(": the slave does not use the mapping it acknowledged"),
+        "{text}"
     );
-    assert!(told.contains("hint: power-cycle it"), "{told}");
+    assert!(text.contains("hint: power-cycle it"), "{text}");
     let enabled = lines.iter().any(|line| line.contains("switched on"));
     assert!(!enabled, "{lines:#?}");
 }
 
 #[test]
-fn drive_with_an_unreadable_object_needs_the_option() {
+fn ecat_drive_with_an_unreadable_object_needs_the_option() {
     let unreadable = |segment, asked: &Order| done(segment, asked, None);
     let deaf = || {
         let (segment, drive) = line(ServoConfig::default());
@@ -254,8 +258,8 @@ fn drive_with_an_unreadable_object_needs_the_option() {
         segment
     };
     let (outcome, _) = unreadable(deaf(), &order());
-    let told = outcome.to_string();
-    assert!(told.contains("6071h cannot be read by SDO"), "{told}");
+    let text = outcome.to_string();
+    assert!(text.contains("6071h cannot be read by SDO"), "{text}");
     let trusting = Order {
         not_mirrored: Objects::of(&[0x6071]).unwrap(),
         ..order()
@@ -267,7 +271,7 @@ fn drive_with_an_unreadable_object_needs_the_option() {
 }
 
 #[test]
-fn a_drive_in_fault_says_why_and_comes_up_after_a_reset() {
+fn ecat_drive_fault_is_explained_and_reset() {
     let (segment, drive) = line(ServoConfig::default());
     drive.axis(0, |axis| axis.fault(FaultCode(0x2310))).unwrap();
     let (outcome, _) = done(segment, &order(), None);
@@ -289,7 +293,7 @@ fn a_drive_in_fault_says_why_and_comes_up_after_a_reset() {
 }
 
 #[test]
-fn a_drive_that_wants_sync0_says_so_and_gets_it() {
+fn ecat_drive_that_needs_sync0_reports_it() {
     let (segment, _) = line(ServoConfig::tx90());
     let (outcome, _) = done(segment, &order(), None);
     let Outcome::Slave(why) = outcome else {
@@ -311,7 +315,7 @@ fn a_drive_that_wants_sync0_says_so_and_gets_it() {
 }
 
 #[test]
-fn what_is_no_drive_or_has_no_such_axis_is_told() {
+fn ecat_slave_without_the_axis_is_reported() {
     for (slave, axis, why) in [
         (0, 0, "has no statusword (6041h)"),
         (
@@ -327,13 +331,13 @@ fn what_is_no_drive_or_has_no_such_axis_is_told() {
             ..order()
         };
         let (outcome, _) = done(segment, &asked, None);
-        let told = outcome.to_string();
-        assert!(told.contains(why), "{told}");
+        let text = outcome.to_string();
+        assert!(text.contains(why), "{text}");
     }
 }
 
 #[test]
-fn drive_without_bit_12_needs_its_quirk() {
+fn ecat_drive_without_bit_12_needs_its_quirk() {
     let mut config = ServoConfig::default();
     config.axes[0].quirks.no_follow_bit = true;
     let (segment, _) = line(config.clone());

@@ -7,10 +7,10 @@ use takt_link::capture::{LinkType, Writer};
 
 use super::{Recording, dc, stat};
 use crate::Verdict;
+use crate::ecat::directions::directions;
 use crate::ecat::dump;
 use crate::ecat::frames::Capture;
 use crate::ecat::stat::{verdict, verdict_of};
-use crate::ecat::ways::ways;
 
 const US: Duration = Duration::from_micros(1);
 const MS: Duration = Duration::from_millis(1);
@@ -556,7 +556,7 @@ fn dump_names_what_real_masters_send() {
     let capture = wire.finish();
     let mut decoder = dump::Decoder::default();
     let mut lines = Vec::new();
-    for (taken, way) in capture.frames.iter().zip(ways(&capture.frames)) {
+    for (taken, way) in capture.frames.iter().zip(directions(&capture.frames)) {
         lines.extend(decoder.lines(taken, way, dump::Filter::default()));
     }
     assert_eq!(decoder.verdict(), Verdict::Good, "{lines:#?}");

@@ -130,7 +130,7 @@ fn ring_cut_before_start_is_reported() {
     for _ in 0..20 {
         session.cycle().unwrap();
     }
-    let error = session.nobody().unwrap_err().to_string();
+    let error = session.silence().unwrap_err().to_string();
     assert!(
         error.contains("near: the ring is open before the slave at position 2"),
         "{error}"

@@ -1,6 +1,7 @@
 //! Cell file configuration of a KUKA youBot on an EtherCAT segment. The driver is in `device::ethercat`.
 
 use serde::Deserialize;
+use takt_ethercat::youbot::{CURRENT_MAX_MA, HOMING};
 
 use super::Recovery;
 
@@ -61,12 +62,12 @@ impl YouBotArm {
         }
     }
 
-    const fn default_current() -> [f64; 5] {
-        [4.0, 4.0, 3.0, 2.0, 1.5]
+    fn default_current() -> [f64; 5] {
+        CURRENT_MAX_MA.map(amperes)
     }
 
-    const fn default_homing_current() -> [f64; 5] {
-        [2.0, 0.5, 1.0, 0.5, 0.5]
+    fn default_homing_current() -> [f64; 5] {
+        HOMING.map(|homing| amperes(homing.current_ma))
     }
 
     /// Mechanical range from stop to stop; the third joint counts downwards.
@@ -87,6 +88,10 @@ impl YouBotArm {
     const fn default_acceleration() -> [f64; 5] {
         [180.0; 5]
     }
+}
+
+fn amperes(milliamperes: i32) -> f64 {
+    f64::from(milliamperes) / 1000.0
 }
 
 /// Control loop of an arm's drives.

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use takt_can::cia402::{Monitor, Runaway, RunawayLimits, State};
+use takt_can::cia402::{Monitor, Power, Runaway, RunawayLimits, Standstill};
 use takt_net::device::JointError;
 use takt_rt::Nanos;
 
@@ -13,10 +13,9 @@ use crate::device::config::DriveJoint;
 use crate::device::setpoint::Joint;
 use crate::device::{DeviceStatus, JointSetPoints};
 
-/// A motor that moved no more than this, rad at its joint, within [`STANDSTILL_TIME`] is at standstill: slower than
+/// A motor that moved no more than this, rad at its joint, within [`Standstill::TIME`] is at standstill: slower than
 /// 0.01 rad/s.
 const STANDSTILL_RAD: f64 = 5e-4;
-const STANDSTILL_TIME: Duration = Duration::from_millis(50);
 
 /// Largest motor speed as a share of the joint's limit before the motor counts as a runaway; overshoot is allowed.
 const SPEED_SHARE: f64 = 1.5;
@@ -24,32 +23,6 @@ const SPEED_SHARE: f64 = 1.5;
 const OUT_OF_RANGE_RAD: f64 = 2e-3;
 /// A drive that was offline this long is assumed to have been power-cycled.
 const POWER_CYCLED: Duration = Duration::from_secs(1);
-
-/// State of a drive's power stage.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Power {
-    /// No voltage, as far as known.
-    Off,
-    /// Voltage, but none at the motor.
-    On,
-    /// It moves or stops the motor.
-    Drives,
-}
-
-impl Power {
-    const fn of(state: State) -> Self {
-        match state {
-            State::NotReadyToSwitchOn
-            | State::SwitchOnDisabled
-            | State::ReadyToSwitchOn
-            | State::Fault => Self::Off,
-            State::SwitchedOn => Self::On,
-            State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive => {
-                Self::Drives
-            }
-        }
-    }
-}
 
 /// A joint and the known state of its axis.
 #[derive(Debug)]
@@ -64,8 +37,7 @@ pub(super) struct Driven {
     refused: bool,
     /// Measured position and velocity, rad and rad/s.
     pub(super) measured: Option<[f64; 2]>,
-    /// 6064h where the motor was last seen to move, and when.
-    standstill: (i32, Nanos),
+    standstill: Standstill,
     monitor: Monitor,
     /// Runaway, until its drive was offline for [`POWER_CYCLED`].
     runaway: Option<Runaway>,
@@ -77,15 +49,16 @@ pub(super) struct Driven {
 
 impl Driven {
     pub(super) fn new<D>(joint: &DriveJoint<D>) -> Self {
+        let increments_per_rad = joint.increments_per_turn / std::f64::consts::TAU;
         Self {
             axis: None,
             joint: Joint::new(limits_of(joint)),
-            increments_per_rad: joint.increments_per_turn / std::f64::consts::TAU,
+            increments_per_rad,
             zero: joint.zero,
             target: None,
             refused: false,
             measured: None,
-            standstill: (0, Nanos(0)),
+            standstill: Standstill::new(STANDSTILL_RAD * increments_per_rad),
             monitor: Monitor::new(runaway_limits(joint)),
             runaway: None,
             away_since: None,
@@ -117,8 +90,7 @@ impl Driven {
         };
         self.away_since = None;
         let target = target.filter(|_| axis.follows && self.runaway.is_none());
-        let time = Duration::from_nanos(now.0.unsigned_abs());
-        if let Some(runaway) = self.monitor.step(target, axis.increments, time) {
+        if let Some(runaway) = self.monitor.step(target, axis.increments, time_of(now)) {
             self.runaway = Some(runaway);
             self.event = Some(JointEvent::Runaway(runaway));
         }
@@ -167,13 +139,13 @@ impl Driven {
     pub(super) fn power(&self) -> Power {
         let axis = self.axis.filter(|axis| axis.online);
         axis.and_then(|axis| axis.state)
-            .map_or(Power::Off, Power::of)
+            .map_or(Power::Off, Power::from)
     }
 
     /// Whether its motor is at standstill, or has no power to move.
     pub(super) fn is_at_rest(&self, now: Nanos) -> bool {
         let (_, velocity, _) = self.joint.motion();
-        let still = velocity == 0.0 && now - self.standstill.1 >= Nanos::from(STANDSTILL_TIME);
+        let still = velocity == 0.0 && self.standstill.is_reached(time_of(now));
         still || self.power() != Power::Drives
     }
 
@@ -207,7 +179,7 @@ impl Driven {
             [position, velocity]
         });
         if let Some(axis) = online {
-            self.watch(axis.increments, when.now);
+            self.standstill.note(axis.increments, time_of(when.now));
         }
         self.supervise(target, when.now);
         self.mark_range();
@@ -216,16 +188,6 @@ impl Driven {
             let position = self.measured.map_or(commanded, |[position, _]| position);
             self.joint.rest_at(position, &JointSetPoints::default());
             self.target = online.map(|axis| axis.increments);
-        }
-    }
-
-    /// Notes when the motor was last seen to move.
-    fn watch(&mut self, increments: i32, now: Nanos) {
-        let moved = f64::from(increments) - f64::from(self.standstill.0);
-        // The encoder may rest on an edge.
-        let play = (STANDSTILL_RAD * self.increments_per_rad).abs().max(2.0);
-        if moved.abs() > play {
-            self.standstill = (increments, now);
         }
     }
 
@@ -248,6 +210,11 @@ fn runaway_limits<D>(joint: &DriveJoint<D>) -> RunawayLimits {
         following: joint.following_error() * per_degree,
         speed: joint.velocity_max * SPEED_SHARE * per_degree,
     }
+}
+
+/// The time as the drive profile counts it.
+pub(super) const fn time_of(now: Nanos) -> Duration {
+    Duration::from_nanos(now.0.unsigned_abs())
 }
 
 /// Timing of the current cycle.

@@ -392,7 +392,7 @@ fn drive_arm_shutdown_uses_quick_stop_after_timeout() {
     bench.drives[1].runaway = 2e3;
     bench.run(100, false);
     let before = bench.drives[0].goals.len();
-    let timeout = BRAKE_WITHIN.as_millis();
+    let timeout = Shutdown::BRAKE_WITHIN.as_millis();
     bench.run(usize::try_from(timeout).unwrap(), true);
     assert_eq!(
         bench.drives[0].goals.len(),

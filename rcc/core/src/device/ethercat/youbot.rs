@@ -12,7 +12,7 @@ mod tool;
 use std::time::Duration;
 
 use takt_ethercat::master::{Master, Reply};
-use takt_ethercat::youbot::{Command, Drive, DriveFault, GripperError, HomingError};
+use takt_ethercat::youbot::{Drive, DriveFault, GripperError, HomingError};
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 
@@ -22,8 +22,6 @@ use arm::Arm;
 use base::Base;
 pub(super) use describe::{check, describe, specs};
 
-/// Cycles without inputs after which a drive counts as lost.
-const LOST_AFTER: u32 = 4;
 /// Commands older than this many cycles of the segment are ignored.
 const STALE_AFTER: i64 = 10;
 
@@ -165,24 +163,6 @@ fn now(tick: &Tick) -> Duration {
 /// Whether the net thread that gave a command at that time is alive.
 fn is_fresh(given: Nanos, tick: &Tick, cycle: Nanos, net_period: Nanos) -> bool {
     tick.scheduled - given <= Nanos(cycle.0 * STALE_AFTER) + net_period
-}
-
-/// One cycle of a drive: inputs of the last frame, outputs of the next, and its mailbox.
-fn lead(
-    drive: &mut Drive,
-    master: &mut Master,
-    wanted: Option<Command>,
-    may_move: bool,
-    tick: &Tick,
-) {
-    let slave = drive.slave();
-    let (bytes, age) = master.inputs(slave);
-    let there = master.is_exchanging() && age <= LOST_AFTER && !bytes.is_empty();
-    let command = drive.cycle(there.then_some(bytes), wanted, may_move, now(tick));
-    if let Some(outputs) = master.outputs_mut(slave).first_chunk_mut() {
-        *outputs = command.encode();
-    }
-    drive.mailbox().poll(master, now(tick));
 }
 
 #[expect(

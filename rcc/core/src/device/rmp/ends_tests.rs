@@ -5,8 +5,8 @@ use std::sync::{Mutex, MutexGuard};
 
 use takt_can::AnyFrame;
 use takt_can::link::{Link, LinkError, Origin, Received};
-use takt_can::rmp::Message;
 use takt_can::rmp::emulator::{Powerbase, PowerbaseConfig};
+use takt_can::rmp::{ACCELERATION, Message};
 use takt_rt::Nanos;
 use takt_rt::latest::latest;
 

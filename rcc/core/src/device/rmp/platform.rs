@@ -4,9 +4,11 @@
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
-use takt_can::rmp::{self, Channel, DriverConfig, Model, Motion, Omni, OmniConfig, State};
+use takt_can::rmp::{
+    self, ACCELERATION, Channel, DriverConfig, Model, Motion, Omni, OmniConfig, State,
+};
 
-use super::{ACCELERATION, ROTATION_MAX, VELOCITY_MAX};
+use super::{ROTATION_MAX, VELOCITY_MAX};
 use crate::device::DeviceStatus;
 use crate::device::config::RmpConfig;
 use crate::device::last_stage::{Limited, PlanarLimits, PlanarStage};

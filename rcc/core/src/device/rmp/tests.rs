@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use takt_can::rmp::emulator::{Powerbase, PowerbaseConfig};
-use takt_can::rmp::{Message, Model, OmniConfig};
+use takt_can::rmp::{ACCELERATION, Message, Model, OmniConfig};
 
 use super::platform::Led;
 use super::*;

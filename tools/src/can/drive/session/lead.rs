@@ -1,15 +1,14 @@
-//! The part of a session that commands: cycles of looking and writing, up to Operation enabled, a jog, and down
-//! again.
+//! The part of a session that commands: cycles of reading and writing, up to Operation enabled, a jog, and the
+//! shutdown of the drivers.
 
 use takt_can::canopen::NmtState;
-use takt_cia402::{ControlWord, DriveFault, Feedback, Goal, State};
+use takt_cia402::{ControlWord, DriveFault, Feedback, Goal, Power, Shutdown, State, axis_goal};
+use takt_core::device::driver::SHUTDOWN_MAX;
 
-use super::{
-    Cause, Duration, End, Go, Jog, OFF, REST, STANDS, Session, Step, TURN, Wire, low_word,
-};
+use super::{AT_REST, Cause, Duration, End, Go, Jog, REST, Session, Step, TURN, Wire, low_word};
 
 impl<W: Wire> Session<'_, W> {
-    /// One look and what follows from it.
+    /// One cycle: reads the drive and commands it.
     pub(super) fn cycle(&mut self) -> Go<(Step, bool)> {
         let begun = self.wire.now();
         self.beat()?;
@@ -38,15 +37,15 @@ impl<W: Wire> Session<'_, W> {
         Ok((step, orders.follows))
     }
 
-    /// Whether the motor is where its velocity can have brought it since it was enabled: at rest without a jog, and
-    /// with one between its begin and the farthest that the velocity leads to, since the ramp is the drive's own.
+    /// Checks that the motor is where its velocity can have moved it since it was enabled: at rest without a jog; with
+    /// one, between its start and the farthest position at that velocity, since the ramp is the drive's own.
     fn supervise(&mut self, step: &Step) -> Go<()> {
         let modes_at_rest = [1, 3, 7, 8, 9];
-        // While it stops, it keeps the power that brakes it; what does not come to rest is found by time.
-        let is_led = self.enabled && !self.leaving && !self.stopping;
-        let is_led = is_led && modes_at_rest.contains(&self.plan.mode);
+        // While it stops, it keeps the power that brakes it; a timeout detects that it does not come to rest.
+        let is_commanded = self.enabled && !self.leaving && !self.stopping;
+        let is_commanded = is_commanded && modes_at_rest.contains(&self.plan.mode);
         let now = self.wire.now();
-        let target = if is_led {
+        let target = if is_commanded {
             let (start, since) = *self.origin.get_or_insert((step.position, now));
             let velocity = self.plan.jog.map_or(0, |jog| jog.velocity);
             let time = now.saturating_sub(since);
@@ -63,16 +62,19 @@ impl<W: Wire> Session<'_, W> {
         }
     }
 
-    /// What ends it from outside.
+    /// Whether something else ends it.
     fn check(&self, state: Option<State>) -> Go<()> {
         if self.wire.is_stopped() {
             return Err(End::Stopped);
         }
-        let heard = &self.wire.heard;
-        if heard.boots > 0 {
+        let observed = &self.wire.observed;
+        if observed.boots > 0 {
             return Err(End::Because(Cause::Rebooted));
         }
-        if let Some(shown) = heard.state.filter(|shown| *shown != NmtState::Operational) {
+        if let Some(shown) = observed
+            .state
+            .filter(|shown| *shown != NmtState::Operational)
+        {
             return Err(End::Because(Cause::Left(shown)));
         }
         match state {
@@ -86,13 +88,13 @@ impl<W: Wire> Session<'_, W> {
         }
     }
 
-    /// Until it follows, targets are where it is: it must not jump when it is enabled.
+    /// Until it follows, its targets are its position: it must not jump when it is enabled.
     fn align(&mut self, position: i32) -> Go<()> {
         if self.aligned == Some(position) {
             return Ok(());
         }
         let first = self.aligned.is_none();
-        // What it has not, cannot make it jump.
+        // An object that it does not have cannot make it jump.
         let _ = self.write(0x607A, &position.to_le_bytes())?;
         if first {
             let _ = self.write(0x60FF, &[0; 4])?;
@@ -113,7 +115,7 @@ impl<W: Wire> Session<'_, W> {
         }
     }
 
-    /// Writes 6040h if it is another than before.
+    /// Writes 6040h if it changed.
     pub(super) fn order(&mut self, control: ControlWord) -> Go<()> {
         if self.control == Some(control) {
             return Ok(());
@@ -125,7 +127,7 @@ impl<W: Wire> Session<'_, W> {
         }
     }
 
-    /// Up to where it follows.
+    /// Enables it until it follows.
     pub(super) fn enable(&mut self) -> Go<()> {
         loop {
             let (_, follows) = self.cycle()?;
@@ -135,7 +137,7 @@ impl<W: Wire> Session<'_, W> {
             }
             match self.master.drive_fault() {
                 None => {}
-                // The edges of a reset take their time.
+                // The edges of a reset take several cycles.
                 Some(DriveFault::Fault) if self.plan.reset => {}
                 Some(drive_fault) => return Err(End::Because(self.blame(drive_fault)?)),
             }
@@ -198,23 +200,23 @@ impl<W: Wire> Session<'_, W> {
         Ok(())
     }
 
-    /// Slower than a fiftieth of its jog it stands: encoders show some noise.
-    fn stands(&self, velocity: i32) -> bool {
+    /// Whether it is slower than a fiftieth of its jog: encoders show some noise.
+    fn is_still(&self, velocity: i32) -> bool {
         let jog = self.plan.jog.map_or(0, |jog| jog.velocity.unsigned_abs());
         velocity.unsigned_abs() <= (jog / 50).max(10)
     }
 
     fn wait_for_rest(&mut self) -> Go<()> {
         let end = self.wire.now() + REST;
-        let mut looks = 0;
+        let mut still = 0;
         loop {
             let (step, _) = self.cycle()?;
-            looks = if self.stands(step.velocity) {
-                looks + 1
+            still = if self.is_still(step.velocity) {
+                still + 1
             } else {
                 0
             };
-            if looks >= STANDS {
+            if still >= AT_REST {
                 return Ok(());
             }
             if self.wire.now() > end {
@@ -224,33 +226,40 @@ impl<W: Wire> Session<'_, W> {
         }
     }
 
-    /// At rest by a quick stop if it moves, then without power. What never was commanded is left alone.
+    /// Stops it by a quick stop if it moves, then removes power as the drivers do. A drive that was never commanded is
+    /// left alone.
     pub(super) fn go_down(&mut self) -> Go<()> {
-        if self.control.is_none() {
+        let Some(control) = self.control else {
             return Ok(());
-        }
+        };
         (self.leaving, self.enabled) = (true, false);
+        let mut has_run_away = control == ControlWord::DISABLE_VOLTAGE;
         let mut rest = Ok(());
-        if self.control == Some(ControlWord::DISABLE_VOLTAGE) {
-            // It has no power to come to rest with.
-        } else if self.moving {
+        if !has_run_away && self.moving {
             self.master.set_goal(Goal::QuickStop);
             rest = self.wait_for_rest();
-        } else {
-            self.master.set_goal(Goal::SwitchedOn);
-            self.until(|state| state != State::OperationEnabled)?;
+            has_run_away = rest.is_err();
         }
-        self.master.set_goal(Goal::SwitchOnDisabled);
-        self.until(|state| matches!(state, State::SwitchOnDisabled | State::Fault))?;
+        self.remove_power(has_run_away)?;
         rest
     }
 
-    /// Until its state is such, but not for ever.
-    fn until(&mut self, is: impl Fn(State) -> bool) -> Go<()> {
-        let end = self.wire.now() + OFF;
-        while self.wire.now() < end {
+    /// Removes power from a drive at rest, or from one that does not come to rest.
+    fn remove_power(&mut self, has_run_away: bool) -> Go<()> {
+        let begun = self.wire.now();
+        let mut shutdown = Shutdown::new(begun);
+        let mut state = self.steps.last().and_then(|step| step.status.state().ok());
+        while self.wire.now() < begun + SHUTDOWN_MAX {
+            let power = state.map_or(Power::Off, Power::from);
+            let goal = shutdown.step(true, power == Power::Drives, self.wire.now());
+            let goal = axis_goal(goal, power, has_run_away);
+            if let Some(goal) = goal {
+                self.master.set_goal(goal);
+            }
             let (step, _) = self.cycle()?;
-            if step.status.state().is_ok_and(&is) {
+            state = step.status.state().ok();
+            let off = matches!(state, Some(State::SwitchOnDisabled | State::Fault));
+            if off && goal == Some(Goal::SwitchOnDisabled) {
                 break;
             }
         }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use takt_ethercat::master::Master;
 use takt_ethercat::youbot::{
-    ARM, Command, Drive, DriveConfig, DriveState, Flags, HOMING, Homing, HomingConfig, HomingState,
+    ARM, Command, Drive, DriveConfig, DriveState, HOMING, Homing, HomingConfig, HomingState,
 };
 use takt_net::JointState;
 use takt_net::device::{Interfaces, JointError, Layout};
@@ -17,7 +17,7 @@ use super::describe::{ARM_PARTS, limits};
 use super::gripper::Gripper;
 use super::springs::Springs;
 use super::tool::Motions;
-use super::{Wait, Waiting, is_fresh, lead, now, seconds};
+use super::{Wait, Waiting, is_fresh, now, seconds};
 use crate::device::config::{Recovery, YouBotArm, YouBotControl};
 use crate::device::continuity::Continuity;
 use crate::device::driver::DeviceEnd;
@@ -75,11 +75,7 @@ impl Arm {
         gripper: Option<DeviceEnd>,
     ) -> Self {
         let drive = |n: usize| {
-            let config = DriveConfig {
-                current_max_ma: milliamperes(arm.current_max[n]),
-                // Homing moves all joints but the third off their stops, as the vendor's driver does.
-                direction: if n == 2 { 1 } else { -1 },
-            };
+            let config = DriveConfig::joint(n, milliamperes(arm.current_max[n]));
             Drive::new(slaves[n], config)
         };
         let homing = |n: usize| {
@@ -206,7 +202,8 @@ impl Arm {
             let order = if let Some(orders) = &orders {
                 Some(orders[n])
             } else {
-                let order = self.home(n, follows, may_move, stopping, tick);
+                let drive = &mut self.drives[n];
+                let order = self.homing[n].lead(drive, follows, may_move, stopping, now(tick));
                 // After homing: a joint that was just homed rests at its position before it follows.
                 if let Some([position, _]) = self.measured(n) {
                     self.joints[n].rest_at(position, &self.taken.joints[n]);
@@ -214,40 +211,12 @@ impl Arm {
                 }
                 order
             };
-            lead(&mut self.drives[n], master, order, may_move, tick);
+            self.drives[n].exchange(master, order, may_move, now(tick));
         }
         if let (Some(gripper), [.., last]) = (&mut self.gripper, &mut self.drives) {
             gripper.cycle(last, self.may_home && !stopping, fresh && !stopping, tick);
         }
         self.publish(tick);
-    }
-
-    /// One cycle of homing of a joint.
-    fn home(
-        &mut self,
-        n: usize,
-        follows: bool,
-        may_move: bool,
-        stopping: bool,
-        tick: &Tick,
-    ) -> Option<Command> {
-        let (homing, drive) = (&mut self.homing[n], &mut self.drives[n]);
-        let feedback = drive.feedback().copied();
-        // A drive that lost power lost its position; one that was only offline still reports it.
-        let knows = feedback.is_some_and(|feedback| feedback.flags.any(Flags::INITIALIZED));
-        if !knows || (homing.is_active() && !follows) {
-            homing.forget();
-        }
-        if stopping {
-            homing.cancel();
-        }
-        if !follows || stopping {
-            return None;
-        }
-        if homing.state() == HomingState::Idle {
-            homing.start();
-        }
-        homing.cycle(&feedback?, drive.mailbox(), may_move, now(tick))
     }
 
     /// Commands of ready joints. Without fresh set-points they brake; compliant joints stay compliant, because one

@@ -13,7 +13,7 @@ use takt_rt::latest::{LatestReader, LatestWriter};
 
 use super::course::{Course, Planar, within};
 use super::describe::base_parts;
-use super::{is_fresh, lead, seconds};
+use super::{is_fresh, now, seconds};
 use crate::device::config::{Recovery, YouBotBase};
 use crate::device::continuity::JumpPart;
 use crate::device::driver::DeviceEnd;
@@ -136,7 +136,7 @@ impl Base {
         for (drive, rpm) in self.drives.iter_mut().zip(rpm) {
             // All wheels turn or none: a base on three wheels leaves its path.
             let order = follows.then_some(Command::velocity(rpm));
-            lead(drive, master, order, may_move, tick);
+            drive.exchange(master, order, may_move, now(tick));
         }
         let elapsed = elapsed.map_or(f64::INFINITY, |elapsed| self.since_inputs(master, elapsed));
         self.measure(elapsed);

@@ -1,4 +1,4 @@
-//! Which way recorded frames go: out to the slaves, or back from them. What the datagrams mean is not looked at here.
+//! Direction of recorded frames: out to the slaves, or back from them. It does not interpret datagrams.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -7,34 +7,35 @@ use takt_ethercat::{Address, Datagram, Frame};
 
 use super::frames::{Taken, datagrams};
 
-/// Which way a frame goes.
+/// Direction of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Way {
+pub(super) enum Direction {
     Out,
     Back,
 }
 
-/// What slaves do not change of a frame, by datagram: command, index, length, and the address without what is counted up.
+/// The part of a frame that slaves do not change, by datagram: command, index, length, and the address without the part
+/// that they increment.
 pub(super) type Shape = Vec<(u8, u8, u16, u32)>;
 
-/// A frame that has not come back by then is lost.
-pub(super) const UNDER_WAY: Duration = Duration::from_millis(100);
-/// Frames under way that are remembered of a sender whose answers bear no mark.
-const UNDER_WAY_MAX: usize = 64;
+/// A frame that has not returned by then is lost.
+pub(super) const RETURN_MAX: Duration = Duration::from_millis(100);
+/// Most pending frames of a sender whose answers have no mark.
+const PENDING_MAX: usize = 64;
 /// The bit of the source address that the first slave sets (locally administered).
 const PASSED: u8 = 0x02;
 
 /// A sender: its address without the mark.
 pub(super) type Sender = [u8; 6];
 
-/// Who sent a frame.
+/// The sender of a frame.
 pub(super) fn sender(frame: &Taken) -> Sender {
     let mut source = frame.source();
     source[0] &= !PASSED;
     source
 }
 
-/// What tells a frame from others.
+/// The shape that distinguishes a frame from others.
 pub(super) fn shape(frame: &Frame<'_>) -> Shape {
     let of = |datagram: Datagram<'_>| {
         let header = datagram.header;
@@ -56,70 +57,74 @@ fn is_counted(frame: &Frame<'_>) -> bool {
     counters.into_iter().any(|counter| counter > 0)
 }
 
-/// A sender whose frames bear no mark on their way back, or all of them: its own address has the bit, the slaves do not set it,
-/// or only one direction was recorded. Then what slaves counted tells the way, and what was seen shortly before.
+/// A sender whose returning frames have no mark, or all of whose frames have it: its own address has the bit, the slaves do
+/// not set it, or only one direction was recorded. Then working counters and the frames shortly before show the direction.
 #[derive(Debug, Default)]
 struct Unmarked {
-    under_way: VecDeque<(Duration, Shape)>,
+    in_flight: VecDeque<(Duration, Shape)>,
     /// Frames that slaves have counted in.
     counted: usize,
-    /// Answers to frames that were seen.
+    /// Answers to recorded frames.
     paired: usize,
-    /// Places of its frames in the recording, and what each is taken for.
-    frames: Vec<(usize, Way)>,
+    /// Positions of its frames in the recording, and the direction of each.
+    frames: Vec<(usize, Direction)>,
 }
 
 impl Unmarked {
     fn take(&mut self, at: Duration, number: usize, frame: &Frame<'_>) {
         let (shape, is_counted) = (shape(frame), is_counted(frame));
-        self.under_way
-            .retain(|(sent, _)| at.saturating_sub(*sent) < UNDER_WAY);
-        let pending = self.under_way.iter().position(|(_, other)| *other == shape);
+        self.in_flight
+            .retain(|(sent, _)| at.saturating_sub(*sent) < RETURN_MAX);
+        let pending = self.in_flight.iter().position(|(_, other)| *other == shape);
         if let Some(pending) = pending {
-            self.under_way.remove(pending);
+            self.in_flight.remove(pending);
             self.paired += 1;
         }
         self.counted += usize::from(is_counted);
         let is_back = is_counted || pending.is_some();
         if !is_back {
-            if self.under_way.len() == UNDER_WAY_MAX {
-                self.under_way.pop_front();
+            if self.in_flight.len() == PENDING_MAX {
+                self.in_flight.pop_front();
             }
-            self.under_way.push_back((at, shape));
+            self.in_flight.push_back((at, shape));
         }
-        let way = if is_back { Way::Back } else { Way::Out };
-        self.frames.push((number, way));
+        let direction = if is_back {
+            Direction::Back
+        } else {
+            Direction::Out
+        };
+        self.frames.push((number, direction));
     }
 
-    /// The ways of its frames, now that all are known.
-    fn finish(self) -> impl Iterator<Item = (usize, Way)> {
+    /// The directions of its frames, once all are known.
+    fn finish(self) -> impl Iterator<Item = (usize, Direction)> {
         let all = match (self.counted, self.paired) {
-            // No slave ever counted: nothing came back, and what looks alike was sent again.
-            (0, _) => Some(Way::Out),
-            // Slaves counted, but nothing that was sent is there.
-            (_, 0) => Some(Way::Back),
+            // No slave ever counted: nothing returned, and equal frames were sent again.
+            (0, _) => Some(Direction::Out),
+            // Slaves counted, but no sent frame is recorded.
+            (_, 0) => Some(Direction::Back),
             _ => None,
         };
-        let ways = self.frames.into_iter();
-        ways.map(move |(number, way)| (number, all.unwrap_or(way)))
+        let frames = self.frames.into_iter();
+        frames.map(move |(number, direction)| (number, all.unwrap_or(direction)))
     }
 }
 
-/// The ways of all frames of a recording, in their order. One that cannot be read goes out.
-pub(super) fn ways(frames: &[Taken]) -> Vec<Way> {
+/// The directions of all frames of a recording, in their order. One that cannot be decoded goes out.
+pub(super) fn directions(frames: &[Taken]) -> Vec<Direction> {
     let sources: BTreeSet<Sender> = frames.iter().map(Taken::source).collect();
     let is_marked = |sender: Sender| {
         let mut passed = sender;
         passed[0] |= PASSED;
         sources.contains(&sender) && sources.contains(&passed)
     };
-    let mut ways = vec![Way::Out; frames.len()];
+    let mut directions = vec![Direction::Out; frames.len()];
     let mut unmarked: BTreeMap<Sender, Unmarked> = BTreeMap::new();
-    for ((number, taken), way) in frames.iter().enumerate().zip(&mut ways) {
+    for ((number, taken), direction) in frames.iter().enumerate().zip(&mut directions) {
         let sender = sender(taken);
         if is_marked(sender) {
             if taken.source() != sender {
-                *way = Way::Back;
+                *direction = Direction::Back;
             }
         } else if let Ok(frame) = taken.frame() {
             let of = unmarked.entry(sender).or_default();
@@ -127,9 +132,9 @@ pub(super) fn ways(frames: &[Taken]) -> Vec<Way> {
         }
     }
     for (number, known) in unmarked.into_values().flat_map(Unmarked::finish) {
-        if let Some(way) = ways.get_mut(number) {
-            *way = known;
+        if let Some(direction) = directions.get_mut(number) {
+            *direction = known;
         }
     }
-    ways
+    directions
 }

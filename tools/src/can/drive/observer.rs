@@ -1,5 +1,5 @@
-//! What else goes over the bus while a drive is asked: a reboot of it, emergencies, and other masters, whose doing
-//! explains what the drive does. It hinders no frame.
+//! Other frames on the bus while a drive is commanded: its boot-ups and emergencies, and other masters, which explain
+//! what the drive does. It holds back no frame.
 
 use std::time::Duration;
 
@@ -8,53 +8,53 @@ use takt_can::canopen::{Emergency, Message, NmtState, NodeId};
 
 use crate::can::wire::Wire;
 
-/// What was overheard about one node.
+/// What was observed about one node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Heard {
+pub(super) struct Observed {
     /// Boot-ups.
     pub(super) boots: u32,
-    /// The last state that it told.
+    /// The last state that it reported.
     pub(super) state: Option<NmtState>,
     /// The last emergency other than "no error".
     pub(super) emergency: Option<Emergency>,
-    /// What another master sent to it, last.
-    pub(super) stranger: Option<Message>,
+    /// The last message of another master to it.
+    pub(super) other_master: Option<Message>,
 }
 
-/// A wire at which is listened.
+/// A wire whose frames are observed.
 #[derive(Debug)]
-pub(super) struct Overheard<'w, W> {
+pub(super) struct Observer<'w, W> {
     wire: &'w mut W,
     node: NodeId,
-    pub(super) heard: Heard,
+    pub(super) observed: Observed,
 }
 
-impl<'w, W: Wire> Overheard<'w, W> {
+impl<'w, W: Wire> Observer<'w, W> {
     pub(super) fn new(wire: &'w mut W, node: NodeId) -> Self {
         Self {
             wire,
             node,
-            heard: Heard::default(),
+            observed: Observed::default(),
         }
     }
 
-    fn listen(&mut self, frame: &Frame) {
+    fn observe(&mut self, frame: &Frame) {
         let message = Message::decode(frame);
-        let heard = &mut self.heard;
+        let observed = &mut self.observed;
         match message {
             Message::Heartbeat(node, NmtState::BootUp, _) if node == self.node => {
-                heard.boots += 1;
-                heard.state = Some(NmtState::PreOperational);
+                observed.boots += 1;
+                observed.state = Some(NmtState::PreOperational);
             }
-            Message::Heartbeat(node, state, _) if node == self.node => heard.state = Some(state),
+            Message::Heartbeat(node, state, _) if node == self.node => observed.state = Some(state),
             Message::Emergency(node, emergency) if node == self.node && emergency.code != 0 => {
-                heard.emergency = Some(emergency);
+                observed.emergency = Some(emergency);
             }
             Message::Rpdo(node, _) | Message::SdoRequest(node, _) if node == self.node => {
-                heard.stranger = Some(message);
+                observed.other_master = Some(message);
             }
             Message::Nmt(_, node) if node.is_none_or(|node| node == self.node) => {
-                heard.stranger = Some(message);
+                observed.other_master = Some(message);
             }
             Message::Heartbeat(..)
             | Message::Emergency(..)
@@ -72,7 +72,7 @@ impl<'w, W: Wire> Overheard<'w, W> {
     }
 }
 
-impl<W: Wire> Wire for Overheard<'_, W> {
+impl<W: Wire> Wire for Observer<'_, W> {
     fn now(&self) -> Duration {
         self.wire.now()
     }
@@ -84,7 +84,7 @@ impl<W: Wire> Wire for Overheard<'_, W> {
     fn receive(&mut self, timeout: Duration) -> anyhow::Result<Option<Frame>> {
         let frame = self.wire.receive(timeout)?;
         if let Some(frame) = &frame {
-            self.listen(frame);
+            self.observe(frame);
         }
         Ok(frame)
     }
