@@ -79,7 +79,7 @@ struct Target {
     #[arg(long, value_name = "IFACE")]
     second: Option<String>,
     /// How long slaves may take to reach their state.
-    #[arg(long, alias = "patience", value_name = "TIME", default_value = "10s", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     timeout: Duration,
 }
 
@@ -102,7 +102,7 @@ struct Source {
     #[arg(long, value_name = "NAME", requires = "config")]
     segment: Option<String>,
     /// How long slaves may take to reach their state.
-    #[arg(long, alias = "patience", value_name = "TIME", default_value = "10s", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     timeout: Duration,
 }
 

@@ -384,8 +384,8 @@ fn rmp_at_a_serial_port_is_shown_and_driven() {
             "1s",
             "--yes",
         ]);
-        let told = expect_status(&driven, 0);
-        assert!(told.contains("ok, drove and is at rest"), "{told}");
+        let output = expect_status(&driven, 0);
+        assert!(output.contains("ok, drove and is at rest"), "{output}");
         powerbase.terminate();
         let (lines, _) = powerbase.end();
         let last = lines.last().unwrap();

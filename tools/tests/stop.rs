@@ -238,7 +238,7 @@ fn foreign_user_may_not_stop() {
     let _alone = alone();
     let cell = Cell::start();
     let mut command = takt(&["stop", "--socket", &cell.stop]);
-    // The user `nobody`.
+    // A user without rights.
     let output = command.uid(65_534).gid(65_534).output();
     let output = match output {
         Ok(output) => output,

@@ -102,7 +102,7 @@ impl Drive {
             reset: self.reset,
             hold: self.hold,
             jog: self.by.map(|increments| (increments, self.duration)),
-            patience: self.target.timeout,
+            timeout: self.target.timeout,
             profile: MasterOptions::default().with_quirks(&self.quirks),
             not_mirrored: {
                 let mut all = Objects::default();
@@ -134,7 +134,7 @@ pub(super) struct Order {
     hold: Duration,
     /// Increments, and their duration.
     jog: Option<(i32, Duration)>,
-    patience: Duration,
+    timeout: Duration,
     /// Tolerated deviations of the drive from its profile.
     profile: MasterOptions,
     /// Objects that are not compared before it gets power.
@@ -219,7 +219,7 @@ pub(super) fn perform<W: Wire>(
     if order.sync0 {
         session.follow_sync0();
     }
-    session.bring_up(order.patience)?;
+    session.bring_up(order.timeout)?;
     if let Some(why) = setup::missing(session, order) {
         return Ok(Outcome::Slave(why));
     }

@@ -55,7 +55,7 @@ pub(crate) struct Sii {
     #[arg(long)]
     yes: bool,
     /// How long slaves may take to reach their state.
-    #[arg(long, alias = "patience", value_name = "TIME", default_value = "10s", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     timeout: Duration,
 }
 

@@ -264,12 +264,12 @@ impl Motion {
             return Ok(None);
         };
         let start = read(session, slave, position, bar)?;
-        let way = if limit.is_some() {
+        let distance = if limit.is_some() {
             value.unsigned_abs().saturating_mul(MOVED_FROM)
         } else {
             value.abs_diff(start)
         };
-        Ok((way >= MOVED_FROM).then_some(Self {
+        Ok((distance >= MOVED_FROM).then_some(Self {
             slave,
             position,
             bar,

@@ -94,7 +94,7 @@ fn small_angle(text: &str) -> Result<f64, String> {
     let by = angle(text)?;
     if by == 0.0 || by.abs() > BY_MAX_DEG.to_radians() + 1e-9 {
         return Err(format!(
-            "must be small: up to {BY_MAX_DEG} deg either way, and not 0"
+            "must be small: up to {BY_MAX_DEG} deg in either direction, and not 0"
         ));
     }
     Ok(by)

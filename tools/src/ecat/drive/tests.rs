@@ -27,7 +27,7 @@ fn order() -> Order {
         reset: false,
         hold: Duration::from_millis(500),
         jog: None,
-        patience: Duration::from_secs(10),
+        timeout: Duration::from_secs(10),
         profile: takt_cia402::MasterOptions::default(),
         not_mirrored: Objects::default(),
     }
@@ -167,7 +167,7 @@ fn loses_power(happens: impl Fn(&mut Drive)) -> String {
     };
     let turned = drive.axis(0, |axis| axis.motor().position).unwrap();
     let turned = turned.abs() / std::f64::consts::TAU;
-    // The allowed lag and the way in which it coasts without power.
+    // The allowed lag and the distance that it coasts without power.
     assert!(turned < 8.0, "{turned} turns, {why}");
     let state = drive.axis(0, |axis| axis.state()).unwrap();
     assert_ne!(state, State::OperationEnabled);

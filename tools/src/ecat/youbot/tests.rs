@@ -111,7 +111,7 @@ fn youbot_homing_uses_the_current_limits_of_the_driver() {
 fn youbot_homing_without_motion_is_reported() {
     let (mut session, _) = session(AlState::Op);
     assert!(homed(&mut session, &[6]).0);
-    // Its position is forgotten while it stands at its stop.
+    // Its position is forgotten while it rests at its stop.
     let calibrated = named("calibrated").unwrap();
     call(&mut session, 6, calibrated.set(0, 0).unwrap())
         .unwrap()
