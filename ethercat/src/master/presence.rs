@@ -149,7 +149,7 @@ impl Master {
     /// A returning slave is not the one it was matched with.
     fn reject(&mut self) {
         let wrong = |unit: &&Unit| {
-            let other_identity = matches!(unit.fault, Some(Fault::Identity { .. }));
+            let other_identity = matches!(unit.recovery.fault, Some(Fault::Identity { .. }));
             other_identity && unit.step() == Step::Failed
         };
         let found = self
@@ -184,7 +184,7 @@ impl Master {
         let strangers = self.presence.strangers;
         let known = present().count() + usize::from(strangers);
         let expected = present()
-            .map(|unit| unit.shown)
+            .map(|unit| unit.status.shown)
             .fold(u8::from(strangers > 0), |or, state| or | state);
         if usize::from(count) == known && states & 0x1F == expected {
             self.presence.pause = 0;
@@ -329,7 +329,7 @@ impl Master {
         let alike = missing().filter(|other| kind(other) == kind(unit)).count();
         // Slaves of another kind that were never present are not awaited.
         let never = missing()
-            .filter(|other| other.spec.optional && !other.known && kind(other) != kind(unit))
+            .filter(|other| other.spec.optional && !other.is_known() && kind(other) != kind(unit))
             .count();
         let all_back = usize::from(self.presence.counted) + never >= self.units.len();
         let is_line = || {
@@ -549,7 +549,7 @@ impl Master {
 /// The kind of a slave; if its SII was never read, its configured location.
 fn kind(unit: &Unit) -> (u32, u32, Option<&Location>) {
     let read = &unit.info.identity;
-    if unit.known {
+    if unit.is_known() {
         (read.vendor, read.product, None)
     } else {
         (0, 0, Some(&unit.spec.location))

@@ -92,8 +92,8 @@ impl Rig {
                 format!(
                     "{:?} {} {:?} at {:?}",
                     unit.step(),
-                    unit.al,
-                    unit.fault,
+                    unit.status.al,
+                    unit.recovery.fault,
                     unit.position
                 )
             })

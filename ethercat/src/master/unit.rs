@@ -3,146 +3,43 @@
 //! master decides in which frame a datagram is sent.
 
 mod clock;
+mod datagram;
 mod identity;
 mod info;
 mod jobs;
 mod learn;
+mod local_clock;
 mod mailbox;
 mod objects;
+mod op;
 mod operation;
+mod queue;
+mod recovery;
+mod start;
+mod status;
 mod steps;
 mod transfer;
 mod watch;
 
-use std::collections::VecDeque;
 use std::time::Duration;
 
-use super::event::{Event, Fault, JobError, Outbox};
-use super::image::Image;
-use super::job::{Job, JobKind};
-use super::process::{Assignment, ProcessData};
-use crate::config::{MasterConfig, SlaveSpec, Timeouts};
-use crate::{AlState, AlStatus, AlStatusCode};
-
-pub use info::{Port as PortState, SlaveInfo};
-use jobs::{JOBS_MAX, OWN};
+use super::event::{Event, Fault, Outbox};
+use super::process::ProcessData;
+use crate::config::{MasterConfig, Timeouts, SlaveSpec};
+use crate::{AlState, AlStatusCode};
+use datagram::{Pending, Turn};
+use local_clock::{ClockChange, UnitClock};
 use mailbox::Mailbox;
-use operation::Op;
-pub(super) use steps::Step;
+use op::{Op, Operation};
+use queue::Jobs;
+use recovery::Recovery;
+use start::Start;
+use status::Status;
+
+pub(super) use datagram::{Answer, Context, Request};
+pub use info::{Port as PortState, SlaveInfo};
+pub(super) use start::{Gate, Step};
 pub use watch::PortCounters;
-
-/// A datagram that a slave's state machine requests.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Request<'a> {
-    Read { at: u16, len: u16 },
-    Write { at: u16, data: &'a [u8] },
-}
-
-impl<'a> Request<'a> {
-    const fn read(at: u16, len: u16) -> Self {
-        Self::Read { at, len }
-    }
-
-    const fn write(at: u16, data: &'a [u8]) -> Self {
-        Self::Write { at, data }
-    }
-}
-
-/// The result of a datagram.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Answer<'a> {
-    /// Its frame was lost.
-    Lost,
-    /// It returned.
-    Data { counter: u16, data: &'a [u8] },
-}
-
-/// What a slave's state machine knows of the segment.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Context<'a> {
-    pub(super) now: Duration,
-    /// When the frame of this answer was sent.
-    pub(super) sent_at: Duration,
-    /// System time of the reference clock as the frame of this answer passed it, ns.
-    pub(super) reference_ns: Option<u64>,
-    /// The slave whose clock is the reference.
-    pub(super) reference: Option<usize>,
-    pub(super) config: &'a MasterConfig,
-    pub(super) image: &'a Image,
-}
-
-impl Context<'_> {
-    /// Capacity of a mailbox datagram, beside the image if that is exchanged, bytes.
-    fn mailbox_capacity(&self) -> usize {
-        if self.config.goal == AlState::PreOp {
-            Image::default().mailbox_capacity()
-        } else {
-            self.image.mailbox_capacity()
-        }
-    }
-}
-
-/// The purpose of a pending datagram.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Pending {
-    /// No pending datagram.
-    #[default]
-    Nothing,
-    Operation,
-    Mailbox,
-    Watch,
-    /// For an operation that was aborted.
-    Past,
-}
-
-/// The step up to which a slave may proceed by itself.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Gate {
-    /// Until it is identified.
-    #[default]
-    Identity,
-    /// Until its process data is known.
-    Process,
-    /// Up to its goal.
-    Goal,
-}
-
-/// The clock of a slave.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct UnitClock {
-    /// Receive times of its ports, as latched at start, ns of local time.
-    pub(super) times: [u32; 4],
-    /// The receive times were read.
-    pub(super) latched: bool,
-    /// Propagation delay from the reference, ns.
-    pub(super) delay_ns: u32,
-    /// Offset added to its local time, ns.
-    offset: u64,
-    /// System time difference as last read, ns; positive is ahead.
-    pub(super) difference_ns: Option<i32>,
-    /// Differences beyond the window since it was locked.
-    pub(super) violations: u64,
-    /// Consecutive differences beyond the window.
-    outside: u8,
-    /// It follows the reference.
-    pub(super) locked: bool,
-    /// First SYNC0, system time, ns.
-    pub(super) start_ns: Option<u64>,
-}
-
-impl UnitClock {
-    /// A locked clock is outside of the window for longer than noise explains.
-    pub(super) const fn is_lost(&self) -> bool {
-        self.outside >= OUTSIDE
-    }
-}
-
-/// Consecutive differences beyond the window after which a clock is reported as lost.
-const OUTSIDE: u8 = 3;
-/// Firmware that shows OP may still be enabling its SyncManagers; after this time its working counter must be complete.
-const COUNT_GRACE: Duration = Duration::from_millis(100);
-/// Longest write to registers, bytes.
-const WRITE_MAX: usize = 256;
 
 /// A slave.
 #[derive(Debug)]
@@ -157,59 +54,19 @@ pub(super) struct Unit {
     /// The process data is known and has a region in the image.
     pub(super) mapped: bool,
     pub(super) gate: Gate,
-    step: Step,
-    op: Op,
-    since: Duration,
-    misses: u8,
-    /// The purpose of the pending datagram.
-    waiting: Pending,
-    /// The purpose of the datagram that was last offered.
-    offered: Pending,
-    write: [u8; WRITE_MAX],
-    write_len: usize,
-    sii: Vec<u8>,
-    assignments: Vec<Assignment>,
-    /// The first assignment that was refused; whether it matters shows when the PDOs are read back.
-    refused: Option<Fault>,
-    learn: learn::Learn,
-    /// Buffer for the transfers of the steps.
-    scratch: Vec<u8>,
+    start: Start,
+    operation: Operation,
+    turn: Turn,
     mailbox: Mailbox,
-    jobs: VecDeque<Job>,
-    /// A register job, while its operation runs.
-    job: Option<Job>,
-    /// Interpreted AL status, and its code.
-    pub(super) al: AlStatus,
-    pub(super) code: AlStatusCode,
-    /// The lower five bits of AL status as read, for the census.
-    pub(super) shown: u8,
-    /// SII status as last read.
-    sii_status: u16,
-    pub(super) fault: Option<Fault>,
-    failures: u8,
-    again: Duration,
-    /// Time at which it last reached its goal.
-    reached_at: Duration,
-    /// The working counter was complete since then.
-    counted: bool,
-    /// It has reached its goal and holds its set-up.
-    set_up: bool,
-    /// Its SII was read.
-    pub(super) known: bool,
-    /// Consecutive good answers.
-    streak: u8,
+    jobs: Jobs,
+    pub(super) status: Status,
+    pub(super) recovery: Recovery,
     pub(super) clock: UnitClock,
     watch: watch::Watch,
 }
 
 impl Unit {
     pub(super) fn new(number: usize, station: u16, spec: SlaveSpec, config: &MasterConfig) -> Self {
-        let longest = spec
-            .startup
-            .iter()
-            .map(|sdo| sdo.data.len())
-            .max()
-            .unwrap_or(0);
         Self {
             number,
             station,
@@ -218,34 +75,13 @@ impl Unit {
             process: ProcessData::default(),
             mapped: false,
             gate: Gate::Identity,
-            step: Step::Absent,
-            op: Op::Rest,
-            since: Duration::ZERO,
-            misses: 0,
-            waiting: Pending::Nothing,
-            offered: Pending::Nothing,
-            write: [0; WRITE_MAX],
-            write_len: 0,
-            sii: Vec::new(),
-            assignments: Vec::new(),
-            refused: None,
-            learn: learn::Learn::default(),
-            scratch: Vec::with_capacity(longest.max(16)),
+            start: Start::default(),
+            operation: Operation::default(),
+            turn: Turn::default(),
             mailbox: Mailbox::new(spec.timeouts.unwrap_or(config.timeouts)),
-            jobs: VecDeque::with_capacity(JOBS_MAX),
-            job: None,
-            al: AlStatus::default(),
-            code: AlStatusCode::default(),
-            shown: 0,
-            sii_status: 0,
-            fault: None,
-            failures: 0,
-            again: Duration::ZERO,
-            reached_at: Duration::ZERO,
-            counted: false,
-            set_up: false,
-            known: false,
-            streak: 0,
+            jobs: Jobs::new(&spec),
+            status: Status::default(),
+            recovery: Recovery::default(),
             clock: UnitClock::default(),
             watch: watch::Watch::default(),
             spec,
@@ -259,13 +95,7 @@ impl Unit {
 
     /// Assigns a detected slave to its entry in the configuration.
     pub(super) fn assign(&mut self, number: usize, spec: SlaveSpec) {
-        let longest = spec
-            .startup
-            .iter()
-            .map(|sdo| sdo.data.len())
-            .max()
-            .unwrap_or(0);
-        self.scratch = Vec::with_capacity(longest.max(16));
+        self.jobs.scratch = Jobs::buffer(&spec);
         if let Some(timeouts) = spec.timeouts {
             self.mailbox.set_timeouts(timeouts);
         }
@@ -273,7 +103,7 @@ impl Unit {
     }
 
     pub(super) const fn step(&self) -> Step {
-        self.step
+        self.start.step
     }
 
     pub(super) const fn counters(&self) -> &PortCounters {
@@ -300,11 +130,11 @@ impl Unit {
 
     /// It failed more than once, so that others do not wait for it.
     pub(super) const fn has_failed(&self) -> bool {
-        matches!(self.step, Step::Failed) && self.failures >= 2
+        matches!(self.start.step, Step::Failed) && self.recovery.failures >= 2
     }
 
     pub(super) const fn is_running(&self) -> bool {
-        matches!(self.step, Step::Run)
+        matches!(self.start.step, Step::Run)
     }
 
     /// What its process data adds to the working counter of LRW, by its state: minimum and maximum.
@@ -317,8 +147,9 @@ impl Unit {
             1
         };
         let most = out + u16::from(self.process.inputs_len() > 0);
-        let settled = self.counted || now.saturating_sub(self.reached_at) > COUNT_GRACE;
-        let is_up = self.is_running() && self.al.state == AlState::Op && !self.al.error;
+        let settled = self.recovery.is_settled(now);
+        let is_up =
+            self.is_running() && self.status.al.state == AlState::Op && !self.status.al.error;
         if self.is_present() && is_up && settled {
             (most, most)
         } else {
@@ -330,12 +161,12 @@ impl Unit {
 
     /// The working counter of its group was complete: from now on its share is required.
     pub(super) const fn take_part(&mut self) {
-        self.counted = self.is_running();
+        self.recovery.counted = self.is_running();
     }
 
     /// A slave is present and starts from INIT.
     pub(super) fn begin(&mut self, cx: &Context<'_>, out: &mut Outbox) {
-        self.fault = None;
+        self.recovery.fault = None;
         self.enter(Step::Init, cx, out);
     }
 
@@ -350,9 +181,9 @@ impl Unit {
     pub(super) fn lose(&mut self, out: &mut Outbox) {
         self.position = None;
         self.show(0, AlStatusCode::default());
-        (self.clock.locked, self.clock.outside) = (false, 0);
-        (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Pending::Nothing);
-        self.fault = Some(Fault::Lost);
+        self.clock.unlock();
+        self.rest();
+        self.recovery.fault = Some(Fault::Lost);
         out.event(Event::Fault {
             slave: self.number,
             fault: Fault::Lost,
@@ -360,36 +191,43 @@ impl Unit {
         self.abandon(out);
     }
 
+    /// Nothing runs, and no datagram is pending.
+    fn rest(&mut self) {
+        (self.start.step, self.operation.op) = (Step::Absent, Op::Rest);
+        self.turn = Turn::default();
+    }
+
+    /// Handles AL status as read.
+    fn show(&mut self, status: u16, code: AlStatusCode) {
+        self.status.show(status, code, self.info.mirrors());
+    }
+
+    /// Whether its SII was read.
+    pub(super) const fn is_known(&self) -> bool {
+        self.start.known
+    }
+
     /// A different slave appeared in its position.
     pub(super) fn release(&mut self) {
         self.position = None;
         self.show(0, AlStatusCode::default());
-        (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Pending::Nothing);
+        self.rest();
     }
 
     /// It failed to reach its goal.
     pub(super) fn fail(&mut self, fault: Fault, cx: &Context<'_>, out: &mut Outbox) {
-        if matches!(self.step, Step::Run)
-            && cx.now.saturating_sub(self.reached_at) > Duration::from_secs(1)
-        {
-            self.failures = 0;
-        }
-        let wait = self.timeouts(cx.config).again * (1 << self.failures.min(5));
-        self.failures = self.failures.saturating_add(1);
-        self.again = cx.now + wait;
+        let wait = self.timeouts(cx.config).again;
         // A repeated fault is reported once.
-        if self.fault != Some(fault) {
+        if self.recovery.fail(fault, self.is_running(), wait, cx.now) {
             out.event(Event::Fault {
                 slave: self.number,
                 fault,
             });
         }
-        self.fault = Some(fault);
-        (self.step, self.op, self.since) = (Step::Failed, Op::Rest, cx.now);
+        (self.start.step, self.operation.op, self.operation.since) =
+            (Step::Failed, Op::Rest, cx.now);
         // Its operation is aborted, so that the retry does not wait for it.
-        if let Some(job) = self.job.take() {
-            self.give_back(job, Err(JobError::Absent), out);
-        }
+        self.jobs.abort_current(out);
     }
 
     /// Handles its state as the census or an inspection read it.
@@ -401,7 +239,7 @@ impl Unit {
         out: &mut Outbox,
     ) {
         self.show(status, code);
-        let al = self.al;
+        let al = self.status.al;
         let wanted = self.goal(cx.config);
         if self.is_running() && (al.error || al.state != wanted) {
             self.fail(
@@ -421,7 +259,10 @@ impl Unit {
         if !self.is_present() {
             return;
         }
-        if matches!(self.step, Step::Failed) && cx.now >= self.again && self.job.is_none() {
+        if matches!(self.start.step, Step::Failed)
+            && cx.now >= self.recovery.again
+            && self.jobs.current.is_none()
+        {
             self.enter(Step::Check, cx, out);
         }
         if let Some(output) = self.mailbox.check(cx.now) {
@@ -437,33 +278,33 @@ impl Unit {
     /// Whether no operation of the steps runs.
     fn is_at_rest(&self) -> bool {
         matches!(
-            self.step,
+            self.start.step,
             Step::Run | Step::Failed | Step::Identified | Step::Configured
-        ) && self.op == Op::Rest
+        ) && self.operation.is_at_rest()
     }
 
     /// Whether a datagram other than one of the watch is due.
     pub(super) fn is_busy(&self) -> bool {
-        self.waiting == Pending::Nothing
+        self.turn.is_free()
             && self.is_present()
-            && (self.op != Op::Rest || !self.mailbox.is_idle())
+            && (!self.operation.is_at_rest() || !self.mailbox.is_idle())
     }
 
     /// The next datagram, if none is pending: of an operation, of the mailbox or, in its turn, of the watch.
     pub(super) fn request(&mut self, watch: bool) -> Option<Request<'_>> {
-        if self.waiting != Pending::Nothing || !self.is_present() {
+        if !self.turn.is_free() || !self.is_present() {
             return None;
         }
-        if !matches!(self.op, Op::Rest | Op::Mailbox) {
-            self.offered = Pending::Operation;
+        if !matches!(self.operation.op, Op::Rest | Op::Mailbox) {
+            self.turn.offer(Pending::Operation);
             return self.operation_request();
         }
         if self.mailbox.request().is_some() {
-            self.offered = Pending::Mailbox;
+            self.turn.offer(Pending::Mailbox);
             return self.mailbox.request();
         }
         if watch && self.is_running() {
-            self.offered = Pending::Watch;
+            self.turn.offer(Pending::Watch);
             return self
                 .watch
                 .request(self.mailbox.exists(), self.info.has_clock());
@@ -473,12 +314,12 @@ impl Unit {
 
     /// The offered datagram was put into a frame.
     pub(super) const fn sent(&mut self) {
-        self.waiting = self.offered;
+        self.turn.sent();
     }
 
     /// Handles the result of the pending datagram.
     pub(super) fn handle(&mut self, answer: Answer<'_>, cx: &Context<'_>, out: &mut Outbox) {
-        match std::mem::take(&mut self.waiting) {
+        match self.turn.take() {
             Pending::Nothing | Pending::Past => {}
             Pending::Operation => self.operation_answer(answer, cx, out),
             Pending::Watch => self.watched(answer, cx, out),
@@ -502,25 +343,16 @@ impl Unit {
         }
     }
 
-    /// A locked clock that is outside of the window three times in a row is reported once. The slave itself leaves OP
-    /// when it cannot continue.
+    /// A clock that is lost is reported once. The slave itself leaves OP when it cannot continue.
     fn judge_clock(&mut self, difference_ns: i32, cx: &Context<'_>, out: &mut Outbox) {
-        let clock = &mut self.clock;
-        clock.difference_ns = Some(difference_ns);
-        if difference_ns.unsigned_abs() <= cx.config.clocks.window_ns {
-            if clock.is_lost() {
-                out.event(Event::ClockBack { slave: self.number });
-            }
-            (clock.locked, clock.outside) = (true, 0);
-        } else if clock.locked {
-            clock.violations += 1;
-            clock.outside = clock.outside.saturating_add(1);
-            if clock.outside == OUTSIDE {
-                out.event(Event::ClockLost {
-                    slave: self.number,
-                    difference_ns,
-                });
-            }
+        let slave = self.number;
+        match self.clock.judge(difference_ns, cx.config.clocks.window_ns) {
+            None => {}
+            Some(ClockChange::Back) => out.event(Event::ClockBack { slave }),
+            Some(ClockChange::Lost) => out.event(Event::ClockLost {
+                slave,
+                difference_ns,
+            }),
         }
     }
 }

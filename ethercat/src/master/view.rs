@@ -56,7 +56,7 @@ impl<'a> SlaveView<'a> {
     /// Its state as last read, and the code of an error.
     #[must_use]
     pub const fn al(&self) -> (AlStatus, AlStatusCode) {
-        (self.unit.al, self.unit.code)
+        (self.unit.status.al, self.unit.status.code)
     }
 
     /// Whether it has reached its goal.
@@ -68,7 +68,7 @@ impl<'a> SlaveView<'a> {
     /// Why it has not reached its goal.
     #[must_use]
     pub const fn fault(&self) -> Option<Fault> {
-        self.unit.fault
+        self.unit.recovery.fault
     }
 
     /// Errors of its ports since the start.

@@ -236,9 +236,9 @@ impl CellConfig {
             path: path.to_owned(),
             source,
         })?;
-        let mut cell = Self::of_text(&text).map_err(|what| Error::Config {
+        let mut cell = Self::of_text(&text).map_err(|why| Error::Config {
             path: path.to_owned(),
-            what,
+            why,
         })?;
         if let (Some(costs), Some(folder)) = (&mut cell.controller.costs, path.parent()) {
             *costs = folder.join(&*costs);

@@ -84,9 +84,9 @@ impl CostTable {
             path: path.to_owned(),
             source,
         })?;
-        Self::parse(&text).map_err(|what| Error::Config {
+        Self::parse(&text).map_err(|why| Error::Config {
             path: path.to_owned(),
-            what,
+            why,
         })
     }
 
@@ -192,9 +192,9 @@ pub(crate) fn registry(path: Option<&Path>) -> Result<Registry, Error> {
         return Ok(registry);
     };
     let table = CostTable::read(path)?;
-    table.check_host().map_err(|what| Error::Config {
+    table.check_host().map_err(|why| Error::Config {
         path: path.to_owned(),
-        what,
+        why,
     })?;
     let unknown = registry.set_costs(table.costs());
     if !unknown.is_empty() {

@@ -39,11 +39,11 @@ pub enum Error {
     #[error("there is no session {0}")]
     NoSuchSession(String),
     /// The net is in the wrong state for the request.
-    #[error("net {net} is {state}; {what}")]
+    #[error("net {net} is {state}; {hint}")]
     WrongState {
         net: NetId,
         state: NetState,
-        what: &'static str,
+        hint: &'static str,
     },
     /// A resource of the net is in use.
     #[error("net {net} needs {resource}, which another running net holds; end that net first")]
@@ -99,8 +99,8 @@ pub enum Error {
         waiting: String,
     },
     /// A rule's condition is invalid.
-    #[error("condition: {what}")]
-    Condition { what: String },
+    #[error("condition: {why}")]
+    Condition { why: String },
     /// A device that the net commands does not follow commands.
     #[error("net {net} commands {device}, which is {status}; wait until it is operational")]
     DeviceNotReady {
@@ -109,15 +109,15 @@ pub enum Error {
         status: String,
     },
     /// A text is not a value of the in value's type.
-    #[error("net {net}, value {key}: {what}")]
+    #[error("net {net}, value {key}: {why}")]
     Value {
         net: NetId,
         key: String,
-        what: String,
+        why: String,
     },
     /// A limit of the controller is reached.
-    #[error("{what}: at most {bound}; unload or end some first")]
-    TooMany { what: &'static str, bound: usize },
+    #[error("{item}: at most {bound}; unload or end some first")]
+    TooMany { item: &'static str, bound: usize },
     /// The net thread did not answer a command.
     #[error("the net thread did not answer within {0:?}; it hangs or starves (see `takt jitter`)")]
     NoAnswer(std::time::Duration),
@@ -128,10 +128,10 @@ pub enum Error {
     Stopped { by: String },
     /// The stop channel cannot be opened.
     #[error(
-        "cannot open the stop channel at {what}: {source}; choose another `stop` or `stop_socket` under [controller]"
+        "cannot open the stop channel at {address}: {source}; choose another `stop` or `stop_socket` under [controller]"
     )]
     StopChannel {
-        what: String,
+        address: String,
         source: std::io::Error,
     },
     /// The controller is shutting down.
@@ -166,9 +166,9 @@ pub enum Error {
     #[error("cell: {0}")]
     Cell(String),
     /// A configuration file is invalid.
-    #[error("{path}: {what}")]
-    Config { path: PathBuf, what: String },
+    #[error("{path}: {why}")]
+    Config { path: PathBuf, why: String },
     /// A recording is damaged or of another kind.
-    #[error("{path}: {what}")]
-    Recording { path: PathBuf, what: String },
+    #[error("{path}: {why}")]
+    Recording { path: PathBuf, why: String },
 }

@@ -3,29 +3,30 @@
 //! live thread around it is in [`thread`], and what happens between nets in [`rules`].
 
 pub mod figures;
+mod image;
+mod life;
 pub mod links;
-mod place;
 mod resources;
 pub mod rules;
+mod running;
 pub mod serve;
+mod start;
 pub mod stop;
 pub mod thread;
 mod withdraw;
 
-use std::sync::Arc;
-
 use std::ops::Range;
 
 use takt_net::device::Layout;
-use takt_net::{Image, Moment, Plan};
+use takt_net::{Image, Moment};
 use takt_rt::Nanos;
-use takt_rt::latest::{LatestReader, LatestWriter};
 
 use crate::device::DeviceStatus;
-use crate::stop_channel::Generation;
-use figures::{NetCounters, RUNAWAY_AFTER};
+use life::{Cancel, Change, StartReport};
 
+pub use life::End;
 pub use resources::ResourceSet;
+pub use running::Running;
 
 /// Maximum number of running nets of one thread.
 pub const RUNNING_MAX: usize = 256;
@@ -53,26 +54,9 @@ impl DeviceView {
     }
 }
 
-/// Why a net ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum End {
-    /// It signalled its termination.
-    Terminated,
-    /// It was aborted.
-    Aborted,
-    /// The whole controller was stopped.
-    Halted,
-    /// A synchronization rule stopped it.
-    Stopped,
-    /// Its evaluation took longer than a period of its thread, [`RUNAWAY_AFTER`] times in a row.
-    Runaway,
-    /// A device that it commands, by its number, stopped following commands.
-    DeviceFault(usize),
-}
-
 /// Why a net could not be started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refusal {
+pub enum StartError {
     /// Another running net holds this resource.
     ResourceInUse(usize),
     /// This resource is kept for a scheduled net.
@@ -103,163 +87,6 @@ pub enum Effect {
     Cancelled,
     /// It is evaluated from the next cycle on.
     Started,
-}
-
-/// A net in the thread that evaluates it.
-#[derive(Debug)]
-pub struct Running {
-    /// Its number.
-    pub id: u32,
-    /// The net.
-    pub plan: Plan,
-    /// Resources that it needs.
-    pub resources: ResourceSet,
-    /// Devices it commands, with the faults they had when it started; until then, with their epoch when it was scheduled.
-    pub devices: Vec<(usize, u64)>,
-    /// Its period in cycles of its thread.
-    every: u64,
-    /// Cost bound of one of its cycles, as declared by its primitives.
-    pub cost: Nanos,
-    /// Stop generation under which its start was requested.
-    pub requested: Generation,
-    /// Whether its cancel was requested.
-    pub cancel: bool,
-    /// Whether a successor waits for it.
-    pub takeover: bool,
-    /// Whether a rule started it in this cycle.
-    fresh: bool,
-    /// Whether a rule started it and the event was not sent yet.
-    untold: bool,
-    /// Whether a rule cancelled it and the event was not sent yet.
-    fresh_cancel: bool,
-    /// Whether it took over from another net and was not evaluated yet.
-    succeeds: bool,
-    /// The reason of its end after this cycle, if it ends.
-    end: Option<End>,
-    /// Whether its commands are withdrawn, or about to be.
-    leaves: bool,
-    /// Whether it was evaluated in this cycle.
-    evaluated: bool,
-    /// The group of `every` cycles in which it was last checked.
-    last_group: Option<u64>,
-    counters: Arc<NetCounters>,
-    /// Period of its thread, and the budget of an evaluation.
-    period: Nanos,
-    budget: Nanos,
-    /// Evaluations in a row that took longer than `period`.
-    too_long: u32,
-    out: LatestWriter<Box<[u64]>>,
-    inbox: LatestReader<Box<[u64]>>,
-    inbox_seen: u64,
-    /// Its exchange with other nets and with tap recordings.
-    pub links: links::Links,
-}
-
-impl Running {
-    /// A net that was never evaluated.
-    #[must_use]
-    pub fn new(
-        id: u32,
-        plan: Plan,
-        out: LatestWriter<Box<[u64]>>,
-        inbox: LatestReader<Box<[u64]>>,
-    ) -> Self {
-        let period = plan.period();
-        let (links, _) = links::links(&plan);
-        let cost = plan.cost().total.into();
-        Self {
-            id,
-            links,
-            plan,
-            counters: Arc::default(),
-            period: period.into(),
-            budget: figures::budget(period).into(),
-            too_long: 0,
-            resources: ResourceSet::default(),
-            devices: Vec::new(),
-            every: 1,
-            cost,
-            requested: Generation::default(),
-            cancel: false,
-            takeover: false,
-            fresh: false,
-            untold: false,
-            fresh_cancel: false,
-            succeeds: false,
-            end: None,
-            leaves: false,
-            evaluated: false,
-            last_group: None,
-            out,
-            inbox,
-            inbox_seen: 0,
-        }
-    }
-
-    /// Sets its period in cycles of its thread; the thread's own period limits the duration of each evaluation.
-    pub fn set_every(&mut self, every: u64) {
-        self.every = every.max(1);
-        let thread = self.plan.period() / u32::try_from(self.every).unwrap_or(u32::MAX);
-        (self.period, self.budget) = (thread.into(), figures::budget(thread).into());
-    }
-
-    /// Whether it is evaluated in this cycle: the first of each group of `every`, or the
-    /// first that the thread did not miss.
-    fn is_due(&mut self, cycle: u64) -> bool {
-        let group = cycle / self.every;
-        match self.last_group.replace(group) {
-            None => cycle.is_multiple_of(self.every),
-            Some(last) => last != group,
-        }
-    }
-
-    /// Returns and clears whether its start by a rule was not sent yet.
-    const fn take_untold(&mut self) -> bool {
-        std::mem::replace(&mut self.untold, false)
-    }
-
-    /// Its counters, which keep counting.
-    #[must_use]
-    pub const fn counters(&self) -> &Arc<NetCounters> {
-        &self.counters
-    }
-
-    /// Counts an evaluation; too many overlong ones in a row end the net.
-    fn account(&mut self, took: Nanos) {
-        self.counters.evaluated(took, self.budget);
-        self.too_long = if took > self.period {
-            self.too_long + 1
-        } else {
-            0
-        };
-        if self.too_long >= RUNAWAY_AFTER {
-            self.end = self.end.or(Some(End::Runaway));
-        }
-    }
-
-    /// Applies values that programs and other nets wrote since the last cycle; returns whether there were
-    /// any.
-    pub fn receive(&mut self) -> bool {
-        let given = self.links.receive(&self.plan);
-        let version = self.inbox.version();
-        if version == self.inbox_seen {
-            return given;
-        }
-        self.inbox_seen = version;
-        let (plan, links) = (&self.plan, &mut self.links);
-        self.inbox.read_with(|words| links.import(plan, words));
-        true
-    }
-
-    /// Publishes its out values if they changed; returns whether they did.
-    fn publish(&mut self) -> bool {
-        let changed = self.plan.take_changed();
-        if changed {
-            let plan = &self.plan;
-            self.out.write_with(|words| plan.export(words));
-        }
-        changed
-    }
 }
 
 /// The running nets of one thread and the devices they see.
@@ -325,33 +152,12 @@ impl Executor {
         self.rules.work()
     }
 
-    /// Starts a net. It is evaluated from the next [`Self::cycle`] on.
-    ///
-    /// # Errors
-    /// If it cannot run now; the net comes back with the reason.
-    pub fn start(&mut self, mut net: Box<Running>) -> Result<(), (Box<Running>, Refusal)> {
-        if !self.has_capacity(self.going_on().count(), 1) {
-            return Err((net, Refusal::TooMany));
-        }
-        if let Some(refusal) = self.blocked(&net) {
-            return Err((net, refusal));
-        }
-        for i in 0..net.devices.len() {
-            let number = net.devices[i].0;
-            let view = self.devices.get(number).copied().unwrap_or_default();
-            if !view.is_ready() {
-                return Err((net, Refusal::DeviceNotReady(number)));
-            }
-            net.devices[i].1 = view.faults;
-        }
-        self.running.push(net);
-        Ok(())
-    }
-
     /// Requests a net to cancel, from the next cycle on. Returns whether it runs.
     pub fn cancel(&mut self, id: u32) -> bool {
         self.find(id).is_some_and(|net| {
-            net.cancel = true;
+            if net.cancel == Cancel::None {
+                net.cancel = Cancel::Requested;
+            }
             true
         })
     }
@@ -359,7 +165,7 @@ impl Executor {
     /// Ends a net before the next cycle. Returns whether it runs.
     pub fn abort(&mut self, id: u32) -> bool {
         self.find(id).is_some_and(|net| {
-            net.end = Some(End::Aborted);
+            net.change(Change::Abort);
             true
         })
     }
@@ -367,8 +173,8 @@ impl Executor {
     /// Ends all nets before the next cycle and deactivates all rules; calls `ended` with each running net. Scheduled
     /// nets are returned on request.
     pub fn halt(&mut self, mut ended: impl FnMut(u32)) {
-        for net in self.running.iter_mut().filter(|net| net.end.is_none()) {
-            net.end = Some(End::Halted);
+        for net in self.running.iter_mut().filter(|net| net.is_going_on()) {
+            net.change(Change::End(End::Halted));
             ended(net.id);
         }
         self.rules.halt();
@@ -377,36 +183,7 @@ impl Executor {
     /// The running nets that do not end in this cycle.
     fn going_on(&self) -> impl Iterator<Item = &Running> {
         let nets = self.running.iter().map(|net| &**net);
-        nets.filter(|net| net.end.is_none())
-    }
-
-    /// Whether `RUNNING_MAX` permits so many more nets beside so many.
-    fn has_capacity(&self, going_on: usize, more: usize) -> bool {
-        going_on + more <= RUNNING_MAX && self.running.len() + more <= BUCKETS
-    }
-
-    /// Resources held by running nets.
-    fn held(&self) -> ResourceSet {
-        let mut held = ResourceSet::default();
-        for net in &self.running {
-            held.add(&net.resources);
-        }
-        held
-    }
-
-    /// Starts a net that was admitted before. Until its first cycle it keeps the commands of nets
-    /// that end as it starts.
-    pub fn start_by_rule(&mut self, mut net: Box<Running>) {
-        net.succeeds = true;
-        self.start_checked(net);
-    }
-
-    /// Starts a net that was admitted before, without takeover.
-    pub fn start_checked(&mut self, mut net: Box<Running>) {
-        for device in &mut net.devices {
-            device.1 = self.devices.get(device.0).map_or(0, |view| view.faults);
-        }
-        self.running.push(net);
+        nets.filter(|net| net.is_going_on())
     }
 
     /// Sets whether a successor waits for a net; returns whether that changed.
@@ -427,7 +204,7 @@ impl Executor {
 
     fn end(&mut self, id: u32, end: End) {
         if let Some(net) = self.find(id) {
-            net.end = net.end.or(Some(end));
+            net.change(Change::End(end));
         }
     }
 
@@ -457,33 +234,17 @@ impl Executor {
                     .is_none_or(|view| view.faults != *faults)
             });
             if let Some((number, _)) = failed {
-                net.end = net.end.or(Some(End::DeviceFault(*number)));
+                let end = End::DeviceFault(*number);
+                net.change(Change::End(end));
             }
-            net.evaluated = net.end.is_none() && net.is_due(moment.cycle);
-            if net.evaluated {
-                let moment = Moment {
-                    every: net.every,
-                    cancel: net.cancel,
-                    takeover: net.takeover,
-                    net: net.id,
-                    ..moment
-                };
-                if net.plan.evaluate(&self.image, moment) {
-                    net.end = Some(End::Terminated);
-                }
-                net.take_over(&self.image, moment.cycle);
-                net.links.record(&net.plan, moment.time);
-                let after = clock();
-                net.account(after - before);
-                before = after;
-            }
+            net.cycle(&self.image, moment, &mut before, &mut clock);
         }
         self.withdraw_ended();
     }
 
     /// Counts, for the nets that were evaluated, that the cycle ended too late.
     pub fn overran(&mut self) {
-        for net in self.running.iter().filter(|net| net.evaluated) {
+        for net in self.running.iter().filter(|net| net.life.is_evaluated()) {
             net.counters.overran();
         }
     }
@@ -491,7 +252,7 @@ impl Executor {
     /// Publishes out values to programs; calls `changed` with each net whose values changed.
     pub fn publish(&mut self, mut changed: impl FnMut(&Running)) {
         for net in &mut self.running {
-            if net.evaluated && net.publish() {
+            if net.life.is_evaluated() && net.publish() {
                 changed(net);
             }
         }
@@ -501,17 +262,18 @@ impl Executor {
     /// that rules stopped, cancelled or started.
     pub fn effects(&mut self, mut report: impl FnMut(u32, Effect)) {
         for net in &mut self.running {
-            if net.end == Some(End::Runaway) {
+            if net.life.end() == Some(End::Runaway) {
                 report(net.id, Effect::RanAway);
             }
-            if net.end == Some(End::Stopped) {
+            if net.life.end() == Some(End::Stopped) {
                 report(net.id, Effect::Stopped);
             }
-            if std::mem::take(&mut net.fresh_cancel) {
+            if net.cancel == Cancel::ByRule {
+                net.cancel = Cancel::Requested;
                 report(net.id, Effect::Cancelled);
             }
-            if std::mem::take(&mut net.fresh) {
-                net.untold = true;
+            if net.start_report == StartReport::Due {
+                net.start_report = StartReport::Recorded;
                 report(net.id, Effect::Started);
             }
         }
@@ -520,7 +282,7 @@ impl Executor {
     /// Reports nets that rules started since the last call.
     pub fn started(&mut self, mut report: impl FnMut(u32)) {
         for net in &mut self.running {
-            if net.take_untold() {
+            if net.take_start_report() {
                 report(net.id);
             }
         }
@@ -531,12 +293,13 @@ impl Executor {
         &mut self,
         take: impl FnOnce(Box<Running>, End) -> Result<(), Box<Running>>,
     ) -> bool {
-        let Some(at) = self.running.iter().position(|net| net.end.is_some()) else {
+        let mut running = self.running.iter();
+        let Some(at) = running.position(|net| !net.is_going_on()) else {
             return false;
         };
         let mut net = self.running.remove(at);
         self.leaving.note(&mut net);
-        let end = net.end.unwrap_or(End::Aborted);
+        let end = net.life.end().unwrap_or(End::Aborted);
         match take(net, end) {
             Ok(()) => true,
             Err(net) => {

@@ -317,9 +317,9 @@ impl Recorder {
     /// If the file could not be written, or cycles were lost.
     pub fn finish(mut self) -> Result<u64, Error> {
         self.stop.store(true, Ordering::Relaxed);
-        let broken = |what: String| Error::Recording {
+        let broken = |why: String| Error::Recording {
             path: self.path.clone(),
-            what,
+            why,
         };
         let cycles = match self.thread.take().map(std::thread::JoinHandle::join) {
             Some(Ok(written)) => written?,

@@ -7,7 +7,7 @@ use fixtures::{Driven, Fixture, arm_parameters, endless, parameters, watch};
 use takt_core::device::{
     ArmDescription, DeviceDescription, DeviceState, DeviceStatus, Part, parts,
 };
-use takt_core::executor::{End, Refusal};
+use takt_core::executor::{End, StartError};
 use takt_net::device::{Answer, Interfaces, Layout};
 use takt_net::{JointLimits, Vector};
 
@@ -186,7 +186,7 @@ fn two_nets_cannot_command_one_base() {
     let second = endless(&base_velocity("base", "{}"));
     let refused = fixture.try_start(2, &second, 1);
     assert!(
-        matches!(refused, Err(Refusal::ResourceInUse(_))),
+        matches!(refused, Err(StartError::ResourceInUse(_))),
         "{refused:?}"
     );
     let pose = endless(
@@ -194,7 +194,7 @@ fn two_nets_cannot_command_one_base() {
     );
     let refused = fixture.try_start(3, &pose, 1);
     assert!(
-        matches!(refused, Err(Refusal::ResourceInUse(_))),
+        matches!(refused, Err(StartError::ResourceInUse(_))),
         "{refused:?}"
     );
 }
@@ -242,7 +242,7 @@ fn base_fault_ends_commanding_net_only() {
     assert_eq!(fixture.ended.get(&2), Some(&End::DeviceFault(0)));
     assert!(!fixture.ended.contains_key(&1));
     let again = fixture.try_start(3, &endless(&base_velocity("dev", "{}")), 1);
-    assert_eq!(again, Err(Refusal::DeviceNotReady(0)));
+    assert_eq!(again, Err(StartError::DeviceNotReady(0)));
 }
 
 #[test]
@@ -490,7 +490,7 @@ fn outputs_keep_values_after_net_end() {
     }
     let second = fixture.try_start(2, &endless("o=IO::OutBool(DeviceID='io',Port='1')"), 1);
     assert!(
-        matches!(second, Err(Refusal::ResourceInUse(_))),
+        matches!(second, Err(StartError::ResourceInUse(_))),
         "{second:?}"
     );
     fixture.end(1);
@@ -820,7 +820,7 @@ fn tool_cannot_change_while_joint_moves() {
     for text in tools("1") {
         let refused = fixture.try_start(2, &endless(&text), 1);
         assert!(
-            matches!(refused, Err(Refusal::ResourceInUse(_))),
+            matches!(refused, Err(StartError::ResourceInUse(_))),
             "{refused:?}"
         );
     }
@@ -929,7 +929,7 @@ fn gripper_opens_at_speed_and_reports_completion() {
     assert!((1010..1050).contains(&fixture.cycle), "{}", fixture.cycle);
     let second = fixture.try_start(2, &endless("g=KUKA::youBot::Gripper(Robot='hand')"), 1);
     assert!(
-        matches!(second, Err(Refusal::ResourceInUse(_))),
+        matches!(second, Err(StartError::ResourceInUse(_))),
         "{second:?}"
     );
     let wide = endless("g=KUKA::youBot::Gripper(Robot='hand',Distance='0.03')");

@@ -23,7 +23,7 @@ pub use definition::{Build, Definition, Inputs, NullRule, Outputs, Primitive, fu
 pub use device::{ArmBinding, Devices, Image, JointCommand, JointLimits, JointState, NoDevices};
 pub use fault::{Fault, FaultKind, Rejection};
 pub use limits::Limits;
-pub use load::{LoadContext, load};
+pub use load::{LoadContext, Parsed, Sorted, load};
 pub use plan::{Cycle, Moment, Plan};
 pub use registry::Registry;
 pub use slots::{ArrayIn, ArrayOut, In, Out};

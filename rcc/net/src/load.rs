@@ -13,11 +13,12 @@ mod taps;
 use std::time::Duration;
 
 use crate::device::Devices;
-use crate::fault::{FAULTS_MAX, FaultKind, Rejection};
+use crate::fault::{FAULTS_MAX, Fault, FaultKind, Rejection};
 use crate::limits::Limits;
 use crate::plan::Plan;
 use crate::registry::Registry;
-use crate::text;
+use crate::text::{self, Fragment};
+use resolve::Resolved;
 
 pub use builder::Build;
 
@@ -42,39 +43,97 @@ impl std::fmt::Debug for LoadContext<'_> {
     }
 }
 
+/// The text of a net as a syntax tree.
+#[derive(Debug)]
+pub struct Parsed<'t> {
+    tree: Fragment<'t>,
+    faults: Vec<Fault>,
+}
+
+impl<'t> Parsed<'t> {
+    /// Parses a net. Its faults are reported when it is built.
+    #[must_use]
+    pub fn new(text: &'t str, limits: &Limits) -> Self {
+        let mut faults = Vec::new();
+        let tree = text::parse(text, limits, &mut faults);
+        Self { tree, faults }
+    }
+}
+
+/// A net that is parsed, resolved and sorted. It can be built for several periods: which one it gets may depend on the devices
+/// that its plan commands.
+#[derive(Debug)]
+pub struct Sorted<'t> {
+    context: LoadContext<'t>,
+    resolved: Resolved<'t>,
+    /// The order of evaluation; `None` if the text could not be parsed completely.
+    order: Option<Vec<u32>>,
+    faults: Vec<Fault>,
+}
+
+impl<'t> Sorted<'t> {
+    /// Resolves all names of a net and sorts it.
+    #[must_use]
+    pub fn new(parsed: &'t Parsed<'t>, context: &LoadContext<'t>) -> Self {
+        let mut faults = parsed.faults.clone();
+        let is_readable = faults.is_empty();
+        let resolved = resolve::resolve(&parsed.tree, context, &mut faults);
+        let order = is_readable.then(|| {
+            sort::order(&resolved.graph()).unwrap_or_else(|unordered| {
+                faults.push(resolved.cycle_fault(&unordered.cycle));
+                // Only for the parameter faults; the plan is discarded.
+                unordered.units
+            })
+        });
+        if order.is_none() {
+            // A part that cannot be parsed makes links look missing and ports unconnected.
+            faults.retain(|f| !is_consequence(&f.kind));
+        }
+        Self {
+            context: *context,
+            resolved,
+            order,
+            faults,
+        }
+    }
+
+    /// Builds the plan for a period, with that bound on the cost of a cycle.
+    ///
+    /// # Errors
+    /// All faults of the net, in text order.
+    pub fn build(&self, period: Duration, cost: Option<Duration>) -> Result<Plan, Rejection> {
+        let limits = Limits {
+            cost,
+            ..self.context.limits
+        };
+        let context = LoadContext {
+            period,
+            limits,
+            ..self.context
+        };
+        let mut faults = self.faults.clone();
+        let order = self.order.as_deref();
+        let plan = order.and_then(|it| build::build(&self.resolved, it, &context, &mut faults));
+        faults.retain(|f| f.kind != build::inherited());
+        match plan {
+            Some(plan) if faults.is_empty() => Ok(plan),
+            _ => {
+                faults.sort_by_key(|f| f.at.start);
+                faults.dedup();
+                faults.truncate(FAULTS_MAX);
+                Err(Rejection { faults })
+            }
+        }
+    }
+}
+
 /// Checks a net and builds its plan.
 ///
 /// # Errors
 /// All faults of the net, in text order.
 pub fn load(text: &str, context: &LoadContext<'_>) -> Result<Plan, Rejection> {
-    let mut faults = Vec::new();
-    let tree = text::parse(text, &context.limits, &mut faults);
-    let readable = faults.is_empty();
-    let resolved = resolve::resolve(&tree, context, &mut faults);
-    let mut plan = None;
-    // A part that cannot be parsed would make links look missing and ports unconnected.
-    if readable {
-        match sort::order(&resolved.graph()) {
-            Ok(order) => plan = build::build(&resolved, &order, context, &mut faults),
-            Err(unordered) => {
-                faults.push(resolved.cycle_fault(&unordered.cycle));
-                // Only for the parameter faults; the plan is discarded.
-                build::build(&resolved, &unordered.units, context, &mut faults);
-            }
-        }
-    } else {
-        faults.retain(|f| !is_consequence(&f.kind));
-    }
-    faults.retain(|f| f.kind != build::inherited());
-    match plan {
-        Some(plan) if faults.is_empty() => Ok(plan),
-        _ => {
-            faults.sort_by_key(|f| f.at.start);
-            faults.dedup();
-            faults.truncate(FAULTS_MAX);
-            Err(Rejection { faults })
-        }
-    }
+    let parsed = Parsed::new(text, &context.limits);
+    Sorted::new(&parsed, context).build(context.period, context.limits.cost)
 }
 
 /// Whether a fault may be only a consequence of a part that could not be parsed.
@@ -87,4 +146,42 @@ const fn is_consequence(kind: &FaultKind) -> bool {
             | FaultKind::NotConnected { .. }
             | FaultKind::NoTerminate
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoDevices;
+
+    const NET: &str = "{p=Core::CycleTime(),out=Core::DoubleNetcommOut(inValue=p.outValue,Key='p'),
+        never=Core::BooleanValue(),outTerminate=never.outValue}";
+
+    #[test]
+    fn sorted_net_builds_for_each_period() {
+        let registry = Registry::core();
+        let ms = Duration::from_millis;
+        let context = |period| LoadContext {
+            registry: &registry,
+            devices: &NoDevices,
+            period,
+            limits: Limits::default(),
+        };
+        let (parsed, any) = (Parsed::new(NET, &Limits::default()), context(ms(1)));
+        let sorted = Sorted::new(&parsed, &any);
+        for period in [ms(1), ms(4), ms(20)] {
+            let values = |mut plan: Plan| {
+                let moment = crate::Moment {
+                    cycle: 1,
+                    ..crate::Moment::default()
+                };
+                plan.evaluate(&crate::Image::default(), moment);
+                (plan.period(), plan.outbox_words().collect::<Vec<_>>())
+            };
+            let again = values(sorted.build(period, None).unwrap());
+            assert_eq!(again, values(load(NET, &context(period)).unwrap()));
+            assert_eq!(again.0, period);
+        }
+        assert!(sorted.build(ms(1), Some(Duration::from_nanos(1))).is_err());
+        assert!(sorted.build(ms(1), Some(ms(1))).is_ok());
+    }
 }

@@ -2,9 +2,11 @@
 //! [`crate::dc`].
 
 use super::super::event::{Fault, Outbox};
-use super::steps::{Prepared, Step};
+use super::op::Op;
+use super::start::Step;
+use super::steps::Prepared;
 use super::watch::difference;
-use super::{Context, Op, Unit};
+use super::{Context, Unit};
 use crate::config::{MasterConfig, Unlocked};
 use crate::{AlState, dc, register};
 
@@ -42,11 +44,11 @@ impl Unit {
     /// Proceeds as soon as the reference shows its time. A slave with SYNC signals fails after the lock timeout; a
     /// slave without does not need the time and proceeds.
     pub(super) fn pass_clock(&mut self, cx: &Context<'_>, out: &mut Outbox) {
-        let first = self.step == Step::ClockWait && cx.reference == Some(self.number);
-        let waited = cx.now.saturating_sub(self.since);
+        let first = self.start.step == Step::ClockWait && cx.reference == Some(self.number);
+        let waited = cx.now.saturating_sub(self.operation.since);
         let ready = first || cx.reference_ns.is_some() || !self.follows(cx);
         let Some(slave) = cx.reference.filter(|_| !ready) else {
-            return self.enter(self.step, cx, out);
+            return self.enter(self.start.step, cx, out);
         };
         if waited <= cx.config.clocks.lock {
             return;
@@ -63,7 +65,7 @@ impl Unit {
         let (offset, delay) = bytes.split_at_mut(8);
         offset.copy_from_slice(&self.clock.offset.to_le_bytes());
         delay.copy_from_slice(&self.clock.delay_ns.to_le_bytes());
-        self.write(register::DC_OFFSET, &bytes)
+        self.operation.write(register::DC_OFFSET, &bytes)
     }
 
     pub(super) fn lock(&mut self, cx: &Context<'_>) -> Prepared {
@@ -89,7 +91,10 @@ impl Unit {
         };
         let start = dc::start_time(now, cx.config.clocks.lead, sync.sync0, sync.shift_ns);
         self.clock.start_ns = Some(start);
-        Prepared::Do(self.write(register::DC_START_TIME, &start.to_le_bytes()))
+        Prepared::Do(
+            self.operation
+                .write(register::DC_START_TIME, &start.to_le_bytes()),
+        )
     }
 
     pub(super) fn sync(&mut self, step: Step) -> Prepared {
@@ -98,7 +103,8 @@ impl Unit {
         };
         if step == Step::SyncOn {
             return Prepared::Do(
-                self.write(register::DC_CONTROL, &sync.assign_activate.to_le_bytes()),
+                self.operation
+                    .write(register::DC_CONTROL, &sync.assign_activate.to_le_bytes()),
             );
         }
         let ns = |time: std::time::Duration| {
@@ -110,7 +116,7 @@ impl Unit {
         let (sync0, sync1) = bytes.split_at_mut(4);
         sync0.copy_from_slice(&ns(sync.sync0));
         sync1.copy_from_slice(&ns(sync.sync1));
-        Prepared::Do(self.write(register::DC_SYNC0_CYCLE, &bytes))
+        Prepared::Do(self.operation.write(register::DC_SYNC0_CYCLE, &bytes))
     }
 
     pub(super) fn take_times(&mut self, data: &[u8]) -> bool {
@@ -154,17 +160,17 @@ impl Unit {
             .map_or(i32::MAX, |four| difference(*four));
         let window_ns = cx.config.clocks.window_ns;
         self.clock.difference_ns = Some(found);
-        self.streak = if found.unsigned_abs() <= window_ns {
-            self.streak + 1
+        self.clock.streak = if found.unsigned_abs() <= window_ns {
+            self.clock.streak + 1
         } else {
             0
         };
         // It may have become the reference meanwhile, which has no difference to itself.
-        if self.streak >= LOCKED || cx.reference == Some(self.number) {
+        if self.clock.streak >= LOCKED || cx.reference == Some(self.number) {
             self.clock.locked = true;
             return true;
         }
-        if cx.now.saturating_sub(self.since) <= cx.config.clocks.lock {
+        if cx.now.saturating_sub(self.operation.since) <= cx.config.clocks.lock {
             return false;
         }
         match cx.config.clocks.unlocked {

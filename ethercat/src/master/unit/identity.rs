@@ -2,8 +2,9 @@
 
 use super::super::compare;
 use super::super::event::{Fault, Outbox};
-use super::steps::Step;
-use super::{Context, Gate, Op, ProcessData, Unit, info};
+use super::op::Op;
+use super::start::{Gate, Step};
+use super::{Context, ProcessData, Unit, info};
 use crate::sii::{self, Sii};
 
 /// Maximum number of SII words to read: 4 KiB.
@@ -12,8 +13,8 @@ const SII_WORDS_MAX: u16 = 2048;
 impl Unit {
     /// The whole SII at the first start, the identity whenever the slave returns.
     pub(super) fn read_sii(&mut self) -> Op {
-        self.sii.clear();
-        let (word, end) = if self.known {
+        self.start.sii.clear();
+        let (word, end) = if self.start.known {
             (sii::word::IDENTITY, sii::word::IDENTITY + 8)
         } else {
             (0, 0x42)
@@ -27,13 +28,13 @@ impl Unit {
     }
 
     pub(super) fn sii_read(&mut self, cx: &Context<'_>, out: &mut Outbox) {
-        if self.known {
+        if self.start.known {
             return self.recognise(cx, out);
         }
-        let have = u16::try_from(self.sii.len() / 2).unwrap_or(u16::MAX);
-        let need = info::words_needed(&self.sii).min(SII_WORDS_MAX);
+        let have = u16::try_from(self.start.sii.len() / 2).unwrap_or(u16::MAX);
+        let need = info::words_needed(&self.start.sii).min(SII_WORDS_MAX);
         if have < need {
-            self.op = Op::Sii {
+            self.operation.op = Op::Sii {
                 word: have,
                 end: need,
                 polls: false,
@@ -41,14 +42,14 @@ impl Unit {
             };
             return;
         }
-        let bytes = std::mem::take(&mut self.sii);
+        let bytes = std::mem::take(&mut self.start.sii);
         let sii = Sii::new(&bytes);
         self.info.take_sii(&sii);
         self.process = ProcessData::from_sii(&sii);
         self.mailbox
             .configure(self.info.mailbox, self.info.protocols);
-        self.sii = bytes;
-        self.known = true;
+        self.start.sii = bytes;
+        self.start.known = true;
         if self.gate == Gate::Identity {
             return self.enter(Step::Identified, cx, out);
         }
@@ -63,12 +64,12 @@ impl Unit {
         );
         let found = (self.info.identity.vendor, self.info.identity.product);
         if !compare::is_expected(&self.spec, &self.info) {
-            self.known = false;
+            self.start.known = false;
             return self.fail(Fault::Identity { expected, found }, cx, out);
         }
         self.plan(cx, out);
         self.gate = Gate::Goal;
-        if self.step != Step::Failed {
+        if self.start.step != Step::Failed {
             self.enter(Step::Identified, cx, out);
         }
     }
@@ -76,7 +77,7 @@ impl Unit {
     /// It must be the same slave as before.
     pub(super) fn recognise(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         let number = |at: usize| {
-            let four = self.sii.get(at..).and_then(|rest| rest.first_chunk());
+            let four = self.start.sii.get(at..).and_then(|rest| rest.first_chunk());
             four.map_or(0, |four| u32::from_le_bytes(*four))
         };
         let found = (number(0), number(4));
@@ -90,10 +91,10 @@ impl Unit {
 
     /// Its configuration is known: determines its process data.
     pub(in crate::master) fn plan(&mut self, cx: &Context<'_>, out: &mut Outbox) {
-        let bytes = std::mem::take(&mut self.sii);
+        let bytes = std::mem::take(&mut self.start.sii);
         let planned = self.process.want(&self.spec, &Sii::new(&bytes));
-        self.sii = bytes;
-        self.assignments = if self.mailbox.speaks_coe() {
+        self.start.sii = bytes;
+        self.start.assignments = if self.mailbox.speaks_coe() {
             self.process.assignments(&self.spec)
         } else {
             Vec::new()

@@ -18,8 +18,9 @@
 use std::time::Duration;
 
 use super::super::event::JobError;
+use super::super::job::JobKind;
+use super::datagram::{Answer, Request};
 use super::transfer::{Progress, Transfer, protocol};
-use super::{Answer, Request};
 use crate::config::Timeouts;
 use crate::register;
 use crate::sii::MailboxAreas;
@@ -178,7 +179,7 @@ impl Mailbox {
     pub(super) fn begin(
         &mut self,
         transfer: Transfer,
-        kind: super::JobKind,
+        kind: JobKind,
         capacity: usize,
         now: Duration,
     ) -> Option<Output> {

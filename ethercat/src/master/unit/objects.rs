@@ -4,15 +4,17 @@ use takt_cia402::dictionary::{AbortCode, Address};
 
 use super::super::event::{Fault, JobError, Outbox};
 use super::super::job::{Job, JobKind};
-use super::steps::{Prepared, Step};
+use super::queue::OWN;
+use super::start::Step;
+use super::steps::Prepared;
 use super::transfer::Transfer;
-use super::{Context, OWN, Unit, learn};
+use super::{Context, Unit, learn};
 use crate::coe::Whole;
 
 impl Unit {
     /// Starts a transfer of this step, in the reserved buffer.
     pub(super) fn own(&mut self, kind: JobKind) -> Prepared {
-        let data = std::mem::take(&mut self.scratch);
+        let data = std::mem::take(&mut self.jobs.scratch);
         let job = Job {
             slave: OWN,
             kind,
@@ -27,18 +29,23 @@ impl Unit {
             return Prepared::Skip;
         };
         let (address, whole) = (sdo.address, sdo.whole);
-        self.scratch.clear();
-        self.scratch.extend_from_slice(&sdo.data);
+        self.jobs.scratch.clear();
+        self.jobs.scratch.extend_from_slice(&sdo.data);
         self.own(JobKind::Download { address, whole })
     }
 
     pub(super) fn assignment(&mut self, at: usize) -> Prepared {
-        let Some(assignment) = self.assignments.get(at).filter(|_| self.refused.is_none()) else {
+        let Some(assignment) = self
+            .start
+            .assignments
+            .get(at)
+            .filter(|_| self.start.refused.is_none())
+        else {
             return Prepared::Skip;
         };
         let address = assignment.address;
-        self.scratch.clear();
-        assignment.bytes(&mut self.scratch);
+        self.jobs.scratch.clear();
+        assignment.bytes(&mut self.jobs.scratch);
         self.own(JobKind::Download {
             address,
             whole: Whole::Entry,
@@ -47,7 +54,7 @@ impl Unit {
 
     /// The fault of a refused write of the PDO set-up, with the mapped or assigned object if there is one.
     fn refused_write(&self, at: usize, code: AbortCode) -> Fault {
-        let Some(assignment) = self.assignments.get(at) else {
+        let Some(assignment) = self.start.assignments.get(at) else {
             return Fault::Abort {
                 address: Address::default(),
                 code,
@@ -72,13 +79,13 @@ impl Unit {
         if self.mapped || !self.mailbox.speaks_coe() {
             return Prepared::Skip;
         }
-        self.learn = learn::Learn::new(channel.assignment());
+        self.start.learn = learn::Learn::new(channel.assignment());
         self.next_question().unwrap_or(Prepared::Skip)
     }
 
     pub(super) fn next_question(&mut self) -> Option<Prepared> {
-        let address = self.learn.question()?;
-        self.scratch.clear();
+        let address = self.start.learn.question()?;
+        self.jobs.scratch.clear();
         Some(self.own(JobKind::Upload {
             address,
             whole: Whole::Entry,
@@ -93,29 +100,29 @@ impl Unit {
         cx: &Context<'_>,
         out: &mut Outbox,
     ) {
-        let fault = result.err().map(|error| match (error, self.step) {
+        let fault = result.err().map(|error| match (error, self.start.step) {
             (JobError::Abort(code), Step::Assign(at)) => self.refused_write(at.into(), code),
             (JobError::Abort(code), _) => Fault::Abort { address, code },
             (error, _) => Fault::Mailbox { address, error },
         });
-        match (self.step, fault) {
+        match (self.start.step, fault) {
             (Step::Learn(at), None) => self.learnt(at.into(), cx, out),
             // No such list: the slave has the PDOs of its SII.
-            (Step::Learn(at), Some(Fault::Abort { .. })) if self.learn.is_at_list() => {
+            (Step::Learn(at), Some(Fault::Abort { .. })) if self.start.learn.is_at_list() => {
                 self.verify(at.into(), cx, out);
             }
             (Step::Startup(at), Some(_)) if self.may_fail(at.into()) => {
-                self.enter(self.following(self.step), cx, out);
+                self.enter(self.following(self.start.step), cx, out);
             }
             // The slave may have the wanted PDOs nevertheless; reading back shows it.
             (Step::Assign(_), Some(fault @ (Fault::Abort { .. } | Fault::Entry { .. })))
                 if self.accepts_abort() =>
             {
-                self.refused = Some(fault);
+                self.start.refused = Some(fault);
                 self.enter(Step::Learn(0), cx, out);
             }
             (_, Some(fault)) => self.fail(fault, cx, out),
-            (_, None) => self.enter(self.following(self.step), cx, out),
+            (_, None) => self.enter(self.following(self.start.step), cx, out),
         }
     }
 
@@ -124,13 +131,13 @@ impl Unit {
     }
 
     pub(super) const fn accepts_abort(&self) -> bool {
-        !self.mapped || self.refused.is_some()
+        !self.mapped || self.start.refused.is_some()
     }
 
     pub(super) fn learnt(&mut self, at: usize, cx: &Context<'_>, out: &mut Outbox) {
-        let scratch = std::mem::take(&mut self.scratch);
-        self.learn.answer(&scratch);
-        self.scratch = scratch;
+        let scratch = std::mem::take(&mut self.jobs.scratch);
+        self.start.learn.answer(&scratch);
+        self.jobs.scratch = scratch;
         if let Some(Prepared::Transfer(transfer)) = self.next_question() {
             let kind = JobKind::Upload {
                 address: Address::default(),
@@ -144,7 +151,7 @@ impl Unit {
             }
             return;
         }
-        let pdos = std::mem::take(&mut self.learn).into_pdos();
+        let pdos = std::mem::take(&mut self.start.learn).into_pdos();
         let Some(channel) = self.process.channels.get_mut(at) else {
             return;
         };
@@ -157,11 +164,11 @@ impl Unit {
         if let Some(wanted) = wanted
             && let Some(difference) = channel.difference(wanted, &pdos)
         {
-            let fault = self.refused.take().unwrap_or(difference);
+            let fault = self.start.refused.take().unwrap_or(difference);
             return self.fail(fault, cx, out);
         }
         channel.set_pdos(pdos);
-        self.enter(self.following(self.step), cx, out);
+        self.enter(self.following(self.start.step), cx, out);
     }
 
     /// The list of a SyncManager cannot be read; acceptable only if no change was configured.
@@ -179,12 +186,12 @@ impl Unit {
         let changes = wanted
             .as_ref()
             .is_some_and(|pdos| pdos.iter().any(|pdo| !pdo.entries.is_empty()));
-        match self.refused.filter(|_| changes) {
+        match self.start.refused.filter(|_| changes) {
             Some(fault) => {
-                self.refused = None;
+                self.start.refused = None;
                 self.fail(fault, cx, out);
             }
-            None => self.enter(self.following(self.step), cx, out),
+            None => self.enter(self.following(self.start.step), cx, out),
         }
     }
 }

@@ -5,62 +5,10 @@ use std::time::Duration;
 
 use super::super::event::{Fault, JobError, Outbox};
 use super::super::job::{Job, JobKind};
-use super::{Answer, Context, Request, Unit, WRITE_MAX};
+use super::op::{Op, StatePhase};
+use super::{Answer, Context, Request, Unit};
 use crate::register;
 use crate::{AlState, AlStatus, AlStatusCode};
-
-/// An operation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Op {
-    /// None.
-    Rest,
-    /// Read registers.
-    Read { at: u16, len: u16 },
-    /// Read registers that may not exist: no answer is a valid result.
-    Probe { at: u16, len: u16 },
-    /// Write the write buffer to registers.
-    Write { at: u16 },
-    /// Change the state.
-    State { wanted: AlState, phase: StatePhase },
-    /// Read words of the SII up to one, or write one.
-    Sii {
-        word: u16,
-        end: u16,
-        polls: bool,
-        writes: bool,
-    },
-    /// Wait for the transfer in the mailbox.
-    Mailbox,
-}
-
-/// Phase of a state change.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum StatePhase {
-    /// Acknowledge an error.
-    Acknowledge,
-    /// AL control does not accept the acknowledgement: check whether the slave answers, then acknowledge again.
-    AcknowledgeBusy,
-    /// Wait until the error is cleared.
-    Acknowledged,
-    /// Request the state.
-    Request,
-    /// AL control does not accept the request, as firmware has not read the previous one: read AL status, then request
-    /// again.
-    RequestBusy,
-    /// Wait for the state.
-    Wait,
-}
-
-impl StatePhase {
-    /// The next phase when a write to AL control is not accepted; `None` for a phase that reads.
-    const fn busy(self) -> Option<Self> {
-        match self {
-            Self::Acknowledge => Some(Self::AcknowledgeBusy),
-            Self::Request => Some(Self::RequestBusy),
-            Self::AcknowledgeBusy | Self::Acknowledged | Self::RequestBusy | Self::Wait => None,
-        }
-    }
-}
 
 /// Consecutive working counters of zero after which a register counts as unreachable.
 const MISSES: u8 = 10;
@@ -75,32 +23,11 @@ const SII_BUSY: u16 = 0x8000;
 const ACKNOWLEDGE: Duration = Duration::from_secs(1);
 
 impl Unit {
-    /// Starts a write of these bytes, truncated to the buffer; no write is longer.
-    pub(super) fn write(&mut self, at: u16, bytes: &[u8]) -> Op {
-        self.write_len = bytes.len().min(WRITE_MAX);
-        for (to, from) in self.write.iter_mut().zip(bytes) {
-            *to = *from;
-        }
-        Op::Write { at }
-    }
-
-    /// Starts a state change.
-    pub(super) const fn change_state(&self, wanted: AlState) -> Op {
-        // INIT is requested with acknowledgement at once: no previous status is needed.
-        let acknowledge = self.al.error && !matches!(wanted, AlState::Init);
-        let phase = if acknowledge {
-            StatePhase::Acknowledge
-        } else {
-            StatePhase::Request
-        };
-        Op::State { wanted, phase }
-    }
-
     pub(super) fn operation_request(&mut self) -> Option<Request<'_>> {
-        Some(match self.op {
+        Some(match self.operation.op {
             Op::Rest | Op::Mailbox => return None,
             Op::Read { at, len } | Op::Probe { at, len } => Request::read(at, len),
-            Op::Write { at } => Request::write(at, self.write.get(..self.write_len)?),
+            Op::Write { at } => Request::write(at, self.operation.written()?),
             Op::State { wanted, phase } => self.state_request(wanted, phase),
             Op::Sii { polls: true, .. } => Request::read(register::SII_CONTROL, 14),
             Op::Sii {
@@ -108,7 +35,7 @@ impl Unit {
                 polls: false,
                 writes,
                 ..
-            } => self.sii_request(word, writes),
+            } => self.operation.sii_request(word, writes),
         })
     }
 
@@ -121,7 +48,7 @@ impl Unit {
                 return Request::read(register::AL_STATUS, 6);
             }
             StatePhase::Acknowledge => AlStatus {
-                state: self.al.state,
+                state: self.status.al.state,
                 error: true,
             },
             StatePhase::Request => AlStatus {
@@ -130,20 +57,8 @@ impl Unit {
             },
         };
         let [low, high] = control.raw().to_le_bytes();
-        self.write[..2].copy_from_slice(&[low, high]);
-        Request::write(register::AL_CONTROL, &self.write[..2])
-    }
-
-    fn sii_request(&mut self, word: u16, writes: bool) -> Request<'_> {
-        let [low, high] = word.to_le_bytes();
-        let command = if writes { [0x01, 0x02] } else { [0x00, 0x01] };
-        let head = [command[0], command[1], low, high, 0, 0];
-        // The word to write follows the address in the buffer, where its job put it.
-        self.write[..6].copy_from_slice(&head);
-        Request::write(
-            register::SII_CONTROL,
-            &self.write[..if writes { 8 } else { 6 }],
-        )
+        self.operation.buffer[..2].copy_from_slice(&[low, high]);
+        Request::write(register::AL_CONTROL, &self.operation.buffer[..2])
     }
 
     pub(super) fn operation_answer(
@@ -160,8 +75,8 @@ impl Unit {
             self.missed(cx, out);
             return;
         }
-        self.misses = 0;
-        match self.op {
+        self.operation.misses = 0;
+        match self.operation.op {
             Op::Rest | Op::Mailbox => {}
             Op::Read { .. } | Op::Probe { .. } | Op::Write { .. } => self.done(data, cx, out),
             Op::State { wanted, phase } => self.state_answer(wanted, phase, data, cx, out),
@@ -171,7 +86,7 @@ impl Unit {
                 end,
                 writes,
             } => {
-                self.op = Op::Sii {
+                self.operation.op = Op::Sii {
                     polls: true,
                     word,
                     end,
@@ -190,7 +105,7 @@ impl Unit {
     /// Working counter 0. An unaccepted write to AL control is no loss as long as the slave shows its state: it is
     /// repeated until the state change times out.
     fn missed(&mut self, cx: &Context<'_>, out: &mut Outbox) {
-        let busy = match self.op {
+        let busy = match self.operation.op {
             Op::State { wanted, phase } => phase.busy().map(|phase| Op::State { wanted, phase }),
             Op::Rest
             | Op::Read { .. }
@@ -200,19 +115,19 @@ impl Unit {
             | Op::Mailbox => None,
         };
         if let Some(op) = busy {
-            self.op = op;
+            self.operation.op = op;
             return;
         }
-        self.misses += 1;
-        if matches!(self.op, Op::Probe { .. }) && self.misses >= PROBES {
-            self.misses = 0;
+        self.operation.misses += 1;
+        if matches!(self.operation.op, Op::Probe { .. }) && self.operation.misses >= PROBES {
+            self.operation.misses = 0;
             return self.done(&[], cx, out);
         }
-        if self.misses < MISSES {
+        if self.operation.misses < MISSES {
             return;
         }
-        self.misses = 0;
-        let register = match self.op {
+        self.operation.misses = 0;
+        let register = match self.operation.op {
             Op::Read { at, .. } | Op::Probe { at, .. } | Op::Write { at } => at,
             Op::State { .. } => register::AL_STATUS,
             Op::Sii { .. } => register::SII_CONTROL,
@@ -223,10 +138,10 @@ impl Unit {
 
     /// The operation of a job or of a step failed.
     fn failed(&mut self, fault: Fault, error: JobError, cx: &Context<'_>, out: &mut Outbox) {
-        match self.job.take() {
+        match self.jobs.current.take() {
             Some(job) => {
-                self.op = Op::Rest;
-                self.give_back(job, Err(error), out);
+                self.operation.op = Op::Rest;
+                self.jobs.give_back(job, Err(error), out);
             }
             None => self.fail(fault, cx, out),
         }
@@ -249,15 +164,15 @@ impl Unit {
             }
             StatePhase::Acknowledged | StatePhase::Wait | StatePhase::RequestBusy => {
                 self.take_status(data);
-                let reached = self.al.state == wanted && !self.al.error;
-                let (waits, error) = (phase == StatePhase::Wait, self.al.error);
+                let reached = self.status.al.state == wanted && !self.status.al.error;
+                let (waits, error) = (phase == StatePhase::Wait, self.status.al.error);
                 if waits && reached {
                     return self.done(&[], cx, out);
                 }
                 // In INIT an error that is being cleared may show for a moment.
                 let refuses = waits || phase == StatePhase::RequestBusy;
                 if refuses && error && wanted != AlState::Init {
-                    let (status, code) = (self.al, self.code);
+                    let (status, code) = (self.status.al, self.status.code);
                     return self.fail(
                         Fault::State {
                             wanted,
@@ -276,7 +191,7 @@ impl Unit {
                 }
             }
         };
-        self.op = Op::State {
+        self.operation.op = Op::State {
             wanted,
             phase: next,
         };
@@ -287,16 +202,6 @@ impl Unit {
             let code = AlStatusCode(u16::from_le_bytes([*c, *d]));
             self.show(u16::from_le_bytes([*a, *b]), code);
         }
-    }
-
-    /// Handles AL status as read. The error bit is no error without a code where the controller copies AL control, as
-    /// the acknowledgement has the same bit; nor in INIT, which a slave enters with its errors acknowledged.
-    pub(super) fn show(&mut self, status: u16, code: AlStatusCode) {
-        let mut al = AlStatus::from_raw(status);
-        let acknowledgement = self.info.mirrors() || al.state == AlState::Init;
-        al.error &= !(acknowledgement && code == AlStatusCode(0));
-        self.shown = status.to_le_bytes()[0] & 0x1F;
-        (self.al, self.code) = (al, code);
     }
 
     fn sii_answer(
@@ -315,10 +220,10 @@ impl Unit {
         if status & SII_BUSY != 0 {
             return;
         }
-        self.sii_status = status;
+        self.operation.sii_status = status;
         if status & SII_NO_ACKNOWLEDGE != 0 {
             // The EEPROM still stores, or firmware accesses it: repeat the command until the SII timeout.
-            self.op = Op::Sii {
+            self.operation.op = Op::Sii {
                 polls: false,
                 word,
                 end,
@@ -342,17 +247,21 @@ impl Unit {
         let left = 2 * usize::from(end.saturating_sub(word));
         let bytes = found.get(..len.min(left)).unwrap_or_default();
         if !self.take_words(bytes) {
-            let capacity = self.job.as_ref().map_or(0, |job| job.data.capacity());
+            let capacity = self
+                .jobs
+                .current
+                .as_ref()
+                .map_or(0, |job| job.data.capacity());
             let error = JobError::TooLong {
                 size: capacity + bytes.len(),
                 capacity,
             };
             return self.failed(Fault::Sii { word, status }, error, cx, out);
         }
-        self.since = cx.now;
+        self.operation.since = cx.now;
         let word = word.saturating_add(if len == 4 { 2 } else { 4 });
         if word < end {
-            self.op = Op::Sii {
+            self.operation.op = Op::Sii {
                 word,
                 end,
                 polls: false,
@@ -365,20 +274,20 @@ impl Unit {
 
     /// SII words go to the job, without growing its buffer, or to the step.
     fn take_words(&mut self, bytes: &[u8]) -> bool {
-        match &mut self.job {
+        match &mut self.jobs.current {
             Some(job) if job.data.len() + bytes.len() > job.data.capacity() => return false,
             Some(job) => job.data.extend_from_slice(bytes),
-            None => self.sii.extend_from_slice(bytes),
+            None => self.start.sii.extend_from_slice(bytes),
         }
         true
     }
 
     /// The operation succeeded.
     fn done(&mut self, data: &[u8], cx: &Context<'_>, out: &mut Outbox) {
-        let Some(mut job) = self.job.take() else {
+        let Some(mut job) = self.jobs.current.take() else {
             return self.advance(data, cx, out);
         };
-        self.op = Op::Rest;
+        self.operation.op = Op::Rest;
         let mut result = Ok(());
         if matches!(job.kind, JobKind::ReadRegister { .. }) {
             let (size, capacity) = (data.len(), job.data.capacity());
@@ -388,14 +297,14 @@ impl Unit {
                 job.data.extend_from_slice(data);
             }
         }
-        self.give_back(job, result, out);
+        self.jobs.give_back(job, result, out);
     }
 
     /// Ends an operation that takes too long; each has its own timeout.
     pub(super) fn check_deadline(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         let timeouts = self.timeouts(cx.config);
-        let waited = cx.now.saturating_sub(self.since);
-        match self.op {
+        let waited = cx.now.saturating_sub(self.operation.since);
+        match self.operation.op {
             Op::State { wanted, phase } => {
                 let acknowledges = matches!(
                     phase,
@@ -413,7 +322,7 @@ impl Unit {
                 if waited <= limit {
                     return;
                 }
-                let (status, code) = (self.al, self.code);
+                let (status, code) = (self.status.al, self.status.code);
                 let unread = matches!(
                     phase,
                     StatePhase::Request | StatePhase::RequestBusy | StatePhase::AcknowledgeBusy
@@ -440,10 +349,10 @@ impl Unit {
                 self.fail(fault, cx, out);
             }
             Op::Sii { word, .. } if waited > timeouts.sii => {
-                let refused = self.sii_status & SII_NO_ACKNOWLEDGE != 0;
+                let refused = self.operation.sii_status & SII_NO_ACKNOWLEDGE != 0;
                 let (status, error) = if refused {
                     let error = JobError::Protocol("SII access (0502h)");
-                    (self.sii_status, error)
+                    (self.operation.sii_status, error)
                 } else {
                     (SII_BUSY, JobError::Timeout(timeouts.sii))
                 };
@@ -470,7 +379,7 @@ impl Unit {
             }
             JobKind::WriteRegister { at } if (1..=128).contains(&job.data.len()) => {
                 let data = std::mem::take(&mut job.data);
-                let op = self.write(at, &data);
+                let op = self.operation.write(at, &data);
                 job.data = data;
                 op
             }
@@ -484,7 +393,7 @@ impl Unit {
                 }
             }
             JobKind::WriteSii { word } if job.data.len() == 2 => {
-                self.write[6..8].copy_from_slice(&job.data);
+                self.operation.buffer[6..8].copy_from_slice(&job.data);
                 Op::Sii {
                     word,
                     end: word,
@@ -501,11 +410,13 @@ impl Unit {
             | JobKind::DescribeEntry(_)
             | JobKind::RawMailbox => {
                 let (size, capacity) = (job.data.len(), 128);
-                return self.give_back(job, Err(JobError::TooLong { size, capacity }), out);
+                return self
+                    .jobs
+                    .give_back(job, Err(JobError::TooLong { size, capacity }), out);
             }
         };
-        (self.op, self.job, self.misses) = (op, Some(job), 0);
-        self.sii_status = 0;
-        self.since = cx.now;
+        self.operation.begin(op, cx.now);
+        self.jobs.current = Some(job);
+        self.operation.sii_status = 0;
     }
 }

@@ -15,56 +15,13 @@ use takt_cia402::dictionary::Address;
 
 use super::super::event::{Event, Fault, JobError, Outbox};
 use super::super::job::JobKind;
+use super::op::{Op, WRITE_MAX};
+use super::start::{Gate, Step};
 use super::transfer::Transfer;
-use super::{Context, Gate, Op, Unit};
+use super::{Context, Unit};
 use crate::AlState;
 use crate::coe::Whole;
 use crate::register;
-
-/// A step of the start. [`Unit::prepare`] defines its operation, [`Unit::advance`] handles its answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::master) enum Step {
-    Absent,
-    Init,
-    Information,
-    Configuration,
-    Links,
-    ClockUnit,
-    SiiForce,
-    SiiTake,
-    SiiRead,
-    Identified,
-    ReceiveTimes,
-    ClearFmmus,
-    ClearSyncManagers,
-    ClearSync,
-    Mailboxes,
-    PreOp,
-    Startup(u16),
-    Assign(u16),
-    Learn(u8),
-    Configured,
-    Watchdog,
-    Channel(u8),
-    Map(u8),
-    ClockWait,
-    ClockReset,
-    ClockRead,
-    ClockOffset,
-    ClockGain,
-    ClockFilter,
-    ClockLock,
-    SyncStart,
-    SyncCycle,
-    SyncOn,
-    SafeOp,
-    Open(u8),
-    Op,
-    Run,
-    Failed,
-    Check,
-    Fallback,
-}
 
 /// How a step starts.
 pub(super) enum Prepared {
@@ -86,20 +43,18 @@ const BLOCKS_MAX: u8 = 16;
 impl Unit {
     /// Enters a step, and skips steps with nothing to do.
     pub(super) fn enter(&mut self, step: Step, cx: &Context<'_>, out: &mut Outbox) {
-        if self.waiting != super::Pending::Nothing {
-            self.waiting = super::Pending::Past;
-        }
+        self.turn.abort();
         let mut step = step;
         loop {
-            (self.step, self.op) = (step, Op::Rest);
-            (self.since, self.misses, self.streak) = (cx.now, 0, 0);
+            (self.start.step, self.clock.streak) = (step, 0);
+            self.operation.begin(Op::Rest, cx.now);
             match self.prepare(step, cx, out) {
                 Prepared::Do(op) => {
-                    self.op = op;
+                    self.operation.op = op;
                     return;
                 }
                 Prepared::Transfer(transfer) => {
-                    self.op = Op::Mailbox;
+                    self.operation.op = Op::Mailbox;
                     let kind = JobKind::Upload {
                         address: Address::default(),
                         whole: Whole::Entry,
@@ -121,14 +76,14 @@ impl Unit {
 
     /// Passes the gate it is waiting at, if it is open now.
     pub(super) fn pass_gate(&mut self, cx: &Context<'_>, out: &mut Outbox) {
-        if self.op != Op::Rest || self.job.is_some() {
+        if self.operation.op != Op::Rest || self.jobs.current.is_some() {
             return;
         }
-        if self.step == Step::Identified && self.gate >= Gate::Process {
+        if self.start.step == Step::Identified && self.gate >= Gate::Process {
             self.enter(Step::ReceiveTimes, cx, out);
-        } else if self.step == Step::Configured && self.gate >= Gate::Goal {
+        } else if self.start.step == Step::Configured && self.gate >= Gate::Goal {
             self.enter(Step::Watchdog, cx, out);
-        } else if matches!(self.step, Step::ClockWait | Step::SyncStart) {
+        } else if matches!(self.start.step, Step::ClockWait | Step::SyncStart) {
             self.pass_clock(cx, out);
         }
     }
@@ -153,7 +108,9 @@ impl Unit {
             Step::PreOp => Step::Startup(0),
             Step::Startup(at) if more(at.into(), self.spec.startup.len()) => Step::Startup(at + 1),
             Step::Startup(_) => Step::Assign(0),
-            Step::Assign(at) if more(at.into(), self.assignments.len()) => Step::Assign(at + 1),
+            Step::Assign(at) if more(at.into(), self.start.assignments.len()) => {
+                Step::Assign(at + 1)
+            }
             Step::Assign(_) => Step::Learn(0),
             Step::Learn(at) if more(at.into(), self.process.channels.len()) => Step::Learn(at + 1),
             Step::Learn(_) => Step::Configured,
@@ -193,10 +150,11 @@ impl Unit {
             Step::Absent | Step::Failed => Wait,
             Step::Init => {
                 if let Some(transfer) = self.mailbox.reset() {
-                    self.give_back(transfer.into_job(), Err(JobError::Absent), out);
+                    self.jobs
+                        .give_back(transfer.into_job(), Err(JobError::Absent), out);
                 }
-                self.set_up = false;
-                Do(self.change_state(AlState::Init))
+                self.start.set_up = false;
+                Do(self.status.change(AlState::Init))
             }
             Step::Information => Do(Op::Read {
                 at: register::INFORMATION,
@@ -215,8 +173,8 @@ impl Unit {
                 len: 8,
             }),
             Step::ClockUnit => Skip,
-            Step::SiiForce => Do(self.write(register::SII_ACCESS, &[2])),
-            Step::SiiTake => Do(self.write(register::SII_ACCESS, &[0])),
+            Step::SiiForce => Do(self.operation.write(register::SII_ACCESS, &[2])),
+            Step::SiiTake => Do(self.operation.write(register::SII_ACCESS, &[0])),
             Step::SiiRead => Do(self.read_sii()),
             Step::Identified if self.gate == Gate::Identity => Wait,
             Step::Identified => Skip,
@@ -230,15 +188,15 @@ impl Unit {
                 self.clear(register::SYNC_MANAGER, 8, self.info.sync_managers)
             }
             Step::ClearSync if self.info.has_clock() => {
-                Do(self.write(register::DC_ACTIVATION, &[0]))
+                Do(self.operation.write(register::DC_ACTIVATION, &[0]))
             }
             Step::ClearSync => Skip,
             Step::Mailboxes if self.mailbox.exists() => {
                 let bytes = self.mailbox.sync_managers();
-                Do(self.write(register::SYNC_MANAGER, &bytes))
+                Do(self.operation.write(register::SYNC_MANAGER, &bytes))
             }
             Step::Mailboxes => Skip,
-            Step::PreOp | Step::Fallback => Do(self.change_state(AlState::PreOp)),
+            Step::PreOp | Step::Fallback => Do(self.status.change(AlState::PreOp)),
             Step::Startup(at) => self.startup(at.into()),
             Step::Assign(at) => self.assignment(at.into()),
             Step::Learn(at) => self.query_pdos(at.into()),
@@ -259,15 +217,15 @@ impl Unit {
                 at: register::DC_SYSTEM_TIME,
                 len: 8,
             }),
-            Step::ClockGain => Do(self.write(register::DC_SPEED_START, &SPEED_START)),
-            Step::ClockFilter => Do(self.write(register::DC_FILTERS, &FILTERS)),
+            Step::ClockGain => Do(self.operation.write(register::DC_SPEED_START, &SPEED_START)),
+            Step::ClockFilter => Do(self.operation.write(register::DC_FILTERS, &FILTERS)),
             Step::ClockLock => self.lock(cx),
             Step::SyncStart => self.sync_start(cx),
             Step::SyncCycle | Step::SyncOn => self.sync(step),
-            Step::SafeOp => Do(self.change_state(AlState::SafeOp)),
+            Step::SafeOp => Do(self.status.change(AlState::SafeOp)),
             Step::Open(at) => self.open(at.into(), cx),
             Step::Op if self.goal(cx.config) == AlState::SafeOp => self.run(cx, out),
-            Step::Op => Do(self.change_state(AlState::Op)),
+            Step::Op => Do(self.status.change(AlState::Op)),
             Step::Run => self.run(cx, out),
             Step::Check => Do(Op::Read {
                 at: register::AL_STATUS,
@@ -277,12 +235,11 @@ impl Unit {
     }
 
     fn run(&mut self, cx: &Context<'_>, out: &mut Outbox) -> Prepared {
-        (self.step, self.reached_at, self.set_up) = (Step::Run, cx.now, true);
-        self.counted = false;
-        self.fault = None;
+        (self.start.step, self.start.set_up) = (Step::Run, true);
+        self.recovery.reach(cx.now);
         out.event(Event::Reached {
             slave: self.number,
-            state: self.al.state,
+            state: self.status.al.state,
         });
         Prepared::Wait
     }
@@ -292,8 +249,11 @@ impl Unit {
         if len == 0 {
             return Prepared::Skip;
         }
-        let zeros = [0; super::WRITE_MAX];
-        Prepared::Do(self.write(at, zeros.get(..len.into()).unwrap_or_default()))
+        let zeros = [0; WRITE_MAX];
+        Prepared::Do(
+            self.operation
+                .write(at, zeros.get(..len.into()).unwrap_or_default()),
+        )
     }
 
     fn configured(&mut self, cx: &Context<'_>) -> Prepared {
@@ -320,7 +280,10 @@ impl Unit {
         };
         // In units of the divider's factory setting, 100 us. Zero would disable it, so it is rounded up.
         let units = u16::try_from(time.as_nanos().div_ceil(100_000)).unwrap_or(u16::MAX);
-        Prepared::Do(self.write(register::WATCHDOG_PROCESS_DATA, &units.to_le_bytes()))
+        Prepared::Do(
+            self.operation
+                .write(register::WATCHDOG_PROCESS_DATA, &units.to_le_bytes()),
+        )
     }
 
     fn channel(&mut self, at: usize) -> Prepared {
@@ -329,7 +292,7 @@ impl Unit {
         };
         let block = channel.sync_manager().encode();
         let at = register::SYNC_MANAGER + 8 * u16::from(channel.number);
-        Prepared::Do(self.write(at, &block))
+        Prepared::Do(self.operation.write(at, &block))
     }
 
     /// Outputs that are enabled in OP only are switched on immediately before OP.
@@ -340,7 +303,7 @@ impl Unit {
             return Prepared::Skip;
         };
         let at = register::SYNC_MANAGER + 8 * u16::from(channel.number) + 6;
-        Prepared::Do(self.write(at, &[1]))
+        Prepared::Do(self.operation.write(at, &[1]))
     }
 
     fn map(&mut self, at: usize, cx: &Context<'_>) -> Prepared {
@@ -364,7 +327,7 @@ impl Unit {
         let number = before().filter(|channel| !channel.is_empty()).count();
         let block = channel.fmmu(base + offset).encode();
         let at = register::FMMU + 16 * u16::try_from(number).unwrap_or(0);
-        Prepared::Do(self.write(at, &block))
+        Prepared::Do(self.operation.write(at, &block))
     }
 
     /// The operation of the step succeeded.
@@ -373,7 +336,7 @@ impl Unit {
         reason = "the answers of most steps carry no data"
     )]
     pub(super) fn advance(&mut self, data: &[u8], cx: &Context<'_>, out: &mut Outbox) {
-        let goes_on = match self.step {
+        let goes_on = match self.start.step {
             Step::Information => self.info.take_registers(data),
             Step::Configuration => self.info.take_configuration(data),
             Step::Links => self.info.take_links(data),
@@ -390,15 +353,15 @@ impl Unit {
             _ => true,
         };
         if goes_on {
-            self.enter(self.following(self.step), cx, out);
+            self.enter(self.following(self.start.step), cx, out);
         }
     }
 
     /// The slave is back or is retried: checks how much of its set-up is still valid.
     fn check(&mut self, data: &[u8], cx: &Context<'_>, out: &mut Outbox) {
         self.take_status(data);
-        let kept = self.set_up && self.failures < 3;
-        let step = match self.al.state {
+        let kept = self.start.set_up && self.recovery.failures < 3;
+        let step = match self.status.al.state {
             AlState::SafeOp | AlState::Op if kept && self.goal(cx.config) != AlState::PreOp => {
                 // Its clock continued, and all others follow it again.
                 self.clock.locked |= cx.reference == Some(self.number);

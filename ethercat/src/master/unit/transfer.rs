@@ -5,7 +5,7 @@ use takt_cia402::dictionary::{AbortCode, Address};
 
 use super::super::event::JobError;
 use super::super::job::{Job, JobKind};
-use super::OWN;
+use super::queue::OWN;
 use crate::coe::{Information, SDO_LEN, Sdo};
 use crate::{CoeService, MailboxKind};
 

@@ -1,7 +1,7 @@
 //! Monitoring of a running slave, one small datagram per turn: error counters of its ports, its mailbox, its clock. Its
 //! state is in the census of every cycle. Reactions are not decided here.
 
-use super::{Answer, Request};
+use super::datagram::{Answer, Request};
 use crate::SyncManager;
 use crate::register;
 

@@ -1,352 +1,348 @@
-//! Admission control: an upper bound on the total cost or number of the nets of a thread, now and after any
-//! firing of waiting rules. The checks that use it are in [`quota`](super::quota).
-//!
-//! Nets form a forest. A net that is started only by rules which end net *p* is a child of *p*: the two never run
-//! at once. The weight of a subtree is therefore the greater of the net's own weight and the total of its
-//! children. All children may run at once, except alternatives. Two nets are alternatives if the
-//! conditions of their rules contradict each other in a value of a net that has ended by then, or if their
-//! subtrees need the same resource. A net whose rules end several nets is a child of each, with a part of its weight.
+//! Admission control: what nets share, with its limits and error texts: cycle time and slots of their thread, memory,
+//! and text. Nets that rules may still start count as [`forest`] computes. It starts and ends nothing.
 
-use std::cell::Cell;
+pub(super) mod forest;
+
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
 
-use crate::executor::ResourceSet;
-use crate::executor::rules::{Question, Rule};
-use crate::ids::NetId;
+use takt_net::fault::{Fault, FaultKind};
+use takt_net::{Limits, Plan, Rejection};
 
-/// Maximum number of comparisons to find alternatives; beyond it, nets count as if they could run at once.
-const COMPARISONS_MAX: usize = 50_000;
+use crate::controller::nets::{Counted, Net, Nets, memory};
+use crate::controller::rules::Rules;
+use crate::error::Error;
+use crate::executor::RUNNING_MAX;
+use crate::executor::figures::budget;
+use crate::ids::{NetId, NetState};
+use forest::{Candidate, Succession, most_together};
 
-/// A net that runs or may start to run.
-#[derive(Clone, Debug)]
-pub(super) struct Candidate {
-    /// Its cost, or 1 to count nets.
-    pub(super) weight: u64,
-    /// Whether it runs now.
-    pub(super) runs: bool,
-    pub(super) resources: ResourceSet,
-}
+/// Number of running nets that an error names.
+const HEAVIEST: usize = 3;
 
-/// A literal that a condition requires in order to become true.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Need {
-    literal: (u32, Question),
-    value: bool,
-    /// Whether the literal never changes again once the rule has fired.
-    settled: bool,
-}
-
-/// A waiting rule as a succession: nets that end and nets that follow them.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Succession {
-    start: Vec<NetId>,
-    /// Nets that have certainly run and ended when those of `start` begin.
-    ends: Vec<NetId>,
-    /// Nets that have ended by then if they run now; others may still begin.
-    stops: Vec<NetId>,
-    needs: Vec<Need>,
-}
-
-impl Succession {
-    /// The succession of a rule that stops and starts these nets, in one or several threads. Only conditions and literals
-    /// of the rule are used.
-    pub(super) fn of(rule: &Rule, stop: &[NetId], start: &[NetId], in_one_thread: bool) -> Self {
-        let needed = rule.needs();
-        let terminated = |literal: &(u32, Question)| literal.1 == Question::Terminated;
-        let ended = needed.iter().filter(|(l, value)| *value && terminated(l));
-        let ended: BTreeSet<_> = ended.map(|(literal, _)| NetId(literal.0)).collect();
-        // A condition that needs a value of a net cannot become true before that net runs.
-        let asked: BTreeSet<_> = needed.iter().map(|(literal, _)| NetId(literal.0)).collect();
-        let stopped: Vec<_> = stop
-            .iter()
-            .copied()
-            .filter(|net| asked.contains(net))
-            .collect();
-        let settled =
-            |net: NetId| ended.contains(&net) || (in_one_thread && stopped.contains(&net));
-        let needs = needed.iter().map(|(literal, value)| Need {
-            literal: *literal,
-            value: *value,
-            settled: settled(NetId(literal.0)),
-        });
-        Self {
-            start: start.to_vec(),
-            needs: needs.collect(),
-            ends: ended.iter().chain(&stopped).copied().collect(),
-            stops: stop.to_vec(),
-        }
-    }
-
-    /// Whether it ends or starts this net.
-    pub(super) fn names(&self, id: NetId) -> bool {
-        [&self.start, &self.ends, &self.stops]
-            .iter()
-            .any(|nets| nets.contains(&id))
-    }
-
-    fn ends(&self, id: NetId, net: &Candidate) -> bool {
-        self.ends.contains(&id) || (net.runs && self.stops.contains(&id))
-    }
-
-    /// Whether at most one of the two rules can fire.
-    fn excludes(&self, other: &Self) -> bool {
-        let contradicts = |a: &Need, b: &Need| a.literal == b.literal && a.value != b.value;
-        let bars = |first: &Self, second: &Self| {
-            let mut settled = first.needs.iter().filter(|need| need.settled);
-            settled.any(|a| second.needs.iter().any(|b| contradicts(a, b)))
-        };
-        bars(self, other) && bars(other, self)
-    }
-}
-
-/// Upper bound on the total weight of the nets. Nets that neither run nor are started by a rule weigh
-/// nothing. If the plain sum is within `bound`, alternatives are not searched.
-pub(super) fn most_together(
-    nets: &BTreeMap<NetId, Candidate>,
-    mut rules: Vec<&Succession>,
-    bound: u64,
-) -> u64 {
-    rules.retain(|rule| !rule.start.is_empty());
-    let forest = Forest::new(nets, &rules);
-    let all: u64 = nets.keys().map(|id| forest.own(*id)).sum();
-    if all <= bound { all } else { forest.most() }
-}
-
-/// Nets that the same rules start; a single net if no rule starts it.
-#[derive(Debug)]
-struct Bundle {
-    members: Vec<NetId>,
-    rules: Vec<usize>,
-}
-
-/// A bundle as child of a net, with the part of its weight that counts there.
+/// Limits of all nets together.
 #[derive(Clone, Copy, Debug)]
-struct Branch {
-    bundle: usize,
-    share: (u64, u64),
+pub(super) struct Admission {
+    /// Bytes of nets that can run, and of nets being loaded.
+    memory: usize,
+    /// Bytes of the texts of all nets.
+    text: usize,
 }
 
-/// A net with its subtree.
+/// Limits for a net of that period: its cost bound is four fifths of the period.
+#[must_use]
+pub fn limits_for(period: Duration) -> Limits {
+    Limits {
+        cost: Some(budget(period)),
+        ..Limits::default()
+    }
+}
+
+/// Memory is returned to the host after unloaded nets took at least this, bytes.
+const RETURN_BYTES_MIN: usize = 16 << 20;
+/// Interval of that check.
+const RETURN_EVERY: Duration = Duration::from_secs(1);
+
+/// Decides when memory of unloaded nets is returned to the host.
 #[derive(Debug, Default)]
-struct Lineage {
-    /// Their total weight.
-    most: u64,
-    /// Resources that each of them needs.
-    always: ResourceSet,
+pub(super) struct MemoryReturn {
+    /// Peak memory of all nets since the last return, bytes.
+    peak: usize,
+    checked: Option<Instant>,
 }
 
-#[derive(Debug)]
-struct Forest<'a> {
-    nets: &'a BTreeMap<NetId, Candidate>,
-    rules: &'a [&'a Succession],
-    bundles: Vec<Bundle>,
-    /// Nets that rules start.
-    started: BTreeSet<NetId>,
-    below: BTreeMap<NetId, Vec<Branch>>,
-    /// Roots: bundles without a parent.
-    roots: Vec<Branch>,
-    done: BTreeMap<NetId, Lineage>,
-    /// Remaining comparisons.
-    left: Cell<usize>,
+impl MemoryReturn {
+    /// Whether the next check is due.
+    pub(super) fn is_due(&mut self, now: Instant) -> bool {
+        let due = self
+            .checked
+            .is_none_or(|at| now.duration_since(at) >= RETURN_EVERY);
+        if due {
+            self.checked = Some(now);
+        }
+        due
+    }
+
+    /// Whether enough was unloaded to return memory; `taken` is what nets take now, bytes.
+    pub(super) fn check(&mut self, taken: usize) -> bool {
+        let returns = self.peak >= taken.saturating_add(RETURN_BYTES_MIN);
+        self.peak = if returns { taken } else { self.peak.max(taken) };
+        returns
+    }
 }
 
-impl<'a> Forest<'a> {
-    fn new(nets: &'a BTreeMap<NetId, Candidate>, rules: &'a [&'a Succession]) -> Self {
-        let mut started: BTreeMap<NetId, Vec<usize>> = BTreeMap::new();
-        for (number, rule) in rules.iter().enumerate() {
-            for net in &rule.start {
-                started.entry(*net).or_default().push(number);
+impl Admission {
+    pub(super) const fn of_mib(mib: u32) -> Self {
+        let memory = (mib as usize) << 20;
+        Self {
+            memory,
+            text: memory / 16,
+        }
+    }
+
+    /// Bytes that nets may take together.
+    pub(super) const fn memory(&self) -> usize {
+        self.memory
+    }
+
+    /// Checks the text quota for one more net, for which all ended nets may be unloaded. Returns how many bytes of them
+    /// must be.
+    ///
+    /// # Errors
+    /// If the texts of the nets that have not ended exhaust the quota.
+    pub(super) fn check_text(&self, nets: &Nets, bytes: usize) -> Result<usize, Error> {
+        let bound = self.text;
+        let text = |(_, net): (NetId, &Net)| net.text().len();
+        let kept = nets.iter().filter(|(_, net)| !net.is_over());
+        if kept.map(text).sum::<usize>() + bytes > bound {
+            let item = "bytes of the texts of all nets";
+            return Err(Error::TooMany { item, bound });
+        }
+        let taken = nets.iter().map(text).sum::<usize>();
+        Ok((taken + bytes).saturating_sub(bound))
+    }
+
+    /// Reserves memory for a net while it is loaded: `most`, or all that is left if no other net is being loaded.
+    /// Returns the amount; `None` if the net has to wait for others.
+    pub(super) fn reserve(&self, nets: &mut Nets, id: NetId, most: usize) -> Option<usize> {
+        let free = self.memory.saturating_sub(nets.memory_taken());
+        let is_alone = nets.iter().all(|(_, net)| net.reserved() == 0);
+        let kept = most.min(free);
+        if kept < most && !is_alone {
+            return None;
+        }
+        if let Some(net) = nets.get_mut(id) {
+            net.reserve(kept);
+        }
+        Some(kept)
+    }
+
+    /// Checks the memory quota for one more net.
+    ///
+    /// # Errors
+    /// If the other nets leave too little memory.
+    pub(super) fn check_memory(&self, nets: &Nets, plan: &Plan) -> Result<(), Rejection> {
+        let found = nets.memory_taken() + memory(plan);
+        let bound = self.memory;
+        if found <= bound {
+            return Ok(());
+        }
+        let item = "bytes together with all other nets (controller.nets_memory_mib)";
+        let kind = FaultKind::Bound { item, found, bound };
+        Err(Rejection {
+            faults: vec![Fault::new(kind, 0..0)],
+        })
+    }
+
+    /// Checks that a net can start within the budget of its thread and still leave cycle time and slots for the nets of
+    /// waiting rules.
+    ///
+    /// # Errors
+    /// If not.
+    pub(super) fn check_start(
+        &self,
+        nets: &Nets,
+        rules: &Rules,
+        budget: Duration,
+        id: NetId,
+    ) -> Result<(), Error> {
+        let thread = nets.thread_of(id.0);
+        let most = most_cost(nets, rules, (thread, budget), Some(id), None);
+        if most <= budget {
+            return check_slots(nets, rules, thread, Some(id), None);
+        }
+        let (cost, running) = (cost_of(nets, id), running_cost(nets, thread));
+        if running + cost > budget {
+            return Err(overload(nets, id, running, budget));
+        }
+        Err(Error::OverloadKept {
+            net: id,
+            cost,
+            most,
+            budget,
+            waiting: heaviest(nets, thread, |_, net| waits_for_rules(net)),
+        })
+    }
+
+    /// Checks that cycle time and slots are guaranteed for the nets that a new rule starts; `budget` is that of a thread.
+    ///
+    /// # Errors
+    /// If not.
+    pub(super) fn check_rule(
+        &self,
+        nets: &Nets,
+        rules: &Rules,
+        budget: impl Fn(usize) -> Duration,
+        new: &Succession,
+        start: &[NetId],
+    ) -> Result<(), Error> {
+        let threads: BTreeSet<_> = start.iter().map(|net| nets.thread_of(net.0)).collect();
+        for thread in threads {
+            let budget = budget(thread);
+            let most = most_cost(nets, rules, (thread, budget), None, Some(new));
+            if most > budget {
+                let of_thread = start.iter().filter(|net| nets.thread_of(net.0) == thread);
+                let is_other = |id| !new.names(id);
+                return Err(Error::RuleOverload {
+                    started: of_thread.map(|net| cost_of(nets, *net)).sum(),
+                    most,
+                    budget,
+                    running: heaviest(nets, thread, |id, net| net.runs() && is_other(id)),
+                    waiting: heaviest(nets, thread, |id, net| waits_for_rules(net) && is_other(id)),
+                });
             }
+            check_slots(nets, rules, thread, None, Some(new))?;
         }
-        let mut forest = Self {
-            nets,
-            rules,
-            bundles: Vec::new(),
-            started: started.keys().copied().collect(),
-            below: BTreeMap::new(),
-            roots: Vec::new(),
-            done: BTreeMap::new(),
-            left: Cell::new(COMPARISONS_MAX),
+        Ok(())
+    }
+}
+
+/// The error for a net that cannot start beside the running nets.
+pub(super) fn overload(nets: &Nets, net: NetId, running: Duration, budget: Duration) -> Error {
+    Error::Overload {
+        net,
+        cost: cost_of(nets, net),
+        running,
+        budget,
+        heaviest: heaviest(nets, nets.thread_of(net.0), |_, net| net.runs()),
+    }
+}
+
+fn check_slots(
+    nets: &Nets,
+    rules: &Rules,
+    thread: usize,
+    starting: Option<NetId>,
+    new: Option<&Succession>,
+) -> Result<(), Error> {
+    let candidates = candidates(nets, thread, starting, |_| 1);
+    let rules = rules.successions().chain(new).collect();
+    if most_together(&candidates, rules, RUNNING_MAX as u64) <= RUNNING_MAX as u64 {
+        return Ok(());
+    }
+    Err(Error::TooMany {
+        item: "nets of one thread that run or that rules may start beside them",
+        bound: RUNNING_MAX,
+    })
+}
+
+/// The bound on the total cost of a thread's nets, with one more net running now, or one more rule.
+fn most_cost(
+    nets: &Nets,
+    rules: &Rules,
+    (thread, budget): (usize, Duration),
+    starting: Option<NetId>,
+    new: Option<&Succession>,
+) -> Duration {
+    let candidates = candidates(nets, thread, starting, |net| nanos(net.cost));
+    let rules = rules.successions().chain(new).collect();
+    Duration::from_nanos(most_together(&candidates, rules, nanos(budget)))
+}
+
+fn running_cost(nets: &Nets, thread: usize) -> Duration {
+    let candidates = candidates(nets, thread, None, |net| nanos(net.cost));
+    let running = candidates.values().filter(|net| net.runs);
+    Duration::from_nanos(running.map(|net| net.weight).sum())
+}
+
+/// All nets that can run, from the view of a thread: nets of other threads weigh nothing.
+fn candidates(
+    nets: &Nets,
+    thread: usize,
+    starting: Option<NetId>,
+    weight: impl Fn(&Counted) -> u64,
+) -> BTreeMap<NetId, Candidate> {
+    let candidate = |(id, net): (NetId, &Net)| {
+        let counted = net.counted().filter(|_| !net.is_over())?;
+        let weight = if net.thread() == thread {
+            weight(counted)
+        } else {
+            0
         };
-        let mut together: BTreeMap<Vec<usize>, Vec<NetId>> = BTreeMap::new();
-        for (id, net) in nets {
-            match started.remove(id).filter(|_| !net.runs) {
-                Some(rules) => together.entry(rules).or_default().push(*id),
-                None => forest.root(*id),
-            }
-        }
-        for (rules, members) in together {
-            forest.hang(Bundle { members, rules });
-        }
-        forest
-    }
-
-    fn root(&mut self, id: NetId) {
-        self.hang(Bundle {
-            members: vec![id],
-            rules: Vec::new(),
-        });
-    }
-
-    /// Makes a bundle a child of the nets that have ended when any of its rules fires.
-    fn hang(&mut self, bundle: Bundle) {
-        let mut rules = bundle.rules.iter().map(|rule| self.rules[*rule]);
-        let first = rules.next();
-        let named = first
-            .iter()
-            .flat_map(|rule| rule.ends.iter().chain(&rule.stops));
-        let named: BTreeSet<_> = named.copied().collect();
-        let is_ended = |id: NetId, net| {
-            let by_all = first
-                .into_iter()
-                .chain(rules.clone())
-                .all(|rule| rule.ends(id, net));
-            by_all && !bundle.members.contains(&id)
+        let candidate = Candidate {
+            weight,
+            runs: net.runs() || net.is_starting() || starting == Some(id),
+            resources: counted.resources,
         };
-        // The heavier a net, the more capacity its end frees.
-        let parents = named.into_iter().filter_map(|id| {
-            let net = self.nets.get(&id)?;
-            is_ended(id, net).then_some((id, net.weight + 1))
-        });
-        let parents: Vec<_> = parents.collect();
-        let number = self.bundles.len();
-        self.bundles.push(bundle);
-        let branch = |share| Branch {
-            bundle: number,
-            share,
-        };
-        let all = parents.iter().map(|(_, weight)| weight).sum();
-        for (parent, weight) in &parents {
-            let branches = self.below.entry(*parent).or_default();
-            branches.push(branch((*weight, all)));
-        }
-        if parents.is_empty() {
-            self.roots.push(branch((1, 1)));
-        }
-    }
+        Some((id, candidate))
+    };
+    nets.iter().filter_map(candidate).collect()
+}
 
-    fn most(mut self) -> u64 {
-        for at in 0..self.roots.len() {
-            for number in 0..self.members(self.roots[at]).len() {
-                self.climb(self.members(self.roots[at])[number]);
-            }
-        }
-        // The rest are cycles of nets that wait for each other: any of them may be started directly.
-        let nets = self.nets;
-        for id in nets.keys() {
-            if !self.done.contains_key(id) {
-                self.root(*id);
-                self.climb(*id);
-            }
-        }
-        self.sum(&self.roots)
-    }
+fn waits_for_rules(net: &Net) -> bool {
+    net.state() == NetState::Scheduled
+}
 
-    fn members(&self, branch: Branch) -> &[NetId] {
-        &self.bundles[branch.bundle].members
-    }
+fn cost_of(nets: &Nets, net: NetId) -> Duration {
+    let net = nets.get(net).and_then(Net::counted);
+    net.map(|counted| counted.cost).unwrap_or_default()
+}
 
-    fn below(&self, id: NetId) -> &[Branch] {
-        self.below.get(&id).map_or(&[], Vec::as_slice)
-    }
+fn priced(nets: &Nets, net: NetId) -> String {
+    format!("net {net} with {:?}", cost_of(nets, net))
+}
 
-    /// Computes the lineages of a subtree, children first.
-    fn climb(&mut self, id: NetId) {
-        let mut entered = BTreeSet::new();
-        let mut path = vec![(id, false)];
-        while let Some((id, all_below_done)) = path.pop() {
-            if all_below_done {
-                self.done.insert(id, self.lineage(id));
-            } else if !self.done.contains_key(&id) && entered.insert(id) {
-                path.push((id, true));
-                let below = self.below(id).iter();
-                let below = below.flat_map(|branch| self.members(*branch));
-                path.extend(below.map(|id| (*id, false)));
-            }
-        }
+/// The most expensive nets of a thread among those selected.
+fn heaviest(nets: &Nets, thread: usize, is_meant: impl Fn(NetId, &Net) -> bool) -> String {
+    let meant = nets.iter();
+    let meant = meant.filter(|(id, net)| net.thread() == thread && is_meant(*id, net));
+    let mut meant: Vec<_> = meant.map(|(id, _)| (cost_of(nets, id), id)).collect();
+    meant.sort_by_key(|(cost, _)| std::cmp::Reverse(*cost));
+    let others = meant.len().saturating_sub(HEAVIEST);
+    let named = meant.iter().take(HEAVIEST);
+    let mut named: Vec<_> = named.map(|(_, id)| priced(nets, *id)).collect();
+    if others > 0 {
+        named.push(format!("{others} more"));
     }
+    if named.is_empty() {
+        return "none".to_owned();
+    }
+    named.join(", ")
+}
 
-    /// The lineage of a net without children.
-    fn own(&self, id: NetId) -> u64 {
-        let net = self.nets.get(&id);
-        let net = net.filter(|net| net.runs || self.started.contains(&id));
-        net.map_or(0, |net| net.weight)
-    }
-
-    fn lineage(&self, id: NetId) -> Lineage {
-        let Some(net) = self.nets.get(&id) else {
-            return Lineage::default();
-        };
-        let mut always = net.resources;
-        for member in self
-            .below(id)
-            .iter()
-            .flat_map(|branch| self.members(*branch))
-        {
-            always.keep(&self.always(*member));
-        }
-        Lineage {
-            most: self.own(id).max(self.sum(self.below(id))),
-            always,
-        }
-    }
-
-    /// Resources that each net of a lineage needs; empty for a lineage that is not computed yet.
-    fn always(&self, id: NetId) -> ResourceSet {
-        self.done
-            .get(&id)
-            .map(|lineage| lineage.always)
-            .unwrap_or_default()
-    }
-
-    /// Total weight of branches; of alternatives only the heaviest counts.
-    fn sum(&self, branches: &[Branch]) -> u64 {
-        let mut weighed: Vec<_> = branches.iter().map(|b| (self.weight(*b), *b)).collect();
-        weighed.sort_by_key(|(weight, _)| std::cmp::Reverse(*weight));
-        let mut alternatives: Vec<Vec<Branch>> = Vec::new();
-        let mut sum = 0_u64;
-        for (weight, branch) in weighed {
-            let is_one = |others: &&mut Vec<Branch>| {
-                others
-                    .iter()
-                    .all(|other| self.are_alternatives(*other, branch))
-            };
-            if let Some(others) = alternatives.iter_mut().find(is_one) {
-                others.push(branch);
-            } else {
-                sum = sum.saturating_add(weight);
-                alternatives.push(vec![branch]);
-            }
-        }
-        sum
-    }
-
-    fn weight(&self, branch: Branch) -> u64 {
-        let members = self
-            .members(branch)
-            .iter()
-            .filter_map(|id| self.done.get(id));
-        let whole: u128 = members.map(|lineage| u128::from(lineage.most)).sum();
-        let (part, all) = branch.share;
-        let share = (whole * u128::from(part)).div_ceil(u128::from(all.max(1)));
-        u64::try_from(share).unwrap_or(u64::MAX)
-    }
-
-    fn are_alternatives(&self, one: Branch, other: Branch) -> bool {
-        let Some(left) = self.left.get().checked_sub(1) else {
-            return false;
-        };
-        self.left.set(left);
-        let need_one_thing = || {
-            let always = |branch| self.members(branch).iter().map(|id| self.always(*id));
-            always(one).all(|a| always(other).all(|b| a.common(&b).is_some()))
-        };
-        let rules = |branch: Branch| self.bundles[branch.bundle].rules.iter();
-        let excludes = |a: &usize| rules(other).all(|b| self.rules[*a].excludes(self.rules[*b]));
-        let ruled_out = rules(one).next().is_some() && rules(other).next().is_some();
-        (ruled_out && rules(one).all(excludes)) || need_one_thing()
-    }
+fn nanos(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::ids::SessionId;
+
+    #[test]
+    fn memory_is_reserved_while_loading() {
+        let admission = Admission {
+            memory: 100,
+            text: 10,
+        };
+        let mut nets = Nets::default();
+        let mut add = || nets.add(SessionId::NONE, String::new(), "".into());
+        let (first, second) = (add(), add());
+        let keep = |nets: &mut Nets, id, most| admission.reserve(nets, id, most);
+        let release = |nets: &mut Nets, id| nets.find(id).unwrap().reserve(0);
+        assert_eq!(keep(&mut nets, first, 60), Some(60));
+        assert_eq!(keep(&mut nets, second, 60), None, "it waits for the other");
+        assert_eq!(keep(&mut nets, second, 40), Some(40));
+        for id in [first, second] {
+            release(&mut nets, id);
+        }
+        assert_eq!(keep(&mut nets, second, 200), Some(100), "all there is");
+        assert_eq!(keep(&mut nets, first, 1), None);
+        // One that is rejected keeps none.
+        release(&mut nets, second);
+        assert_eq!(keep(&mut nets, first, 1), Some(1));
+    }
+
+    #[test]
+    fn memory_return_follows_large_unloads() {
+        let mut returns = MemoryReturn::default();
+        let mib = 1 << 20;
+        assert!(!returns.check(0));
+        assert!(!returns.check(100 * mib));
+        assert!(!returns.check(90 * mib), "too little");
+        assert!(returns.check(84 * mib));
+        assert!(!returns.check(84 * mib), "once");
+        assert!(!returns.check(70 * mib));
+        assert!(returns.check(68 * mib), "in small steps too");
+    }
+}

@@ -17,8 +17,7 @@ use crate::device::rmp::{self, Rmp};
 use crate::device::sim::{self, Simulated};
 use crate::device::{DeviceDescription, DevicePorts};
 use crate::error::Error;
-use crate::executor::serve::{DeviceEnd, Driver};
-use crate::executor::thread::Command;
+use crate::executor::serve::Driver;
 use crate::span;
 
 impl Controller {
@@ -42,7 +41,7 @@ impl Controller {
         let period = period.transpose();
         let period = period.map_err(|e| wrong(format!("thread: {e}")))?;
         let mut registry = self.inner.lock();
-        let thread = registry.thread_of_period(period).map_err(wrong)?;
+        let thread = registry.threads.of_period(period).map_err(wrong)?;
         registry.add_simulated(description, device, thread)?;
         self.inner.announce(&registry);
         Ok(())
@@ -124,8 +123,8 @@ impl Registry {
         thread: Option<Duration>,
         start: impl FnOnce(DriverEnds) -> Result<Box<dyn DeviceDriver>, Error>,
     ) -> Result<(), Error> {
-        let thread = self.thread_of_period(thread).map_err(Error::Cell)?;
-        let net_period = self.threads[thread].period;
+        let thread = self.threads.of_period(thread).map_err(Error::Cell)?;
+        let net_period = self.threads.period(thread).unwrap_or_default();
         let names: Vec<_> = descriptions.iter().map(|d| d.name.clone()).collect();
         let mut added = Vec::new();
         let mut devices = Vec::new();
@@ -148,14 +147,14 @@ impl Registry {
                 }
             }
         }
-        let clock = FollowedClock::writer_for(&mut self.clock, name);
+        let clock = FollowedClock::writer_for(&mut self.devices.clock, name);
         let started = result.and_then(|()| start(DriverEnds { devices, clock }));
         match started {
-            Ok(driver) => self.drivers.push(driver),
+            Ok(driver) => self.devices.drivers.push(driver),
             Err(error) => {
                 // They were added before the driver failed to start.
                 for name in names.iter().take(added.len()) {
-                    self.devices.remove(name);
+                    self.devices.table.remove(name);
                 }
                 return Err(error);
             }
@@ -181,27 +180,26 @@ impl Registry {
         &mut self,
         description: DeviceDescription,
     ) -> Result<(usize, DevicePorts), Error> {
-        let (number, ports) = self.devices.add(description.clone())?;
-        if let (Some(recorder), Some(device)) = (&self.recorder, self.devices.get(number)) {
+        let (number, ports) = self.devices.table.add(description.clone())?;
+        if let (Some(recorder), Some(device)) = (&self.recorder, self.devices.table.get(number)) {
             recorder.device(number, &device.place, &description);
         }
         Ok((number, ports))
     }
 
     fn serve(&mut self, number: usize, driver: Driver, thread: usize) -> Result<(), Error> {
-        let Some(device) = self.devices.get(number).cloned() else {
+        let Some(device) = self.devices.table.get(number) else {
             return Ok(());
         };
-        self.serve_in(&device.name, thread);
-        let end = Box::new(DeviceEnd::new(number, device.place.clone(), driver));
-        self.command(Command::AddDevice(end))
+        self.threads.serve_in(&device.name, thread);
+        self.threads.add_device(number, device, driver)
     }
 
     fn remove_simulated(&mut self, name: &str) -> Result<(), Error> {
-        if self.devices.find(name).is_none() {
+        if self.devices.table.find(name).is_none() {
             return Err(Error::NoSuchDevice(name.to_owned()));
         }
-        if self.drivers.iter().any(|driver| driver.drives(name)) {
+        if self.devices.driver_of(name).is_some() {
             let what = "it belongs to the cell; take it out of its configuration".to_owned();
             return Err(Error::DeviceParameter {
                 name: name.to_owned(),
@@ -212,8 +210,8 @@ impl Registry {
         if let Some(recorder) = &self.recorder {
             recorder.device_gone(name);
         }
-        match self.devices.remove(name) {
-            Some(number) => self.command(Command::RemoveDevice(number)),
+        match self.devices.table.remove(name) {
+            Some(number) => self.threads.remove_device(number),
             None => Ok(()),
         }
     }

@@ -7,7 +7,7 @@ use takt_net::netcomm::OutStatus;
 use takt_net::{Image, Limits, LoadContext, Moment, Nanos, Plan, Rejection, load};
 
 use crate::controller::Controller;
-use crate::controller::links::Surroundings;
+use crate::controller::surroundings::Surroundings;
 use crate::device::DeviceTable;
 
 impl Controller {
@@ -17,7 +17,7 @@ impl Controller {
     /// # Errors
     /// If the net has faults.
     pub fn evaluate(&self, text: &str) -> Result<Vec<(String, String)>, Rejection> {
-        let devices = self.inner.lock().devices.clone();
+        let devices = self.inner.lock().devices.table.clone();
         let context = LoadContext {
             registry: &self.inner.primitives,
             devices: &Surroundings {
@@ -35,7 +35,7 @@ impl Controller {
             wall: now,
             ..Moment::default()
         };
-        self.inner.lock().give_inter(&plan);
+        self.inner.lock().nets.copy_inter_values(&plan);
         // The image belongs to this call: its commands reach no driver.
         plan.evaluate(&image(&devices), moment);
         let mut values = plan.root_values();

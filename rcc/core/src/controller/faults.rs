@@ -8,8 +8,6 @@ use std::time::Duration;
 use takt_rt::Nanos;
 use takt_rt::stats::{Stall, StallReader};
 
-use crate::controller::Controller;
-use crate::controller::registry::Registry;
 use crate::device::DeviceStatus;
 
 /// Maximum time between the end of a stall and the fault that it caused: a drive's watchdog, its master's reaction and
@@ -17,12 +15,6 @@ use crate::device::DeviceStatus;
 const CAUSE_WITHIN: Nanos = Nanos::from_millis(1000);
 /// Maximum number of faults kept; the oldest are dropped first.
 const FAULTS_KEPT: usize = 64;
-/// Maximum number of other monitored threads.
-const WATCHED_MAX: usize = 64;
-/// Added to the text for a device that does not recover by itself.
-const HELD: &str =
-    "\nhint: with `recovery = \"on_restart\"` it stays so until the controller restarts";
-
 /// The stall of this host that ended shortly before a device had a fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StallCause {
@@ -123,7 +115,7 @@ pub(super) struct Faults {
 
 impl Faults {
     /// Updates the fault count of a device; returns a new fault.
-    fn note(
+    pub(super) fn note(
         &mut self,
         device: &str,
         faults: u64,
@@ -163,7 +155,7 @@ impl Faults {
     }
 
     /// Records that a device follows commands; returns the duration of the fault that this ends, if any.
-    fn note_following(&mut self, device: &str, at: Nanos) -> Option<Duration> {
+    pub(super) fn note_following(&mut self, device: &str, at: Nanos) -> Option<Duration> {
         let counts = self.counts.get_mut(device)?;
         if counts.recovered == counts.faults {
             return None;
@@ -186,10 +178,25 @@ impl Faults {
     fn forget(&mut self, device: &str) {
         self.counts.remove(device);
     }
+
+    /// Forgets the devices that were removed.
+    pub(super) fn retain(&mut self, is_known: impl Fn(&str) -> bool) {
+        self.counts.retain(|name, _| is_known(name));
+    }
+
+    /// Counters by device name; only of devices that had faults.
+    pub(super) fn counts(&self) -> &BTreeMap<String, FaultCounts> {
+        &self.counts
+    }
+
+    /// The last faults, oldest first.
+    pub(super) fn recent(&self) -> impl Iterator<Item = &DeviceFault> {
+        self.recent.iter()
+    }
 }
 
 /// The stall among those of these threads, by name, that caused what was seen at that instant.
-fn cause<'t>(
+pub(super) fn cause<'t>(
     threads: impl Iterator<Item = (String, &'t StallReader)>,
     at: Nanos,
 ) -> Option<StallCause> {
@@ -207,100 +214,6 @@ fn cause<'t>(
         threads: stalls.iter().filter(as_long).count(),
         measured,
     })
-}
-
-impl Registry {
-    /// The threads that measure their stalls, by name.
-    fn stalling(&self) -> impl Iterator<Item = (String, &StallReader)> {
-        let nets = self.threads.iter();
-        let nets = nets.map(|thread| {
-            let name = format!("nets of {:?}", thread.period);
-            (name, thread.stats.stalls())
-        });
-        let drivers = self.drivers.iter();
-        let watched = self.watched_stalls.iter();
-        let watched = watched.map(|(name, stalls)| (name.clone(), stalls));
-        nets.chain(drivers.filter_map(|driver| Some((driver.name().to_owned(), driver.stalls()?))))
-            .chain(watched)
-    }
-
-    /// Records new and ended faults of devices, with one log line each. Returns the devices
-    /// with new faults.
-    pub(super) fn poll_faults(&mut self, at: Nanos) -> Vec<String> {
-        let mut faulted = Vec::new();
-        let mut faults = std::mem::take(&mut self.faults);
-        faults
-            .counts
-            .retain(|name, _| self.devices.find(name).is_some());
-        for (_, device) in self.devices.all() {
-            let (count, status) = device.faults();
-            let found = faults.note(&device.name, count, status, at, || {
-                cause(self.stalling(), at)
-            });
-            if let Some(fault) = found {
-                let driver = self.drivers.iter().find(|it| it.drives(&device.name));
-                let figures = driver.map(|driver| super::registry::listed(&driver.figures()));
-                let is_held = driver.is_some_and(|it| it.is_held_after_faults(&device.name));
-                let hint = if is_held { HELD } else { "" };
-                tracing::warn!(device = device.name, figures, "{fault}{hint}");
-                faulted.push(device.name.clone());
-            }
-            if status == DeviceStatus::Operational
-                && let Some(after) = faults.note_following(&device.name, at)
-            {
-                let after_s = after.as_secs_f64();
-                tracing::info!(
-                    device = device.name,
-                    "it follows commands again after {after_s:.1} s; a program may request its motion"
-                );
-            }
-        }
-        self.faults = faults;
-        faulted
-    }
-}
-
-impl Controller {
-    /// Includes the stalls of another thread of this process in the search for causes, such as that of an emulated
-    /// device; at most 64 threads.
-    pub fn watch_stalls(&self, thread: &str, stalls: StallReader) {
-        let watched = &mut self.inner.lock().watched_stalls;
-        if watched.len() < WATCHED_MAX {
-            watched.push((thread.to_owned(), stalls));
-        }
-    }
-
-    /// Fault counters by device name; only of devices that had faults.
-    #[must_use]
-    pub fn fault_counts(&self) -> BTreeMap<String, FaultCounts> {
-        self.inner.lock().faults.counts.clone()
-    }
-
-    /// The last 64 faults of devices, oldest first.
-    #[must_use]
-    pub fn faults(&self) -> Vec<DeviceFault> {
-        self.inner.lock().faults.recent.iter().cloned().collect()
-    }
-
-    /// Stalls of net and driver threads that lasted at least four of their cycles.
-    #[must_use]
-    pub fn stalls(&self) -> StallFigures {
-        let registry = self.inner.lock();
-        let mut figures = StallFigures::default();
-        for (thread, stalls) in registry.stalling() {
-            figures.count += stalls.count();
-            if stalls.longest() > figures.longest {
-                (figures.longest, figures.thread) = (stalls.longest(), thread);
-            }
-        }
-        figures
-    }
-
-    /// The stall of this host that ended within a second before now; `None` if there was none.
-    #[must_use]
-    pub fn last_stall(&self) -> Option<StallCause> {
-        cause(self.inner.lock().stalling(), takt_rt::monotonic())
-    }
 }
 
 #[cfg(test)]

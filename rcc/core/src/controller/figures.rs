@@ -2,10 +2,15 @@
 //! not evaluate them.
 
 use std::any::Any;
+use std::collections::BTreeMap;
 use std::time::Duration;
+
+use takt_rt::stats::StallReader;
 
 use crate::controller::Controller;
 use crate::controller::clock::ClockInfo;
+use crate::controller::faults::{DeviceFault, FaultCounts, StallCause, StallFigures};
+use crate::controller::limited::{self, LimitedInfo};
 use crate::controller::registry::Registry;
 use crate::device::driver::DeviceDriver;
 use crate::device::lwr::Lwr;
@@ -60,7 +65,7 @@ impl Controller {
     /// Whether the emergency stop is active: no device follows commands.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
-        self.inner.lock().stop.is_on(takt_rt::monotonic())
+        self.inner.lock().permission.is_stopped()
     }
 
     /// Timing of the first net thread.
@@ -99,6 +104,7 @@ impl Controller {
     pub fn with_drivers<D: DeviceDriver, T>(&self, read: impl Fn(&D) -> T) -> Vec<T> {
         let registry = self.inner.lock();
         let drivers = registry
+            .devices
             .drivers
             .iter()
             .map(|driver| driver.as_ref() as &dyn Any);
@@ -116,16 +122,61 @@ impl Controller {
     /// The state that a device's driver published last.
     #[must_use]
     pub fn arm_state(&self, name: &str) -> Option<crate::device::DeviceState> {
-        let device = self.inner.lock().devices.find(name).cloned();
+        let device = self.inner.lock().devices.table.find(name).cloned();
         device.map(|device| device.state())
+    }
+
+    /// Limiting by the last stages of a device, part by part; empty if there is no such device or no part of it
+    /// moves.
+    #[must_use]
+    pub fn limited(&self, name: &str) -> Vec<LimitedInfo> {
+        let device = self.inner.lock().devices.table.find(name).cloned();
+        device.map_or_else(Vec::new, |device| limited::infos(&device))
+    }
+
+    /// Includes the stalls of another thread of this process in the search for causes, such as that of an emulated
+    /// device; at most 64 threads.
+    pub fn watch_stalls(&self, thread: &str, stalls: StallReader) {
+        self.inner.lock().monitor.watch_stalls(thread, stalls);
+    }
+
+    /// Fault counters by device name; only of devices that had faults.
+    #[must_use]
+    pub fn fault_counts(&self) -> BTreeMap<String, FaultCounts> {
+        self.inner.lock().monitor.faults().counts().clone()
+    }
+
+    /// The last 64 faults of devices, oldest first.
+    #[must_use]
+    pub fn faults(&self) -> Vec<DeviceFault> {
+        let registry = self.inner.lock();
+        registry.monitor.faults().recent().cloned().collect()
+    }
+
+    /// Stalls of net and driver threads that lasted at least four of their cycles.
+    #[must_use]
+    pub fn stalls(&self) -> StallFigures {
+        let registry = self.inner.lock();
+        registry
+            .monitor
+            .stalls(&registry.devices, &registry.threads)
+    }
+
+    /// The stall of this host that ended within a second before now; `None` if there was none.
+    #[must_use]
+    pub fn last_stall(&self) -> Option<StallCause> {
+        let registry = self.inner.lock();
+        registry
+            .monitor
+            .last_stall(&registry.devices, &registry.threads)
     }
 }
 
 impl Registry {
     fn net_figures(&self, id: NetId) -> Option<NetFigures> {
-        let net = self.nets.get(&id)?;
+        let net = self.nets.get(id)?;
         let counted = net.counted()?;
-        let thread_period = self.threads.get(net.thread)?.period;
+        let thread_period = self.threads.period(net.thread())?;
         Some(NetFigures {
             period: counted.period,
             thread_period,
@@ -145,7 +196,7 @@ impl Registry {
 
     /// Figures of all net threads.
     fn thread_infos(&mut self) -> Vec<ThreadInfo> {
-        let clock = &mut self.clock;
+        let clock = &mut self.devices.clock;
         let info = |(number, thread): (usize, &NetThread)| ThreadInfo {
             period: thread.period,
             stats: thread.stats.snapshot(),
@@ -165,7 +216,7 @@ impl Registry {
     fn grants(&self) -> Vec<(String, takt_rt::Grant)> {
         let nets = self.threads.iter().flat_map(|t| t.grants().iter());
         let nets = nets.map(|grant| ("net thread".to_owned(), grant.clone()));
-        let drivers = self.drivers.iter().flat_map(|driver| {
+        let drivers = self.devices.drivers.iter().flat_map(|driver| {
             let name = driver.name().to_owned();
             driver
                 .grants()

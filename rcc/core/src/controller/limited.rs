@@ -3,10 +3,8 @@
 
 use std::collections::BTreeMap;
 
-use crate::controller::Controller;
-use crate::controller::registry::Registry;
 use crate::device::last_stage::{Limited, Unit};
-use crate::device::{ARM_JOINTS_MAX, Device};
+use crate::device::{ARM_JOINTS_MAX, Device, DeviceTable};
 
 /// Limiting by the last stage of one part of a device.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,9 +16,6 @@ pub struct LimitedInfo {
     /// The unit of its position.
     pub unit: Unit,
 }
-
-/// Number of reported onsets, by device and part.
-pub(super) type Reported = BTreeMap<String, [u64; ARM_JOINTS_MAX]>;
 
 /// The parts of a device with a last stage each, in the order of `DeviceState::limited`.
 fn parts(device: &Device) -> Vec<(String, Unit)> {
@@ -53,40 +48,45 @@ fn line(part: &str, unit: Unit, limited: &Limited, onsets: u64) -> String {
     )
 }
 
-impl Controller {
-    /// Limiting by the last stages of a device, part by part; empty if there is no such device or no part of it
-    /// moves.
-    #[must_use]
-    pub fn limited(&self, name: &str) -> Vec<LimitedInfo> {
-        let device = self.inner.lock().devices.find(name).cloned();
-        let Some(device) = device else {
-            return Vec::new();
-        };
-        let limited = device.limited();
-        let parts = parts(&device).into_iter().zip(limited);
-        let info = |((part, unit), limited)| LimitedInfo {
-            part,
-            limited,
-            unit,
-        };
-        parts.map(info).collect()
-    }
+/// Limiting by the last stages of a device, part by part.
+pub(super) fn infos(device: &Device) -> Vec<LimitedInfo> {
+    let parts = parts(device).into_iter().zip(device.limited());
+    let info = |((part, unit), limited)| LimitedInfo {
+        part,
+        limited,
+        unit,
+    };
+    parts.map(info).collect()
 }
 
-impl Registry {
-    /// Log lines on limiting since the last call, with the devices' names.
-    pub(super) fn poll_limits(&mut self) -> Vec<(String, String)> {
+/// What was reported of limiting and of position jumps.
+#[derive(Debug, Default)]
+pub(super) struct MotionReports {
+    /// Number of reported onsets of limiting, by device and part.
+    onsets: BTreeMap<String, [u64; ARM_JOINTS_MAX]>,
+    /// Number of reported position jumps, by device.
+    jumps: BTreeMap<String, u64>,
+}
+
+impl MotionReports {
+    /// Log lines on limiting and position jumps since the last call, with the devices' names.
+    pub(super) fn poll(&mut self, devices: &DeviceTable) -> Vec<(String, String)> {
+        let mut lines = self.poll_limits(devices);
+        lines.extend(self.poll_jumps(devices));
+        lines
+    }
+
+    fn poll_limits(&mut self, devices: &DeviceTable) -> Vec<(String, String)> {
         let mut lines = Vec::new();
-        self.reported
-            .retain(|name, _| self.devices.find(name).is_some());
-        for (_, device) in self.devices.all() {
+        self.onsets.retain(|name, _| devices.find(name).is_some());
+        for (_, device) in devices.all() {
             let limited = device.limited();
             if limited.iter().all(|limited| limited.onsets == 0) {
                 // Also a new device under the name of a removed one.
-                self.reported.remove(&device.name);
+                self.onsets.remove(&device.name);
                 continue;
             }
-            let reported = self.reported.entry(device.name.clone()).or_default();
+            let reported = self.onsets.entry(device.name.clone()).or_default();
             for (n, (part, unit)) in parts(device).into_iter().enumerate() {
                 let (Some(limited), Some(reported)) = (limited.get(n), reported.get_mut(n)) else {
                     continue;
@@ -101,15 +101,13 @@ impl Registry {
         lines
     }
 
-    /// Log lines on position jumps since the last call, with the devices' names.
-    pub(super) fn poll_jumps(&mut self) -> Vec<(String, String)> {
+    fn poll_jumps(&mut self, devices: &DeviceTable) -> Vec<(String, String)> {
         let mut lines = Vec::new();
-        self.reported_jumps
-            .retain(|name, _| self.devices.find(name).is_some());
-        for (_, device) in self.devices.all() {
+        self.jumps.retain(|name, _| devices.find(name).is_some());
+        for (_, device) in devices.all() {
             let jumped = device.jumped();
             let name = &device.name;
-            let before = self.reported_jumps.insert(name.clone(), jumped.count);
+            let before = self.jumps.insert(name.clone(), jumped.count);
             if jumped.count > before.unwrap_or(0) {
                 lines.push((name.clone(), jumped.to_string()));
             }

@@ -4,15 +4,17 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use takt_net::{Limits, LoadContext, Plan, Rejection, load};
+use takt_net::{Limits, LoadContext, Parsed, Plan, Rejection, Sorted};
 use takt_rt::latest::latest;
 
-use crate::controller::links::Surroundings;
-use crate::controller::net::{Net, Prepared};
-use crate::controller::threads::Place;
-use crate::controller::{Controller, NETS_MAX, limits_for};
+use crate::controller::Controller;
+use crate::controller::nets::{Change, NETS_MAX, Prepared, Values};
+use crate::controller::registry::Registry;
+use crate::controller::surroundings::Surroundings;
+use crate::controller::threads::{Placement, busy};
 use crate::device::DeviceTable;
 use crate::error::Error;
+use crate::executor::figures::budget;
 use crate::executor::links::OUT_READERS;
 use crate::executor::{ResourceSet, Running};
 use crate::ids::{NetId, SessionId};
@@ -62,28 +64,32 @@ impl Controller {
         let period = request.period;
         let free = free_for(&request.text)?;
         let (id, text) = self.accept(request)?;
-        let memory = self.keep_memory(id)?.min(free);
+        let memory = self.reserve_memory(id)?.min(free);
         let prepared = self.prepare(id, &text, period, memory);
         let mut registry = self.inner.lock();
-        registry.release_memory(id);
-        let taken = match &prepared {
-            Ok(prepared) => registry.check_memory(&prepared.running.plan),
-            Err(rejection) => Err(rejection.clone()),
-        };
+        let Registry {
+            nets, admission, ..
+        } = &mut *registry;
+        // What is reserved is not taken besides.
+        nets.get_mut(id).into_iter().for_each(|net| net.reserve(0));
+        let admitted = prepared.as_ref().map_err(Clone::clone);
+        let admitted = admitted.and_then(|it| admission.check_memory(nets, &it.running.plan));
         // A rejected net may be large: it is freed without the lock.
-        let mut refused = None;
-        if let Some(net) = registry.nets.get_mut(&id) {
-            match (prepared, taken) {
+        let mut rejected = None;
+        if let Some(net) = nets.get_mut(id) {
+            match (prepared, admitted) {
                 (Ok(prepared), Ok(())) => net.make_ready(prepared),
-                (prepared, taken) => {
-                    refused = prepared.ok();
-                    taken.err().into_iter().for_each(|why| net.reject(why));
+                (prepared, admitted) => {
+                    rejected = prepared.ok();
+                    if let Err(why) = admitted {
+                        net.change(Change::Reject(why));
+                    }
                 }
             }
         }
         self.inner.announce(&registry);
         drop(registry);
-        drop(refused);
+        drop(rejected);
         Ok(id)
     }
 
@@ -97,38 +103,45 @@ impl Controller {
         } = request;
         let text: Arc<str> = text.into();
         let mut registry = self.inner.lock();
-        registry.refuse_if_closing()?;
-        if session != SessionId::NONE && !registry.sessions.contains_key(&session) {
+        registry.permission.check_load()?;
+        if !registry.sessions.is_valid(session) {
             return Err(Error::NoSuchSession(session.to_string()));
         }
-        registry.take_text(text.len())?;
-        if registry.nets.len() >= NETS_MAX && registry.forget_oldest().is_none() {
+        let mut excess = registry.admission.check_text(&registry.nets, text.len())?;
+        while excess > 0 {
+            let unloaded = registry.unload_oldest().ok_or_else(busy)?;
+            excess = excess.saturating_sub(unloaded.text().len());
+        }
+        if registry.nets.len() >= NETS_MAX && registry.unload_oldest().is_none() {
             return Err(Error::TooMany {
-                what: "loaded nets",
+                item: "loaded nets",
                 bound: NETS_MAX,
             });
         }
-        let id = registry.next_net();
-        let net = Net::new(session, description, Arc::clone(&text));
-        registry.nets.insert(id, net);
+        let id = registry.nets.add(session, description, Arc::clone(&text));
         self.inner.announce(&registry);
         Ok((id, text))
     }
 
     /// Reserves memory for a net to be loaded; waits for other loads if necessary.
-    fn keep_memory(&self, id: NetId) -> Result<usize, Error> {
+    fn reserve_memory(&self, id: NetId) -> Result<usize, Error> {
         let most = Limits::default().memory_bytes;
         let registry = self.inner.lock();
-        let keep = |registry: &mut super::Registry| registry.keep_memory(id, most);
+        let keep = |registry: &mut Registry| {
+            let Registry {
+                nets, admission, ..
+            } = registry;
+            admission.reserve(nets, id, most)
+        };
         self.inner
-            .wait_within(registry, LOADS_WITHIN, keep)
+            .wait_until(registry, LOADS_WITHIN, keep)
             .map_err(|_| {
                 let mut registry = self.inner.lock();
-                registry.nets.remove(&id);
+                registry.nets.remove(id);
                 self.inner.announce(&registry);
                 Error::TooMany {
-                    what: "bytes of nets that are loaded at once; load them one after the other",
-                    bound: registry.room.memory,
+                    item: "bytes of nets that are loaded at once; load them one after the other",
+                    bound: registry.admission.memory(),
                 }
             })
     }
@@ -141,13 +154,13 @@ impl Controller {
         period: Option<Duration>,
         memory: usize,
     ) -> Result<Prepared, Rejection> {
-        let devices = self.inner.lock().devices.clone();
+        let devices = self.inner.lock().devices.table.clone();
         let (plan, place) = self.plan(text, period, &devices, memory)?;
         place.check_cost(plan.cost())?;
         let mut registry = self.inner.lock();
         let mut resources = ResourceSet::default();
         for name in plan.resources() {
-            resources.insert(registry.resource(name)?);
+            resources.insert(registry.nets.resource(name)?);
         }
         // Only the first thread is recorded.
         if let (Some(recorder), 0) = (&registry.recorder, place.thread) {
@@ -164,7 +177,7 @@ impl Controller {
         let (out, out_reader) = latest(OUT_READERS, || {
             vec![0; out_directory.words()].into_boxed_slice()
         });
-        let (links, links_end) = self.inner.lock().link(&plan, &out_reader)?;
+        let (links, links_end) = self.inner.lock().nets.link(&plan, &out_reader)?;
         let (in_writer, inbox) = latest(1, || in_words.clone());
         let mut running = Box::new(Running::new(id.0, plan, out, inbox));
         running.resources = resources;
@@ -174,60 +187,53 @@ impl Controller {
         Ok(Prepared {
             thread: place.thread,
             running,
-            links: links_end,
-            out_directory,
-            out_reader,
-            in_directory,
-            in_writer,
-            in_words,
+            values: Values {
+                links: links_end,
+                out_directory,
+                out_reader,
+                in_directory,
+                in_writer,
+                in_words,
+            },
         })
     }
 
     /// Compiles the plan and finds its thread. Which devices a net commands is known only when it is
-    /// loaded, and so is the default period.
+    /// built, and so is the default period. It is parsed, resolved and sorted once, and built again if that is
+    /// another period than assumed.
     fn plan(
         &self,
         text: &str,
         period: Option<Duration>,
         devices: &DeviceTable,
         memory_bytes: usize,
-    ) -> Result<(Plan, Place), Rejection> {
-        let limits_for = |period| Limits {
-            memory_bytes,
-            ..limits_for(period)
-        };
-        let place = |devices: &[String]| self.inner.lock().place(period, devices);
+    ) -> Result<(Plan, Placement), Rejection> {
+        let place = |devices: &[String]| self.inner.lock().threads.place(period, devices);
         let before = place(&[])?;
-        let limits = limits_for(before.period);
-        // The budget of a period that is not known yet is no reason to reject.
-        let cost = limits.cost.filter(|_| period.is_some());
-        let plan = self.load_for(text, before.period, Limits { cost, ..limits }, devices)?;
-        let after = place(plan.devices())?;
-        let fits = limits.cost.is_none_or(|cost| plan.cost().total <= cost);
-        if after.period == before.period && fits {
-            return Ok((plan, after));
-        }
-        let limits = limits_for(after.period);
-        let plan = self.load_for(text, after.period, limits, devices)?;
-        Ok((plan, after))
-    }
-
-    fn load_for(
-        &self,
-        text: &str,
-        period: Duration,
-        limits: Limits,
-        devices: &DeviceTable,
-    ) -> Result<Plan, Rejection> {
+        let limits = Limits {
+            memory_bytes,
+            ..Limits::default()
+        };
         let context = LoadContext {
             registry: &self.inner.primitives,
             devices: &Surroundings {
                 devices,
                 inner: &self.inner,
             },
-            period,
+            period: before.period,
             limits,
         };
-        load(text, &context)
+        let parsed = Parsed::new(text, &limits);
+        let sorted = Sorted::new(&parsed, &context);
+        let assumed = budget(before.period);
+        // The budget of a period that is not known yet is no reason to reject.
+        let plan = sorted.build(before.period, period.map(|_| assumed))?;
+        let after = place(plan.devices())?;
+        if after.period == before.period && plan.cost().total <= assumed {
+            return Ok((plan, after));
+        }
+        drop(plan);
+        let plan = sorted.build(after.period, Some(budget(after.period)))?;
+        Ok((plan, after))
     }
 }

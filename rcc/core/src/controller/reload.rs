@@ -2,12 +2,12 @@
 //! caller, which reads the file, selects them; nets are not affected.
 
 use crate::cell::DeviceConfig;
+use crate::controller::Controller;
 use crate::controller::clock::FollowedClock;
-use crate::controller::net::Net;
+use crate::controller::nets::Net;
 use crate::controller::registry::Registry;
-use crate::controller::{Controller, NetState};
 use crate::error::Error;
-use crate::executor::thread::Command;
+use crate::ids::NetState;
 
 impl Controller {
     /// Adds a device of the cell and starts its driver.
@@ -28,6 +28,7 @@ impl Controller {
     pub fn remove_cell_device(&self, name: &str) -> Result<(), Error> {
         let mut registry = self.inner.lock();
         let of_cell = registry
+            .devices
             .drivers
             .iter()
             .position(|driver| driver.name() == name);
@@ -35,6 +36,7 @@ impl Controller {
         registry.refuse_if_used(name)?;
         if registry
             .devices
+            .table
             .find(name)
             .is_some_and(|device| !device.is_at_rest())
         {
@@ -43,15 +45,15 @@ impl Controller {
                 what: "it still moves; wait until it is at rest".to_owned(),
             });
         }
-        if let Some(number) = registry.devices.remove(name) {
-            registry.command(Command::RemoveDevice(number))?;
+        if let Some(number) = registry.devices.table.remove(name) {
+            registry.threads.remove_device(number)?;
         }
-        let driver = registry.drivers.remove(at);
+        let driver = registry.devices.drivers.remove(at);
         self.inner.announce(&registry);
         drop(registry);
         // Its thread takes a moment to end; wait without the lock.
         if let Some(clock) = driver.stop() {
-            FollowedClock::give_back(&mut self.inner.lock().clock, name, clock);
+            FollowedClock::give_back(&mut self.inner.lock().devices.clock, name, clock);
         }
         Ok(())
     }
@@ -61,14 +63,13 @@ impl Registry {
     /// An error if a net that has not ended reads or commands the device, or one is being loaded: which devices
     /// it will use is not known yet.
     pub(super) fn refuse_if_used(&self, name: &str) -> Result<(), Error> {
-        let over = |state| matches!(state, NetState::Terminated | NetState::Rejected);
-        let mut nets = self.nets.iter();
         let may_use = |net: &Net| net.state() == NetState::Loading || net.uses(name);
-        match nets.find(|(_, net)| !over(net.state()) && may_use(net)) {
+        let mut nets = self.nets.iter();
+        match nets.find(|(_, net)| !net.is_over() && may_use(net)) {
             None => Ok(()),
             Some((net, _)) => Err(Error::DeviceInUse {
                 name: name.to_owned(),
-                net: *net,
+                net,
             }),
         }
     }

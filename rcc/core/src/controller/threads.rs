@@ -2,6 +2,7 @@
 //! is loaded, and each command goes to the thread that it concerns. The executor module executes
 //! the commands.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -11,22 +12,20 @@ use takt_rt::thread::ThreadConfig;
 
 use crate::cell::{CellConfig, THREADS_MAX, listed};
 use crate::controller::clock::FollowedClock;
-use crate::controller::registry::Registry;
+use crate::device::Device;
 use crate::error::Error;
 use crate::executor::figures::budget;
-use crate::executor::rules::Literal;
 use crate::executor::serve::{DeviceEnd, Driver};
 use crate::executor::stop::{EmergencyStop, StopPart};
-use crate::executor::thread::{COMMANDS, Command, NetThread, NetThreadConfig};
-use crate::ids::NetId;
+use crate::executor::thread::{COMMANDS, Command, Event, NetThread, NetThreadConfig};
 use crate::record::Tap;
 
 /// Maximum period of a net.
 const NET_PERIOD_MAX: Duration = Duration::from_mins(1);
 
-/// Thread and period of a net.
+/// The thread and the period of a net.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct Placement {
     /// Number of its thread.
     pub(super) thread: usize,
     /// Its period.
@@ -35,7 +34,7 @@ pub(super) struct Place {
     pub(super) every: u64,
 }
 
-impl Place {
+impl Placement {
     /// Rejects a net whose cost bound exceeds the budget of its thread's cycle, whatever its own period.
     pub(super) fn check_cost(&self, cost: &NetCost) -> Result<(), Rejection> {
         let Self { period, every, .. } = *self;
@@ -52,48 +51,59 @@ impl Place {
             cost.total,
             cost.heaviest(3)
         );
-        Err(refused("cycle", why))
+        Err(rejected("cycle", why))
     }
 }
 
-/// Starts all net threads of a cell on one time base; the first one is recorded.
-pub(super) fn start(
-    cell: &CellConfig,
-    clock: Option<&FollowedClock>,
-    stop: &Arc<EmergencyStop>,
-    tap: Option<Tap>,
-) -> Result<Vec<NetThread>, Error> {
-    let controller = &cell.controller;
-    let first = ThreadConfig {
-        priority: controller.priority,
-        cpus: controller.cpus.clone(),
-        ..ThreadConfig::new("takt-nets")
-    };
-    let others = controller.threads.iter().map(|thread| ThreadConfig {
-        priority: thread.priority,
-        cpus: thread.cpus.clone(),
-        ..ThreadConfig::new(format!("takt-nets-{:?}", thread.period).replace('µ', "u"))
-    });
-    let base = takt_rt::monotonic();
-    let mut tap = tap;
-    let mut threads = Vec::new();
-    for (thread, period) in [first].into_iter().chain(others).zip(cell.periods()) {
-        let config = NetThreadConfig {
-            period,
-            base,
-            follow: clock.and_then(|clock| clock.follow(threads.len())),
-            stop: StopPart::new(Arc::clone(stop), threads.len()),
-            thread,
+/// The net threads, the first one first.
+#[derive(Debug, Default)]
+pub(super) struct NetThreads {
+    threads: Vec<NetThread>,
+    /// Threads of devices, by device name; the first thread for devices that are not listed.
+    serving: BTreeMap<String, usize>,
+}
+
+impl NetThreads {
+    /// Starts all net threads of a cell on one time base; the first one is recorded.
+    pub(super) fn start(
+        cell: &CellConfig,
+        clock: Option<&FollowedClock>,
+        stop: &Arc<EmergencyStop>,
+        tap: Option<Tap>,
+    ) -> Result<Self, Error> {
+        let controller = &cell.controller;
+        let first = ThreadConfig {
+            priority: controller.priority,
+            cpus: controller.cpus.clone(),
+            ..ThreadConfig::new("takt-nets")
         };
-        stop.switch().register(threads.len(), period.into());
-        threads.push(NetThread::start(config, tap.take())?);
+        let others = controller.threads.iter().map(|thread| ThreadConfig {
+            priority: thread.priority,
+            cpus: thread.cpus.clone(),
+            ..ThreadConfig::new(format!("takt-nets-{:?}", thread.period).replace('µ', "u"))
+        });
+        let base = takt_rt::monotonic();
+        let mut tap = tap;
+        let mut threads = Vec::new();
+        for (thread, period) in [first].into_iter().chain(others).zip(cell.periods()) {
+            let config = NetThreadConfig {
+                period,
+                base,
+                follow: clock.and_then(|clock| clock.follow(threads.len())),
+                stop: StopPart::new(Arc::clone(stop), threads.len()),
+                thread,
+            };
+            stop.switch().register(threads.len(), period.into());
+            threads.push(NetThread::start(config, tap.take())?);
+        }
+        Ok(Self {
+            threads,
+            serving: BTreeMap::new(),
+        })
     }
-    Ok(threads)
-}
 
-impl Registry {
     /// The thread of that period, by default the first.
-    pub(super) fn thread_of_period(&self, period: Option<Duration>) -> Result<usize, String> {
+    pub(super) fn of_period(&self, period: Option<Duration>) -> Result<usize, String> {
         let Some(period) = period else {
             return Ok(0);
         };
@@ -124,11 +134,11 @@ impl Registry {
         &self,
         period: Option<Duration>,
         devices: &[String],
-    ) -> Result<Place, Rejection> {
+    ) -> Result<Placement, Rejection> {
         if let Some(period) = period.filter(|period| *period > NET_PERIOD_MAX) {
             let why =
                 format!("{period:?} is longer than the {NET_PERIOD_MAX:?} that a cycle may take");
-            return Err(refused("cycle", why));
+            return Err(rejected("cycle", why));
         }
         let periods = self.periods();
         let given = |thread: usize| periods.get(thread).copied().unwrap_or_default();
@@ -139,12 +149,12 @@ impl Registry {
             let slowest = fitting.max_by_key(|(period, ..)| *period);
             let (_, thread, every) = slowest.ok_or_else(|| {
                 let threads = listed(&periods);
-                refused(
+                rejected(
                     "cycle",
                     format!("{period:?} is not a whole multiple of the controller's {threads}"),
                 )
             })?;
-            return Ok(Place {
+            return Ok(Placement {
                 thread,
                 period,
                 every,
@@ -159,7 +169,7 @@ impl Registry {
                  {one:?} and `{stranger}` by that of {other:?}; give both the same `thread` in the \
                  cell's configuration, or command them by two nets"
             );
-            return Err(refused("Robot", why));
+            return Err(rejected("Robot", why));
         }
         let period = period.unwrap_or_else(|| given(thread));
         let every = multiple(period, given(thread)).ok_or_else(|| {
@@ -168,88 +178,118 @@ impl Registry {
                 "{period:?} is not a whole multiple of the {thread:?} of the net thread that serves \
                  `{device}`"
             );
-            refused("cycle", why)
+            rejected("cycle", why)
         })?;
-        Ok(Place {
+        Ok(Placement {
             thread,
             period,
             every,
         })
     }
 
-    /// Sends a command to a thread; returns it if the thread's queue is full.
-    pub(super) fn send(&mut self, thread: usize, command: Command) -> Result<(), Command> {
-        match self.threads.get_mut(thread) {
-            Some(thread) => thread.commands.push(command),
-            None => Err(command),
+    /// Sends a command to a thread. If its queue is full, the command is dropped.
+    ///
+    /// # Errors
+    /// If its queue is full.
+    pub(super) fn send(&mut self, thread: usize, command: Command) -> Result<(), Error> {
+        let thread = self.threads.get_mut(thread).ok_or_else(busy)?;
+        thread.commands.push(command).map_err(|_| busy())
+    }
+
+    /// Checks that a thread's queue has space for one command. The result holds while the registry is locked, until the
+    /// command is sent.
+    pub(super) fn check_capacity_of(&mut self, thread: usize) -> Result<(), Error> {
+        let thread = self.threads.get_mut(thread).ok_or_else(busy)?;
+        if thread.commands.free_slots() > 0 {
+            return Ok(());
         }
+        Err(busy())
     }
 
     /// Checks that each thread's queue has space for so many commands. The result holds while the registry
     /// is locked, until they are sent.
-    pub(super) fn has_room(&mut self, commands: usize) -> Result<(), Error> {
-        let rooms = self.threads.iter_mut().map(|t| t.commands.free_slots());
-        match rooms.min() {
-            Some(room) if room >= commands => Ok(()),
+    pub(super) fn check_capacity(&mut self, commands: usize) -> Result<(), Error> {
+        let free = self.threads.iter_mut().map(|t| t.commands.free_slots());
+        match free.min() {
+            Some(free) if free >= commands => Ok(()),
             _ => Err(busy()),
         }
     }
 
-    /// Sends a command to the thread of the net or the threads of the device.
-    pub(super) fn command(&mut self, command: Command) -> Result<(), Error> {
-        let thread = match &command {
-            Command::Start(net) | Command::Schedule(net) => self.thread_of(net.id),
-            Command::Cancel(id)
-            | Command::Abort(id)
-            | Command::StartScheduled(id)
-            | Command::Forget(id)
-            | Command::Answer(Literal { net: id, .. })
-            | Command::Unschedule { net: id, .. } => self.thread_of(*id),
-            Command::AddRule(_) => 0,
-            Command::AddDevice(end) => return self.add_to_threads(end.number(), command),
-            Command::RemoveDevice(number) => return self.remove_from_threads(*number),
-        };
-        self.send(thread, command).map_err(|_| busy())
-    }
-
     /// Assigns a device to the thread that serves it; all other threads can read its state.
-    fn add_to_threads(&mut self, number: usize, command: Command) -> Result<(), Error> {
-        self.has_room(1)?;
-        let Some(device) = self.devices.get(number).cloned() else {
-            return Ok(());
-        };
+    pub(super) fn add_device(
+        &mut self,
+        number: usize,
+        device: &Device,
+        driver: Driver,
+    ) -> Result<(), Error> {
+        self.check_capacity(1)?;
+        let end = |driver| Box::new(DeviceEnd::new(number, device.place.clone(), driver));
         let serving = self.serving_thread(&device.name);
         for thread in (0..self.threads.len()).filter(|thread| *thread != serving) {
             let state = device.reader().ok_or(Error::TooMany {
-                what: "threads that see a device",
+                item: "threads that see a device",
                 bound: THREADS_MAX,
             })?;
-            let end = DeviceEnd::new(number, device.place.clone(), Driver::Seen { state });
-            let seen = self.send(thread, Command::AddDevice(Box::new(end)));
-            seen.map_err(|_| busy())?;
+            self.send(thread, Command::AddDevice(end(Driver::Seen { state })))?;
         }
-        self.send(serving, command).map_err(|_| busy())
+        self.send(serving, Command::AddDevice(end(driver)))
     }
 
-    fn remove_from_threads(&mut self, number: usize) -> Result<(), Error> {
-        self.has_room(1)?;
+    /// Takes a device from all threads.
+    pub(super) fn remove_device(&mut self, number: usize) -> Result<(), Error> {
+        self.check_capacity(1)?;
         for thread in 0..self.threads.len() {
-            let removed = self.send(thread, Command::RemoveDevice(number));
-            removed.map_err(|_| busy())?;
+            self.send(thread, Command::RemoveDevice(number))?;
         }
         Ok(())
     }
 
-    /// The thread of a net.
-    pub(super) fn thread_of(&self, net: u32) -> usize {
-        self.nets.get(&NetId(net)).map_or(0, |net| net.thread)
+    /// The next event of a thread.
+    pub(super) fn next_event(&mut self, thread: usize) -> Option<Event> {
+        self.threads.get_mut(thread)?.events.pop()
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.threads.len()
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = &NetThread> {
+        self.threads.iter()
+    }
+
+    pub(super) fn first(&self) -> Option<&NetThread> {
+        self.threads.first()
+    }
+
+    /// Period of the thread of that number.
+    pub(super) fn period(&self, thread: usize) -> Option<Duration> {
+        self.threads.get(thread).map(|thread| thread.period)
+    }
+
+    /// Time that nets of a thread may take together in a cycle.
+    pub(super) fn budget(&self, thread: usize) -> Duration {
+        budget(self.period(thread).unwrap_or_default())
+    }
+
+    /// The longest period of a thread.
+    pub(super) fn slowest(&self) -> Duration {
+        self.periods().into_iter().max().unwrap_or_default()
+    }
+
+    /// Ends all threads and waits for that.
+    pub(super) fn stop(&mut self) {
+        self.threads.iter().for_each(NetThread::request_stop);
+        for thread in self.threads.drain(..) {
+            thread.stop();
+        }
     }
 }
 
 /// The error of a thread whose queue is full.
 pub(super) const fn busy() -> Error {
     Error::TooMany {
-        what: "requests to the net thread",
+        item: "requests to the net thread",
         bound: COMMANDS,
     }
 }
@@ -261,7 +301,7 @@ fn multiple(period: Duration, thread_period: Duration) -> Option<u64> {
     whole.then(|| u64::try_from(wanted / given).unwrap_or(u64::MAX))
 }
 
-fn refused(parameter: &str, why: String) -> Rejection {
+fn rejected(parameter: &str, why: String) -> Rejection {
     let parameter = parameter.to_owned();
     let kind = FaultKind::Parameter { parameter, why };
     Rejection {

@@ -162,7 +162,7 @@ impl DeviceTable {
             .unwrap_or(self.devices.len());
         if number >= DEVICES_MAX {
             return Err(Error::TooMany {
-                what: "devices",
+                item: "devices",
                 bound: DEVICES_MAX,
             });
         }
@@ -201,7 +201,7 @@ impl DeviceTable {
         let (driver_state, state) = latest(STATE_READERS, || DeviceState::new(signals));
         let (command, driver_command) = latest(1, || DeviceCommand::new(commands));
         let for_table = state.another().ok_or(Error::TooMany {
-            what: "readers of a device",
+            item: "readers of a device",
             bound: STATE_READERS,
         })?;
         let kinematics = takt_motion::kinematics::limited(&device.model, &device.limits);

@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use takt_net::{Limits, LoadContext, Nanos, NoDevices, Registry, load};
-use takt_rt::latest::latest;
+use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
 use super::*;
 
@@ -93,7 +93,7 @@ impl Bench {
         bench
     }
 
-    fn start(&mut self, net: Box<Running>) -> Result<(), Refusal> {
+    fn start(&mut self, net: Box<Running>) -> Result<(), StartError> {
         self.executor.start(net).map_err(|(_, refusal)| refusal)
     }
 
@@ -169,12 +169,12 @@ fn resource_belongs_to_one_running_net() {
     for (resources, expected) in [
         (&[][..], Ok(())),
         (&[2, 65], Ok(())),
-        (&[2, 65], Err(Refusal::ResourceInUse(2))),
-        (&[64], Err(Refusal::ResourceInUse(64))),
-        (&[4, 3], Err(Refusal::ResourceInUse(3))),
+        (&[2, 65], Err(StartError::ResourceInUse(2))),
+        (&[64], Err(StartError::ResourceInUse(64))),
+        (&[4, 3], Err(StartError::ResourceInUse(3))),
         (
             &[ResourceSet::MAX - 1],
-            Err(Refusal::ResourceInUse(ResourceSet::MAX - 1)),
+            Err(StartError::ResourceInUse(ResourceSet::MAX - 1)),
         ),
     ] {
         assert_eq!(
@@ -194,9 +194,9 @@ fn net_requires_operational_device() {
     let mut bench = Bench::with_devices(&[READY, safe, DeviceView::default()]);
     for (devices, expected) in [
         (&[0][..], Ok(())),
-        (&[1], Err(Refusal::DeviceNotReady(1))),
-        (&[0, 2], Err(Refusal::DeviceNotReady(2))),
-        (&[3], Err(Refusal::DeviceNotReady(3))),
+        (&[1], Err(StartError::DeviceNotReady(1))),
+        (&[0, 2], Err(StartError::DeviceNotReady(2))),
+        (&[3], Err(StartError::DeviceNotReady(3))),
     ] {
         assert_eq!(bench.start(commanding(0, devices)), expected, "{devices:?}");
     }
@@ -208,7 +208,7 @@ fn rejected_net_is_returned_without_resources() {
     let mut refused = holding(5, ENDLESS, &[1]);
     refused.devices.push((0, 0));
     let (back, why) = bench.executor.start(refused).unwrap_err();
-    assert_eq!((back.id, why), (5, Refusal::DeviceNotReady(0)));
+    assert_eq!((back.id, why), (5, StartError::DeviceNotReady(0)));
     assert_eq!(bench.start(holding(6, ENDLESS, &[1])), Ok(()));
     assert_eq!(bench.ids(), [6]);
 }
@@ -220,7 +220,7 @@ fn running_nets_are_bounded() {
     for id in 0..most {
         assert_eq!(bench.start(net(id, BRIEF)), Ok(()));
     }
-    assert_eq!(bench.start(net(most, BRIEF)), Err(Refusal::TooMany));
+    assert_eq!(bench.start(net(most, BRIEF)), Err(StartError::TooMany));
     assert_eq!(bench.run().len(), RUNNING_MAX);
     assert_eq!(bench.start(net(most, BRIEF)), Ok(()));
 }
@@ -352,7 +352,7 @@ fn ended_net_frees_resources_before_next_cycle() {
     bench.start(holding(0, BRIEF, &[1])).unwrap();
     assert_eq!(
         bench.start(holding(1, BRIEF, &[1])),
-        Err(Refusal::ResourceInUse(1))
+        Err(StartError::ResourceInUse(1))
     );
     assert_eq!(bench.run(), [(0, End::Terminated)]);
     assert_eq!(bench.start(holding(1, BRIEF, &[1])), Ok(()));
@@ -376,7 +376,7 @@ fn unaccepted_ended_net_is_not_evaluated() {
         assert!(!bench.executor.take_ended(|net, _| Err(net)));
         assert_eq!(
             bench.start(holding(1, BRIEF, &[1])),
-            Err(Refusal::ResourceInUse(1))
+            Err(StartError::ResourceInUse(1))
         );
         assert_eq!(bench.evaluate(), [0_u32; 0]);
         assert_eq!(evaluations(&mut out), last);

@@ -14,10 +14,10 @@ use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::error::Error;
 use crate::executor::figures::budget;
-use crate::executor::rules::{Literal, Rule, RuleRefusal, WORK_MAX};
+use crate::executor::rules::{Literal, Rule, RuleError, WORK_MAX};
 use crate::executor::serve::{DeviceEnd, Served};
 use crate::executor::stop::StopPart;
-use crate::executor::{Effect, End, Executor, Refusal, Running};
+use crate::executor::{Effect, End, Executor, Running, StartError};
 use crate::record::Tap;
 
 /// Commands of the controller to the thread.
@@ -53,6 +53,21 @@ pub enum Command {
 }
 
 impl Command {
+    /// The net that it is about; `None` for a rule or a device.
+    #[must_use]
+    pub fn net(&self) -> Option<u32> {
+        match self {
+            Self::Start(net) | Self::Schedule(net) => Some(net.id),
+            Self::Cancel(id)
+            | Self::Abort(id)
+            | Self::StartScheduled(id)
+            | Self::Forget(id)
+            | Self::Answer(Literal { net: id, .. })
+            | Self::Unschedule { net: id, .. } => Some(*id),
+            Self::AddRule(_) | Self::AddDevice(_) | Self::RemoveDevice(_) => None,
+        }
+    }
+
     /// Whether it requires a pass over all waiting rules.
     const fn reads_all_rules(&self) -> bool {
         match self {
@@ -77,7 +92,7 @@ pub enum Event {
     /// A net runs.
     Started(u32),
     /// A net could not be started and is returned.
-    Refused(Box<Running>, Refusal),
+    StartRejected(Box<Running>, StartError),
     /// A net received a cancel and runs until it ends by itself.
     Cancelling(u32),
     /// A net ended and is returned.
@@ -85,7 +100,7 @@ pub enum Event {
     /// A rule waits.
     RuleAdded(u32),
     /// A rule was rejected.
-    RuleRefused(Box<Rule>, RuleRefusal),
+    RuleRejected(Box<Rule>, RuleError),
     /// A rule no longer waits.
     RuleDone(Box<Rule>),
     /// A device is no longer served.
@@ -382,7 +397,7 @@ impl Cycle {
     fn start(&mut self, net: Box<Running>) {
         let id = net.id;
         if !self.served.stop().permits(net.requested) {
-            return self.report(Event::Refused(net, Refusal::Halted));
+            return self.report(Event::StartRejected(net, StartError::Halted));
         }
         match self.executor.start(net) {
             Ok(()) => {
@@ -391,7 +406,7 @@ impl Cycle {
                 }
                 self.report(Event::Started(id));
             }
-            Err((net, refusal)) => self.report(Event::Refused(net, refusal)),
+            Err((net, error)) => self.report(Event::StartRejected(net, error)),
         }
     }
 
@@ -405,12 +420,12 @@ impl Cycle {
             Command::AddRule(rule) => {
                 let id = rule.id;
                 if !self.served.stop().permits(rule.requested) {
-                    let rule = crate::executor::rules::refused(rule);
-                    return self.report(Event::RuleRefused(rule, RuleRefusal::Halted));
+                    let rule = crate::executor::rules::rejected(rule);
+                    return self.report(Event::RuleRejected(rule, RuleError::Halted));
                 }
                 match self.executor.add_rule(rule) {
                     Ok(()) => self.report(Event::RuleAdded(id)),
-                    Err((rule, why)) => self.report(Event::RuleRefused(rule, why)),
+                    Err((rule, why)) => self.report(Event::RuleRejected(rule, why)),
                 }
             }
             Command::Answer(literal) => self.executor.set_final_answer(literal),
@@ -486,7 +501,7 @@ impl Cycle {
         } = self;
         while executor.take_ended(|mut net, end| {
             let id = net.id;
-            if net.take_untold() {
+            if net.take_start_report() {
                 let pushed = events.push(Event::Started(id));
                 debug_assert!(pushed.is_ok(), "more events than requests");
             }

@@ -3,8 +3,7 @@
 //! starts in its place: commands that the successor gives too are kept until its first cycle, without a gap.
 //! Other modules decide which nets end; drivers decide how to brake.
 
-use takt_net::Image;
-
+use super::life::{Change, Life};
 use super::{BUCKETS, Executor, Running};
 
 /// Nets that ended and whose commands are still in the image.
@@ -28,19 +27,9 @@ impl Default for Leaving {
 impl Leaving {
     /// Adds an ended net, once.
     pub(super) fn note(&mut self, net: &mut Running) {
-        if !std::mem::replace(&mut net.leaves, true) {
+        if matches!(net.life, Life::Ended { .. }) {
+            net.change(Change::Withdraw);
             self.now.push(net.id);
-        }
-    }
-}
-
-impl Running {
-    /// After its first evaluation in `cycle`: ends commands that it did not take over.
-    pub(super) fn take_over(&mut self, image: &Image, cycle: u64) {
-        if std::mem::replace(&mut self.succeeds, false) {
-            for target in self.plan.commands() {
-                image.withdraw_unused(*target, self.id, cycle);
-            }
         }
     }
 }
@@ -51,9 +40,7 @@ impl Executor {
         let Self {
             running, leaving, ..
         } = self;
-        let ended = running
-            .iter_mut()
-            .filter(|net| net.end.is_some() && !net.evaluated);
+        let ended = running.iter_mut().filter(|net| !net.life.is_evaluated());
         ended.for_each(|net| leaving.note(net));
         leaving.now.append(&mut leaving.later);
         self.withdraw_leaving();
@@ -63,12 +50,12 @@ impl Executor {
     /// there were any, as drivers must see this at once.
     pub fn withdraw(&mut self) -> bool {
         for at in 0..self.running.len() {
-            let net = &self.running[at];
-            if net.end.is_none() || net.leaves {
+            let net = &mut self.running[at];
+            if !matches!(net.life, Life::Ended { .. }) {
                 continue;
             }
+            net.change(Change::Withdraw);
             let id = net.id;
-            self.running[at].leaves = true;
             let leaving = &mut self.leaving;
             if self.rules.may_still_succeed(id) {
                 leaving.later.push(id);
@@ -87,7 +74,7 @@ impl Executor {
         ended.sort_unstable();
         let has_ended = |id: u32| ended.binary_search(&id).is_ok();
         let heirs = self.running.iter();
-        for net in heirs.filter(|net| net.succeeds && net.end.is_none()) {
+        for net in heirs.filter(|net| net.life == Life::Succeeding) {
             for target in net.plan.commands() {
                 self.image.transfer(*target, net.id, has_ended);
             }

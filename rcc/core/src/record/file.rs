@@ -263,7 +263,7 @@ impl<W: Write + Seek> Writer<W> {
         };
         let text = text.map_err(|e| Error::Recording {
             path: self.path.clone(),
-            what: format!("cannot write a note: {e}"),
+            why: format!("cannot write a note: {e}"),
         })?;
         self.message(channel, text.as_bytes(), monotonic())
     }
@@ -296,10 +296,10 @@ fn note<T: DeserializeOwned>(data: &[u8]) -> Result<T, String> {
     toml::from_slice(data).map_err(|e| format!("unreadable note: {e}"))
 }
 
-fn wrong(path: &Path, what: String) -> Error {
+fn wrong(path: &Path, why: String) -> Error {
     Error::Recording {
         path: path.to_owned(),
-        what,
+        why,
     }
 }
 
@@ -408,15 +408,15 @@ impl Recording {
                         }
                         recording
                             .message(topic, &data)
-                            .map_err(|what| wrong(path, what))?;
+                            .map_err(|why| wrong(path, why))?;
                     }
                 }
                 LinearReadEvent::Record { .. } => {}
             }
         }
         if recording.cycles.is_empty() && recording.is_cut {
-            let what = "cut off before its first cycle: a full disk?";
-            return Err(wrong(path, what.to_owned()));
+            let why = "cut off before its first cycle: a full disk?";
+            return Err(wrong(path, why.to_owned()));
         }
         if recording.cycles.is_empty() {
             return Err(wrong(

@@ -99,7 +99,7 @@ fn prepare(
     };
     let plan = load(&net.text, &context).map_err(|rejection| Error::Recording {
         path: path.to_owned(),
-        what: format!("its net {} is rejected: {rejection}", NetId(net.id)),
+        why: format!("its net {} is rejected: {rejection}", NetId(net.id)),
     })?;
     let words = |n: usize| vec![0; n].into_boxed_slice();
     let (out, _) = latest(1, || words(plan.outbox().words()));
@@ -152,10 +152,10 @@ impl<'r> Stage<'r> {
         })
     }
 
-    fn broken(&self, what: &str) -> Error {
+    fn broken(&self, why: &str) -> Error {
         Error::Recording {
             path: self.path.to_owned(),
-            what: what.to_owned(),
+            why: why.to_owned(),
         }
     }
 

@@ -154,9 +154,9 @@ impl Drop for StopChannel {
     }
 }
 
-fn channel(what: &str, source: io::Error) -> Error {
+fn channel(address: &str, source: io::Error) -> Error {
     Error::StopChannel {
-        what: what.to_owned(),
+        address: address.to_owned(),
         source,
     }
 }

@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::cell::NetThreadSettings;
+use crate::controller::registry::Registry;
 use crate::controller::{Controller, LoadRequest, NetState, RuleRequest, RuleState};
-use crate::ids::SessionId;
+use crate::ids::{NetId, SessionId};
 
 const NET: &str = "{c=Cancel(),outTerminate=c.outCancel}";
 
@@ -52,11 +53,13 @@ fn net_runs_in_slowest_dividing_thread() {
         (Some(6), 0, 3),
         (Some(7), 2, 7),
     ] {
-        let place = registry.place(period.map(ms), &[]).unwrap();
+        let place = registry.threads.place(period.map(ms), &[]).unwrap();
         assert_eq!((place.thread, place.every), (thread, every), "{period:?}");
         assert_eq!(place.period, ms(period.unwrap_or(2)));
     }
-    let odd = registry.place(Some(Duration::from_micros(1500)), &[]);
+    let odd = registry
+        .threads
+        .place(Some(Duration::from_micros(1500)), &[]);
     let text = odd.unwrap_err().to_string();
     let expected = "1.5ms is not a whole multiple of the controller's 2ms, 8ms, 1ms and 20ms";
     assert!(text.contains(expected), "{text}");
@@ -66,8 +69,8 @@ fn net_runs_in_slowest_dividing_thread() {
 fn commanding_net_runs_in_device_thread() {
     let controller = controller(&[1, 4]);
     let mut registry = controller.inner.lock();
-    registry.serve_in("slow", 1);
-    registry.serve_in("slower", 1);
+    registry.threads.serve_in("slow", 1);
+    registry.threads.serve_in("slower", 1);
     let names =
         |names: &[&str]| -> Vec<String> { names.iter().map(|name| (*name).to_owned()).collect() };
     for (period, devices, expected) in [
@@ -86,10 +89,10 @@ fn commanding_net_runs_in_device_thread() {
             Err("`slow` is served by that of 4ms and `fast` by that of 1ms; give both"),
         ),
     ] {
-        let place = registry.place(period.map(ms), &names(devices));
+        let place = registry.threads.place(period.map(ms), &names(devices));
         match (place, expected) {
             (Ok(place), Ok((thread, period, every))) => {
-                let expected = Place {
+                let expected = Placement {
                     thread,
                     period: ms(period),
                     every,
@@ -108,7 +111,7 @@ fn commanding_net_runs_in_device_thread() {
 
 /// Fills the ring to the first thread.
 fn fill(registry: &mut Registry) {
-    while registry.send(0, Command::Forget(u32::MAX)).is_ok() {}
+    while registry.threads.send(0, Command::Forget(u32::MAX)).is_ok() {}
 }
 
 #[test]
@@ -119,14 +122,14 @@ fn net_stays_ready_if_command_queue_full() {
         let mut registry = controller.inner.lock();
         fill(&mut registry);
         // The thread may make room before this; then it is no test.
-        let error = registry.begin(net).err()?.to_string();
+        let error = registry.start(net).err()?.to_string();
         assert!(
             error.contains("requests to the net thread: at most 1024"),
             "{error}"
         );
-        let known = registry.net(net).unwrap();
+        let known = registry.nets.get(net).unwrap();
         assert_eq!(known.state(), NetState::Ready);
-        assert!(!known.is_to_start());
+        assert!(!known.is_starting());
         Some(net)
     });
     let net = net.unwrap();
@@ -164,7 +167,13 @@ fn rule_rejected_by_full_queue_keeps_nets() {
 }
 
 fn wait_for_room(controller: &Controller) {
-    while controller.inner.lock().has_room(COMMANDS).is_err() {
+    while controller
+        .inner
+        .lock()
+        .threads
+        .check_capacity(COMMANDS)
+        .is_err()
+    {
         std::thread::sleep(ms(5));
     }
 }

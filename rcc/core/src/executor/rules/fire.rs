@@ -3,8 +3,10 @@
 
 use takt_rt::Nanos;
 
-use super::{Failure, Literal, Question, RuleState, Rules};
-use crate::executor::rules::shared::Decision;
+use super::Rules;
+use super::rule::{Failure, RuleState};
+use super::shared::Decision;
+use crate::executor::life::{Change, StartReport};
 use crate::executor::{DeviceView, End, Executor, ResourceSet, Running};
 
 /// Resources and cost of the nets that continue.
@@ -103,7 +105,7 @@ impl Executor {
                 let (id, at) = self.rules.nets_named.running(*slot);
                 let net = self.running.get(at).filter(|net| net.id == id);
                 if let Some(net) = net {
-                    rule.changed |= answer(literal, net, net.end);
+                    rule.changed |= literal.answer(&net.plan, net.life.end());
                 }
             }
         }
@@ -156,7 +158,7 @@ impl Executor {
         for slot in rule.stopped() {
             let net = self.rules.running_at(*slot, &self.running);
             let net = net.and_then(|at| self.running.get(at));
-            if let Some(net) = net.filter(|net| net.end.is_none()) {
+            if let Some(net) = net.filter(|net| net.is_going_on()) {
                 after.end(net);
             }
         }
@@ -229,8 +231,8 @@ impl Executor {
                 continue;
             };
             let net = &mut self.running[net];
-            if net.end.is_none() {
-                net.end = Some(End::Stopped);
+            if net.is_going_on() {
+                net.change(Change::End(End::Stopped));
                 usage.end(net);
             }
         }
@@ -238,10 +240,7 @@ impl Executor {
             let Some(net) = self.rules.running_at(*slot, &self.running) else {
                 continue;
             };
-            let net = &mut self.running[net];
-            if !net.cancel {
-                (net.cancel, net.fresh_cancel) = (true, true);
-            }
+            self.running[net].cancel_by_rule();
         }
         for number in 0..waiting[at].started().len() {
             let slot = self.rules.waiting[at].started()[number];
@@ -249,7 +248,7 @@ impl Executor {
                 continue;
             };
             let mut net = self.rules.clear_scheduled_index(from);
-            net.fresh = true;
+            net.start_report = StartReport::Due;
             usage.begin(&net);
             self.rules
                 .nets_named
@@ -257,17 +256,4 @@ impl Executor {
             self.start_by_rule(net);
         }
     }
-}
-
-/// Answers a literal from its net, which has just ended if there is an `end`; returns whether the answer
-/// changed.
-pub(super) fn answer(literal: &mut Literal, net: &Running, end: Option<End>) -> bool {
-    let value = match literal.question {
-        Question::Value(at) => net.plan.out_bool(at),
-        Question::Terminated => end.map(|end| end == End::Terminated),
-    };
-    let last = end.is_some();
-    let before = (literal.value, literal.last);
-    (literal.value, literal.last) = (value, last);
-    before != (value, last)
 }

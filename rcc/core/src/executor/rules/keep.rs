@@ -1,12 +1,12 @@
 //! Adding and removing rules and their nets: resources reserved for nets that a rule starts, and the reasons for
 //! rejection. Nothing fires here; the registry reserves cycle time.
 
-use takt_rt::Nanos;
-
-use super::{
-    Literal, RULES_MAX, Rule, RuleRefusal, RuleState, Rules, SCHEDULED_MAX, Slot, WORK_MAX, answer,
-};
-use crate::executor::{Executor, Refusal, ResourceSet, Running};
+use super::Rules;
+use super::limits::{RULES_MAX, SCHEDULED_MAX, WORK_MAX};
+use super::literal::Literal;
+use super::net_table::Slot;
+use super::rule::{Rule, RuleError, RuleState};
+use crate::executor::{Executor, ResourceSet, Running};
 
 impl Executor {
     /// Schedules a net that rules may start, as long as the epochs of its devices do not change.
@@ -50,10 +50,10 @@ impl Executor {
     /// # Errors
     /// If it is rejected; the rule is returned with the reason, and its parts in other threads become
     /// inactive.
-    pub fn add_rule(&mut self, mut rule: Box<Rule>) -> Result<(), (Box<Rule>, RuleRefusal)> {
-        if let Err(refusal) = self.take_in(&mut rule) {
+    pub fn add_rule(&mut self, mut rule: Box<Rule>) -> Result<(), (Box<Rule>, RuleError)> {
+        if let Err(error) = self.take_in(&mut rule) {
             rule.state = rule.give_up();
-            return Err((rule, refusal));
+            return Err((rule, error));
         }
         let rules = &mut self.rules;
         if rule.starts_any() {
@@ -65,7 +65,7 @@ impl Executor {
         } = &mut *rule;
         for (literal, slot) in literals.iter_mut().zip(slots).filter(|(l, _)| !l.last) {
             if let Some(at) = rules.running_at(*slot, &self.running) {
-                answer(literal, &self.running[at], None);
+                literal.answer(&self.running[at].plan, None);
             }
         }
         rules.work += rule.work();
@@ -74,12 +74,12 @@ impl Executor {
     }
 
     /// Adds the nets of a new rule to the table and reserves its resources.
-    fn take_in(&mut self, rule: &mut Rule) -> Result<(), RuleRefusal> {
+    fn take_in(&mut self, rule: &mut Rule) -> Result<(), RuleError> {
         if self.rules.waiting.len() == RULES_MAX {
-            return Err(RuleRefusal::TooMany);
+            return Err(RuleError::TooMany);
         }
         if self.rules.work + rule.work() > WORK_MAX {
-            return Err(RuleRefusal::TooLong);
+            return Err(RuleError::TooLong);
         }
         self.rules.enter(rule);
         self.rules.seat(&self.running);
@@ -91,22 +91,22 @@ impl Executor {
                 rule.reserved = reserved;
                 Ok(())
             }
-            Err(refusal) => {
+            Err(error) => {
                 self.rules.leave(rule);
-                Err(refusal)
+                Err(error)
             }
         }
     }
 
     /// Resources to reserve for a new rule. The nets that it follows are marked.
-    fn reserve(&self, rule: &Rule) -> Result<ResourceSet, RuleRefusal> {
+    fn reserve(&self, rule: &Rule) -> Result<ResourceSet, RuleError> {
         let rules = &self.rules;
         let mut wanted = ResourceSet::default();
         for (slot, id) in rule.started().iter().zip(&rule.orders.start) {
             let at = rules.scheduled_at(*slot);
-            let net = &rules.scheduled[at.ok_or(RuleRefusal::NotWaiting(*id))?];
+            let net = &rules.scheduled[at.ok_or(RuleError::NotWaiting(*id))?];
             if let Some(twice) = wanted.common(&net.resources) {
-                return Err(RuleRefusal::ResourceTwice(twice));
+                return Err(RuleError::ResourceTwice(twice));
             }
             wanted.add(&net.resources);
         }
@@ -117,7 +117,7 @@ impl Executor {
         };
         for net in self.running.iter().filter(|net| !is_followed(net)) {
             if let Some(held) = claim.common(&net.resources) {
-                return Err(RuleRefusal::ResourceInUse(held));
+                return Err(RuleError::ResourceInUse(held));
             }
         }
         // Alternatives of one predecessor may need the same resource: only one of them will run.
@@ -132,41 +132,10 @@ impl Executor {
                 continue;
             }
             if let Some(kept) = claim.common(&rules.claim(other, other.reserved)) {
-                return Err(RuleRefusal::ResourceInUse(kept));
+                return Err(RuleError::ResourceInUse(kept));
             }
         }
         Ok(wanted)
-    }
-
-    /// Why a net cannot start now beside running and scheduled nets.
-    pub(in crate::executor) fn blocked(&mut self, net: &Running) -> Option<Refusal> {
-        let held = self.held();
-        if let Some(resource) = net.resources.common(&held) {
-            return Some(Refusal::ResourceInUse(resource));
-        }
-        let (running, budget) = (self.load(), self.budget);
-        if running + net.cost > budget {
-            return Some(Refusal::Overload { running, budget });
-        }
-        if self.rules.waiting.is_empty() {
-            return None;
-        }
-        self.rules.seat(&self.running);
-        let slot = self.rules.nets_named.find(net.id);
-        let concerns = |slots: &[Slot]| slot.is_some_and(|slot| slots.contains(&slot));
-        let rules = self.rules.waiting.iter().map(|rule| &**rule);
-        let rules = rules.filter(|rule| net.resources.common(&rule.reserved).is_some());
-        let mut strangers = rules.filter(|r| !concerns(r.started()) && !concerns(r.followed()));
-        strangers.find_map(|rule| {
-            let kept = self.rules.claim(rule, rule.reserved);
-            let resource = net.resources.common(&kept)?;
-            Some(Refusal::ResourceKept(resource))
-        })
-    }
-
-    /// Cost of all running nets in a cycle in which each is evaluated.
-    pub(super) fn load(&self) -> Nanos {
-        self.going_on().fold(Nanos::ZERO, |sum, net| sum + net.cost)
     }
 
     /// Removes the rules that no longer wait, as far as `take` accepts them.
@@ -246,6 +215,24 @@ impl Rules {
         for slot in slots {
             self.nets_named.mark(*slot, marked);
         }
+    }
+
+    /// A resource of a net that is kept from it for a rule which neither starts nor follows it.
+    pub(in crate::executor) fn kept_from(
+        &mut self,
+        net: &Running,
+        running: &[Box<Running>],
+    ) -> Option<usize> {
+        if self.waiting.is_empty() {
+            return None;
+        }
+        self.seat(running);
+        let slot = self.nets_named.find(net.id);
+        let concerns = |slots: &[Slot]| slot.is_some_and(|slot| slots.contains(&slot));
+        let rules = self.waiting.iter().map(|rule| &**rule);
+        let rules = rules.filter(|rule| net.resources.common(&rule.reserved).is_some());
+        let mut strangers = rules.filter(|r| !concerns(r.started()) && !concerns(r.followed()));
+        strangers.find_map(|rule| net.resources.common(&self.claim(rule, rule.reserved)))
     }
 
     /// Resources that a rule claims now, without those of scheduled nets that it follows.

@@ -1,7 +1,7 @@
 //! Hash table of the nets that waiting rules name, each with a slot, so that a rule finds its nets in constant time.
 //! All memory is allocated at construction.
 
-use super::WORK_MAX;
+use super::limits::WORK_MAX;
 
 /// Maximum number of nets in the table: each is named by a rule, and the rules' work is bounded.
 const NAMED_MAX: usize = WORK_MAX;

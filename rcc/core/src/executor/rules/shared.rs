@@ -8,7 +8,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering, fence};
 
-use crate::executor::rules::{CONDITION_MAX, Literal};
+use super::limits::CONDITION_MAX;
+use super::literal::Literal;
 
 /// Decision about a rule in several threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

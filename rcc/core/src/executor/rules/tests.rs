@@ -6,7 +6,7 @@ use takt_rt::Nanos;
 
 use super::*;
 use crate::executor::tests::{BRIEF, ENDLESS, holding};
-use crate::executor::{End, Executor, RUNNING_MAX, Refusal};
+use crate::executor::{End, Executor, RUNNING_MAX, StartError};
 
 const ARM: usize = 3;
 
@@ -36,13 +36,13 @@ fn after(id: u32, followed: &[u32], start: u32) -> Box<Rule> {
 struct Bench(Executor);
 
 impl Bench {
-    fn start(&mut self, id: u32, text: &str) -> Result<(), Refusal> {
+    fn start(&mut self, id: u32, text: &str) -> Result<(), StartError> {
         let net = holding(id, text, &[ARM]);
         self.0.start(net).map_err(|(_, refusal)| refusal)
     }
 
     /// Schedules a net for when others have ended.
-    fn after(&mut self, followed: &[u32], start: u32, text: &str) -> Result<(), RuleRefusal> {
+    fn after(&mut self, followed: &[u32], start: u32, text: &str) -> Result<(), RuleError> {
         self.0.schedule(holding(start, text, &[ARM])).unwrap();
         let rule = self.0.add_rule(after(start, followed, start));
         rule.map_err(|(_, refusal)| refusal)
@@ -62,7 +62,7 @@ impl Bench {
 fn waiting_successor_does_not_block_predecessor() {
     let mut bench = Bench::default();
     bench.after(&[1], 2, ENDLESS).unwrap();
-    assert_eq!(bench.start(9, BRIEF), Err(Refusal::ResourceKept(ARM)));
+    assert_eq!(bench.start(9, BRIEF), Err(StartError::ResourceKept(ARM)));
     bench.start(1, BRIEF).unwrap();
     assert_eq!(bench.run(), [2]);
 }
@@ -80,7 +80,7 @@ fn successor_chain_is_accepted_running_or_not() {
             bench.start(1, BRIEF).unwrap();
         }
         assert_eq!(bench.run(), [2]);
-        assert_eq!(bench.start(9, BRIEF), Err(Refusal::ResourceInUse(ARM)));
+        assert_eq!(bench.start(9, BRIEF), Err(StartError::ResourceInUse(ARM)));
         assert_eq!(bench.run(), [3]);
     }
 }
@@ -91,10 +91,10 @@ fn successor_resources_stay_reserved_after_predecessor() {
     bench.start(1, BRIEF).unwrap();
     bench.after(&[1, 7], 2, ENDLESS).unwrap();
     assert!(bench.run().is_empty());
-    assert_eq!(bench.start(9, BRIEF), Err(Refusal::ResourceKept(ARM)));
+    assert_eq!(bench.start(9, BRIEF), Err(StartError::ResourceKept(ARM)));
     assert_eq!(
         bench.after(&[8], 10, BRIEF),
-        Err(RuleRefusal::ResourceInUse(ARM))
+        Err(RuleError::ResourceInUse(ARM))
     );
 }
 
@@ -124,7 +124,7 @@ fn rules_exceeding_work_max_are_rejected() {
     };
     bench.0.add_rule(stopping(0, 10, WORK_MAX / 2)).unwrap();
     let refused = bench.0.add_rule(stopping(1, 10, WORK_MAX / 2)).unwrap_err();
-    assert_eq!(refused.1, RuleRefusal::TooLong);
+    assert_eq!(refused.1, RuleError::TooLong);
     // As many nets as rules can name, all different.
     bench
         .0
@@ -150,7 +150,7 @@ fn loaded() -> Executor {
 }
 
 /// A rule that starts net 2, which costs so much, once net 1 has ended.
-fn successor(executor: &mut Executor, us: i64) -> Result<(), RuleRefusal> {
+fn successor(executor: &mut Executor, us: i64) -> Result<(), RuleError> {
     executor.schedule(costing(2, us)).unwrap();
     let added = executor.add_rule(after(0, &[1], 2));
     added.map_err(|(_, refusal)| refusal)
@@ -168,7 +168,7 @@ fn nets_exceeding_thread_budget_do_not_start() {
     let mut executor = loaded();
     let (running, budget) = (Nanos::from_micros(500), Nanos::from_micros(800));
     let (_, refusal) = executor.start(costing(3, 301)).unwrap_err();
-    assert_eq!(refusal, Refusal::Overload { running, budget });
+    assert_eq!(refusal, StartError::Overload { running, budget });
     executor.start(costing(3, 300)).unwrap();
 }
 
@@ -213,7 +213,7 @@ fn rule_exceeding_budget_fails_when_firing() {
 fn rule_with_missing_net_is_rejected() {
     let mut executor = Executor::default();
     let refused = executor.add_rule(after(0, &[1], 2)).unwrap_err();
-    assert_eq!(refused.1, RuleRefusal::NotWaiting(2));
+    assert_eq!(refused.1, RuleError::NotWaiting(2));
 }
 
 #[test]

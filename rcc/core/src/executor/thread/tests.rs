@@ -125,8 +125,8 @@ impl Bench {
                 Event::RuleAdded(id) => format!("rule {id} added"),
                 Event::RuleDone(rule) => format!("rule {} {:?}", rule.id, rule.state),
                 Event::Cancelling(id) => format!("cancelling {id}"),
-                Event::Refused(net, why) => format!("refused {} {why:?}", net.id),
-                Event::RuleRefused(rule, why) => format!("rule {} {why:?}", rule.id),
+                Event::StartRejected(net, why) => format!("refused {} {why:?}", net.id),
+                Event::RuleRejected(rule, why) => format!("rule {} {why:?}", rule.id),
                 Event::Unscheduled(net) => format!("unscheduled {}", net.id),
                 Event::DeviceRemoved(_) => "device removed".to_owned(),
             })

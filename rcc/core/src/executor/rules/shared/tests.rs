@@ -7,7 +7,7 @@ use takt_net::Moment;
 
 use super::*;
 use crate::device::DeviceStatus;
-use crate::executor::rules::{NetActions, Question, Rule, RuleRefusal, RuleState, Step};
+use crate::executor::rules::{NetActions, Question, Rule, RuleError, RuleState, Step};
 use crate::executor::tests::net;
 use crate::executor::{DeviceView, Effect, End, Executor, Running};
 
@@ -222,7 +222,7 @@ fn shared_rule_ends_if_part_rejected() {
     second.start(holder);
     second.executor.rules.scheduled[0].resources.insert(3);
     let (_, refusal) = second.executor.add_rule(other).unwrap_err();
-    assert_eq!(refusal, RuleRefusal::ResourceInUse(3));
+    assert_eq!(refusal, RuleError::ResourceInUse(3));
     assert_eq!(first.run().0, ["rule Inactive"]);
 }
 

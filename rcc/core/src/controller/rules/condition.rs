@@ -23,13 +23,13 @@ const fn is_name(c: char) -> bool {
 
 /// A condition whose nets are not resolved yet.
 #[derive(Debug, Default)]
-pub(super) struct Condition {
+pub(in crate::controller) struct Condition {
     /// Net and key by literal.
-    pub(super) literals: Vec<(String, String)>,
-    pub(super) steps: Vec<Step>,
+    pub(in crate::controller) literals: Vec<(String, String)>,
+    pub(in crate::controller) steps: Vec<Step>,
 }
 
-pub(super) struct Parser<'t> {
+pub(in crate::controller) struct Parser<'t> {
     text: &'t str,
     at: usize,
     condition: Condition,
@@ -38,7 +38,7 @@ pub(super) struct Parser<'t> {
 
 impl<'t> Parser<'t> {
     /// Parses a condition.
-    pub(super) fn parse(text: &'t str) -> Result<Condition, Error> {
+    pub(in crate::controller) fn parse(text: &'t str) -> Result<Condition, Error> {
         let mut parser = Self {
             text,
             at: 0,
@@ -52,7 +52,7 @@ impl<'t> Parser<'t> {
         if parser.condition.steps.len() > CONDITION_MAX {
             let bound = CONDITION_MAX;
             return Err(Error::TooMany {
-                what: "operations in a condition",
+                item: "operations in a condition",
                 bound,
             });
         }
@@ -77,7 +77,7 @@ impl<'t> Parser<'t> {
             .map_or_else(|| "the end".to_owned(), |c| format!("`{c}`"));
         let column = self.text[..self.at].chars().count() + 1;
         Error::Condition {
-            what: format!("column {column}: {expected} is expected here, not {found}"),
+            why: format!("column {column}: {expected} is expected here, not {found}"),
         }
     }
 

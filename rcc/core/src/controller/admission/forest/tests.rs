@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::controller::condition::Parser;
+use crate::controller::rules::condition::Parser;
 use crate::executor::rules::{Literal, NetActions};
 
 /// A rule as its condition, the nets that it stops and those that it starts.

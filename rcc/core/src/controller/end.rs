@@ -1,0 +1,214 @@
+//! Ends of nets: by a request of a program, with their session, and as their thread reports them. How nets end with
+//! the controller is in [`shutdown`](super::shutdown).
+
+use crate::controller::Controller;
+use crate::controller::nets::{Change, Net};
+use crate::controller::registry::Registry;
+use crate::error::Error;
+use crate::executor::figures::RUNAWAY_AFTER;
+use crate::executor::thread::Command;
+use crate::executor::{End, Running};
+use crate::ids::{NetId, NetState, SessionId};
+
+/// Reason reported for a net that was aborted before it started.
+const NEVER_RAN: &str = "aborted before it ran";
+
+impl Controller {
+    /// Requests a running net to end by itself; other nets are not affected.
+    ///
+    /// # Errors
+    /// If there is no such net.
+    pub fn cancel(&self, id: NetId) -> Result<(), Error> {
+        let mut registry = self.inner.lock();
+        if registry.nets.find(id)?.state() == NetState::Running {
+            registry.command(Command::Cancel(id.0))?;
+        }
+        Ok(())
+    }
+
+    /// Ends a net immediately and waits until it has ended.
+    ///
+    /// # Errors
+    /// If there is no such net or the net thread does not answer.
+    pub fn abort(&self, id: NetId) -> Result<(), Error> {
+        let mut registry = self.inner.lock();
+        match registry.nets.find(id)?.state() {
+            NetState::Loading | NetState::Rejected | NetState::Terminated | NetState::Unloaded => {
+                return Ok(());
+            }
+            NetState::Ready | NetState::Scheduled => {
+                if registry.give_up(id)? {
+                    self.inner.announce(&registry);
+                    return Ok(());
+                }
+            }
+            NetState::Running | NetState::Cancelling => {}
+        }
+        // A net held by its thread may have started meanwhile.
+        registry.command(Command::Abort(id.0))?;
+        let mut seen_running = false;
+        self.inner.wait_for(registry, |registry| {
+            let Some(net) = registry.nets.get_mut(id) else {
+                // Another client unloaded it meanwhile.
+                return Some(());
+            };
+            match net.state() {
+                NetState::Running | NetState::Cancelling => {
+                    // It may have started only now: a start that raced with a rule is sent again.
+                    if !std::mem::replace(&mut seen_running, true) {
+                        registry.command(Command::Abort(id.0)).ok();
+                    }
+                    None
+                }
+                NetState::Ready | NetState::Scheduled if net.is_away() => None,
+                NetState::Ready | NetState::Scheduled => {
+                    net.change(Change::GiveUp(NEVER_RAN));
+                    Some(())
+                }
+                NetState::Loading
+                | NetState::Rejected
+                | NetState::Terminated
+                | NetState::Unloaded => Some(()),
+            }
+        })
+    }
+
+    /// Unloads a net that does not run; a running net is not affected.
+    ///
+    /// # Errors
+    /// If there is no such net, or its cancel is still pending.
+    pub fn unload(&self, id: NetId) -> Result<(), Error> {
+        let mut registry = self.inner.lock();
+        match registry.nets.find(id)?.state() {
+            NetState::Running => return Ok(()),
+            state @ (NetState::Cancelling | NetState::Loading) => {
+                let hint = "wait until it has ended, or abort it";
+                return Err(Error::WrongState {
+                    net: id,
+                    state,
+                    hint,
+                });
+            }
+            NetState::Rejected
+            | NetState::Ready
+            | NetState::Scheduled
+            | NetState::Terminated
+            | NetState::Unloaded => {}
+        }
+        if registry.nets.find(id)?.is_away() {
+            // Otherwise it would run unknown to all clients.
+            drop(registry);
+            self.abort(id)?;
+            registry = self.inner.lock();
+        }
+        registry.withdraw(id)?;
+        let net = registry.nets.unload(id);
+        self.inner.announce(&registry);
+        drop(registry);
+        // Freeing a large net takes long; do it without the lock.
+        drop(net);
+        Ok(())
+    }
+
+    /// Aborts and unloads all nets of a session and closes it.
+    ///
+    /// # Errors
+    /// If there is no such session, or the net thread does not answer.
+    pub fn end_session(&self, id: SessionId) -> Result<(), Error> {
+        let nets = self
+            .session_nets(id)
+            .filter(|_| id != SessionId::NONE)
+            .ok_or_else(|| Error::NoSuchSession(id.to_string()))?;
+        // A net that another client unloaded meanwhile is already done.
+        let unless_gone = |result| match result {
+            Ok(()) | Err(Error::NoSuchNet(_)) => Ok(()),
+            Err(error) => Err(error),
+        };
+        // Waiting nets first: the end of a running net could start them.
+        for net in &nets {
+            let state = self.net(*net).map(|net| net.state());
+            if let Some(NetState::Ready | NetState::Scheduled) = state {
+                unless_gone(self.abort(*net))?;
+            }
+        }
+        for net in nets {
+            unless_gone(self.abort(net).and_then(|()| self.unload(net)))?;
+        }
+        self.inner.lock().sessions.close(id);
+        Ok(())
+    }
+}
+
+impl Registry {
+    /// Withdraws a net that does not run from rules that wait to start it or wait for it.
+    fn withdraw(&mut self, id: NetId) -> Result<(), Error> {
+        if self.nets.find(id)?.is_with_rules() {
+            self.command(Command::Unschedule {
+                net: id.0,
+                always: true,
+            })?;
+        }
+        self.command(Command::Forget(id.0))
+    }
+
+    /// Ends a net that does not run, unless its thread holds it: then it is requested back. Returns whether it has
+    /// ended.
+    pub(super) fn give_up(&mut self, id: NetId) -> Result<bool, Error> {
+        self.withdraw(id)?;
+        let net = self.nets.find(id)?;
+        let is_here = !net.is_away();
+        if is_here {
+            net.change(Change::GiveUp(NEVER_RAN));
+        }
+        Ok(is_here)
+    }
+
+    /// Unloads the oldest ended net, if there is one: known clients never unload nets.
+    pub(super) fn unload_oldest(&mut self) -> Option<Net> {
+        let id = self.nets.oldest_over()?;
+        self.withdraw(id).ok()?;
+        self.nets.unload(id)
+    }
+
+    /// The thread ended a net that ran.
+    pub(super) fn ended(&mut self, running: &Running, end: End) {
+        let id = NetId(running.id);
+        let why = self.end_text(running, end);
+        if let (Some(why), End::DeviceFault(_) | End::Runaway) = (&why, end) {
+            tracing::warn!(net = %id, why, "net ended");
+        }
+        self.nets.change(id, Change::End(why));
+        self.answer_rules(id);
+    }
+
+    /// The reason why a net ended, unless it terminated by itself.
+    fn end_text(&self, net: &Running, end: End) -> Option<String> {
+        match end {
+            End::Terminated => None,
+            End::Aborted => Some("aborted".to_owned()),
+            End::Halted => {
+                let by = self.permission.switch().last_stop();
+                let by = by.map(|(by, _)| format!(" by {by}"));
+                Some(format!("stopped{}: takt stop", by.unwrap_or_default()))
+            }
+            End::Stopped => Some("stopped by a rule".to_owned()),
+            End::Runaway => {
+                let longest = net.counters().read().max;
+                let period = self.threads.period(self.nets.thread_of(net.id));
+                let period = period.unwrap_or_else(|| net.plan.period());
+                Some(format!(
+                    "took longer than the {period:?} between two cycles of its thread, {RUNAWAY_AFTER} times \
+                     in a row, up to {longest:?}; make it smaller or load it for a slower net thread"
+                ))
+            }
+            End::DeviceFault(number) => {
+                let device = self.devices.table.get(number);
+                let name = device.map_or("?", |device| device.name.as_str());
+                let status = self.permission.status_text(self.devices.status(number));
+                Some(format!(
+                    "device {name} stopped following commands and is {status}"
+                ))
+            }
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! The nets of a controller, from text to end, with the numbers of the resources that they hold. It sends nothing to net
+//! threads: a change of a net returns what is to be sent.
+
+mod life;
+mod links;
+mod net;
+mod retained;
+mod taps;
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+
+use takt_net::Rejection;
+use takt_net::fault::{Fault, FaultKind};
+
+use crate::error::Error;
+use crate::executor::ResourceSet;
+use crate::ids::{NetId, SessionId};
+use retained::Retained;
+
+pub(super) use life::{Change, HandOver};
+pub(super) use net::{Counted, Net, Prepared, Values, memory};
+
+pub use net::NetInfo;
+pub use retained::RetainedNet;
+pub use taps::{RECORDED_NETS_MAX, TAPS_RECORDED_FOR, TapRecord, Taps};
+
+/// Maximum number of loaded nets.
+pub const NETS_MAX: usize = 1024;
+
+/// All nets.
+#[derive(Debug, Default)]
+pub(super) struct Nets {
+    all: BTreeMap<NetId, Net>,
+    last: Option<u32>,
+    retained: Retained,
+    /// Numbers of resources by name.
+    resources: HashMap<String, usize>,
+    /// Number of nets whose taps are recorded, as last counted.
+    recorded: usize,
+}
+
+impl Nets {
+    /// Adds a net with its text, to be loaded.
+    pub(super) fn add(&mut self, session: SessionId, description: String, text: Arc<str>) -> NetId {
+        let next = self.last.map_or(0, |last| last.wrapping_add(1));
+        self.last = Some(next);
+        let net = Net::new(session, description, text);
+        self.all.insert(NetId(next), net);
+        NetId(next)
+    }
+
+    pub(super) fn get(&self, id: NetId) -> Option<&Net> {
+        self.all.get(&id)
+    }
+
+    pub(super) fn get_mut(&mut self, id: NetId) -> Option<&mut Net> {
+        self.all.get_mut(&id)
+    }
+
+    /// The net of that identifier.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub(super) fn find(&mut self, id: NetId) -> Result<&mut Net, Error> {
+        self.all.get_mut(&id).ok_or(Error::NoSuchNet(id))
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = (NetId, &Net)> {
+        self.all.iter().map(|(id, net)| (*id, net))
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.all.len()
+    }
+
+    /// Changes the state of a net; returns what is to be handed to its thread.
+    pub(super) fn change(&mut self, id: NetId, change: Change) -> Option<HandOver> {
+        self.all.get_mut(&id)?.change(change)
+    }
+
+    /// Removes a net that was never ready.
+    pub(super) fn remove(&mut self, id: NetId) {
+        self.all.remove(&id);
+    }
+
+    /// Removes a net and retains its result.
+    pub(super) fn unload(&mut self, id: NetId) -> Option<Net> {
+        let mut net = self.all.remove(&id)?;
+        self.retained.insert(id, &mut net, NETS_MAX);
+        Some(net)
+    }
+
+    /// The oldest net that has ended.
+    pub(super) fn oldest_over(&self) -> Option<NetId> {
+        let mut nets = self.all.iter();
+        nets.find(|(_, net)| net.is_over()).map(|(id, _)| *id)
+    }
+
+    /// Whether all of these have ended or are unloaded.
+    pub(super) fn are_over(&self, ids: &[NetId]) -> bool {
+        let mut known = ids.iter().filter_map(|id| self.all.get(id));
+        known.all(Net::is_over)
+    }
+
+    /// The number of a net's thread.
+    pub(super) fn thread_of(&self, net: u32) -> usize {
+        self.all.get(&NetId(net)).map_or(0, Net::thread)
+    }
+
+    /// The result of a net that was unloaded a moment ago.
+    pub(super) fn retained(&self, id: NetId) -> Option<RetainedNet> {
+        self.retained.get(id)
+    }
+
+    /// Drops retained results that have expired.
+    pub(super) fn drop_expired(&mut self) {
+        self.retained.drop_expired();
+    }
+
+    /// Bytes that all nets take or that are reserved for them.
+    pub(super) fn memory_taken(&self) -> usize {
+        self.all.values().map(Net::memory).sum()
+    }
+
+    /// The number of a resource, assigned at first use.
+    pub(super) fn resource(&mut self, name: &str) -> Result<usize, Rejection> {
+        if let Some(number) = self.resources.get(name) {
+            return Ok(*number);
+        }
+        let number = self.resources.len();
+        if number >= ResourceSet::MAX {
+            let (found, bound) = (number + 1, ResourceSet::MAX);
+            let kind = FaultKind::Bound {
+                item: "resources together with other nets",
+                found,
+                bound,
+            };
+            return Err(Rejection {
+                faults: vec![Fault::new(kind, 0..0)],
+            });
+        }
+        self.resources.insert(name.to_owned(), number);
+        Ok(number)
+    }
+
+    /// The name of a resource.
+    pub(super) fn resource_name(&self, number: usize) -> String {
+        let found = self.resources.iter().find(|(_, n)| **n == number);
+        found.map_or_else(|| format!("resource {number}"), |(name, _)| name.clone())
+    }
+}

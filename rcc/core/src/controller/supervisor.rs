@@ -1,0 +1,65 @@
+//! The supervisor thread: it applies the events of the net threads while no program calls, watches the devices, and writes
+//! the log without the lock.
+
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use crate::controller::admission::MemoryReturn;
+use crate::controller::driver_log;
+use crate::controller::registry::Registry;
+use crate::controller::shared::Shared;
+use crate::record::RecordingEvent;
+
+/// Interval at which the supervisor polls the net threads.
+const SUPERVISION: Duration = Duration::from_millis(2);
+
+/// Applies the events of the net threads to the registry, and detects changes of devices.
+pub(super) fn supervise(inner: &Shared) {
+    let mut memory_return = MemoryReturn::default();
+    while !inner.stop.load(Ordering::Relaxed) {
+        let mut registry = inner.lock();
+        registry.nets.drop_expired();
+        registry.nets.drain_taps();
+        let has_events = std::mem::take(&mut registry.unannounced);
+        let Registry {
+            monitor,
+            devices,
+            threads,
+            permission,
+            ..
+        } = &mut *registry;
+        let has_changes = monitor.poll(devices, threads, permission);
+        if has_events || has_changes {
+            inner.announce(&registry);
+        }
+        let now = Instant::now();
+        let recording = registry.recorder.as_mut().and_then(|it| it.poll_event(now));
+        let Registry {
+            monitor, devices, ..
+        } = &mut *registry;
+        let notices = monitor.take_notices(devices, now);
+        let returns =
+            memory_return.is_due(now) && memory_return.check(registry.nets.memory_taken());
+        drop(registry);
+        if returns && let Err(error) = takt_rt::host::return_memory() {
+            tracing::warn!(
+                "cannot lock the heap again, cycles may fault: {error}\nhint: LimitMEMLOCK=infinity"
+            );
+        }
+        match recording {
+            Some(RecordingEvent::Failed(error)) => {
+                tracing::error!("{error}");
+            }
+            Some(RecordingEvent::CyclesLost(lost)) => tracing::warn!(
+                lost,
+                "cycles are missing in the recording: the disk is too slow or a cycle too large\nhint: record to a \
+                 faster disk, or to memory (/dev/shm)"
+            ),
+            None => {}
+        }
+        for (driver, notice) in notices {
+            driver_log::report(&driver, &notice);
+        }
+        std::thread::sleep(SUPERVISION);
+    }
+}
