@@ -18,7 +18,6 @@ pub enum AnyFrame {
 
 impl AnyFrame {
     /// The identifier; error frames have none.
-    #[must_use]
     pub const fn id(&self) -> Option<Id> {
         match self {
             Self::Classic(frame) => Some(frame.id()),
@@ -28,7 +27,6 @@ impl AnyFrame {
     }
 
     /// The payload; for an error frame, its details.
-    #[must_use]
     pub fn data(&self) -> &[u8] {
         match self {
             Self::Classic(frame) => frame.data(),
@@ -38,7 +36,6 @@ impl AnyFrame {
     }
 
     /// The classic frame, if it is one.
-    #[must_use]
     pub const fn classic(&self) -> Option<&Frame> {
         match self {
             Self::Classic(frame) => Some(frame),

@@ -16,7 +16,6 @@ pub struct Rates {
 
 impl Rates {
     /// Rates of a bus without CAN FD.
-    #[must_use]
     pub const fn classic(bitrate: u32) -> Self {
         Self {
             nominal: bitrate,
@@ -36,7 +35,6 @@ pub struct Bits {
 
 impl Bits {
     /// Bits of the frame on the wire. An error frame is a report of the kernel and counts 0 bits.
-    #[must_use]
     pub fn of(frame: &AnyFrame) -> Self {
         match frame {
             AnyFrame::Classic(frame) => Self {
@@ -49,7 +47,6 @@ impl Bits {
     }
 
     /// Transmission time of these bits. A bit rate of 0 counts as 1 bit/s.
-    #[must_use]
     pub fn time(self, rates: Rates) -> Duration {
         let part = |bits: u32, rate: u32| {
             Duration::from_nanos(u64::from(bits) * 1_000_000_000 / u64::from(rate.max(1)))
@@ -59,7 +56,6 @@ impl Bits {
 }
 
 /// Minimum and maximum bits of a classic frame of this kind and length, over all contents.
-#[must_use]
 pub fn bounds(frame: &Frame) -> (u32, u32) {
     let stuffable = header(frame.id()) + data_bits(frame.data()) + CRC_LEN;
     let least = stuffable + TAIL;

@@ -117,7 +117,6 @@ pub struct Bus {
 
 impl Bus {
     /// A bus without ports, at time 0.
-    #[must_use]
     pub const fn new(config: Config) -> Self {
         Self {
             config,
@@ -163,13 +162,11 @@ impl Bus {
     }
 
     /// The current time of the bus.
-    #[must_use]
     pub const fn now(&self) -> Duration {
         self.now
     }
 
     /// Time of the next event: the end of a transmission, or the restart of a port.
-    #[must_use]
     pub fn next_event(&self) -> Option<Duration> {
         let frame = match self.wire {
             Some(transmission) => Some(transmission.ends),
@@ -406,25 +403,21 @@ impl Bus {
     }
 
     /// Error counters of a port.
-    #[must_use]
     pub fn counters(&self, port: PortId) -> Counters {
         self.station(port).map(|s| s.counters).unwrap_or_default()
     }
 
     /// State of a port.
-    #[must_use]
     pub fn state(&self, port: PortId) -> BusState {
         self.counters(port).state()
     }
 
     /// Number of frames in the send queue of a port.
-    #[must_use]
     pub fn waiting(&self, port: PortId) -> usize {
         self.station(port).map_or(0, |station| station.outbox.len())
     }
 
     /// Traffic counters.
-    #[must_use]
     pub const fn traffic(&self) -> Traffic {
         self.traffic
     }

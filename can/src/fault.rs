@@ -9,23 +9,23 @@ use socketcan::errors::{CanError, ErrorCause};
 /// Error classes, the bits of [`ErrorFrame::class`].
 pub mod class {
     /// Transmit timeout of the driver.
-    pub const TX_TIMEOUT: u32 = 0x001;
+    pub(crate) const TX_TIMEOUT: u32 = 0x001;
     /// Lost arbitration.
-    pub const LOST_ARBITRATION: u32 = 0x002;
+    pub(crate) const LOST_ARBITRATION: u32 = 0x002;
     /// Controller state; data byte 1.
     pub const CONTROLLER: u32 = 0x004;
     /// Protocol violation; data bytes 2 and 3.
     pub const PROTOCOL: u32 = 0x008;
     /// Transceiver state; data byte 4.
-    pub const TRANSCEIVER: u32 = 0x010;
+    pub(crate) const TRANSCEIVER: u32 = 0x010;
     /// No acknowledgement.
-    pub const NO_ACK: u32 = 0x020;
+    pub(crate) const NO_ACK: u32 = 0x020;
     /// Bus-off.
-    pub const BUS_OFF: u32 = 0x040;
+    pub(crate) const BUS_OFF: u32 = 0x040;
     /// Bus error.
-    pub const BUS_ERROR: u32 = 0x080;
+    pub(crate) const BUS_ERROR: u32 = 0x080;
     /// The controller was restarted after bus-off.
-    pub const RESTARTED: u32 = 0x100;
+    pub(crate) const RESTARTED: u32 = 0x100;
     /// Data bytes 6 and 7 hold the error counters.
     pub const COUNTERS: u32 = 0x200;
 }
@@ -33,17 +33,17 @@ pub mod class {
 /// Bits of data byte 1 with class [`class::CONTROLLER`].
 pub mod controller {
     /// Receive buffer overflow.
-    pub const RX_OVERFLOW: u8 = 0x01;
+    pub(crate) const RX_OVERFLOW: u8 = 0x01;
     /// Transmit buffer overflow.
     pub const TX_OVERFLOW: u8 = 0x02;
     /// The receive error counter is above 95.
-    pub const RX_WARNING: u8 = 0x04;
+    pub(crate) const RX_WARNING: u8 = 0x04;
     /// The transmit error counter is above 95.
-    pub const TX_WARNING: u8 = 0x08;
+    pub(crate) const TX_WARNING: u8 = 0x08;
     /// The receive error counter is above 127.
-    pub const RX_PASSIVE: u8 = 0x10;
+    pub(crate) const RX_PASSIVE: u8 = 0x10;
     /// The transmit error counter is above 127.
-    pub const TX_PASSIVE: u8 = 0x20;
+    pub(crate) const TX_PASSIVE: u8 = 0x20;
     /// Error-active again.
     pub const ACTIVE: u8 = 0x40;
 }
@@ -51,11 +51,11 @@ pub mod controller {
 /// Bits of data byte 2 with class [`class::PROTOCOL`].
 pub mod violation {
     /// Bit error.
-    pub const BIT: u8 = 0x01;
+    pub(crate) const BIT: u8 = 0x01;
     /// Form error.
-    pub const FORM: u8 = 0x02;
+    pub(crate) const FORM: u8 = 0x02;
     /// Stuff error: six equal bits in a row.
-    pub const STUFF: u8 = 0x04;
+    pub(crate) const STUFF: u8 = 0x04;
     /// A dominant bit could not be sent.
     pub const BIT0: u8 = 0x08;
     /// A recessive bit could not be sent.
@@ -65,7 +65,7 @@ pub mod violation {
     /// Active error flag.
     pub const ACTIVE: u8 = 0x40;
     /// The error occurred during transmission.
-    pub const TRANSMITTING: u8 = 0x80;
+    pub(crate) const TRANSMITTING: u8 = 0x80;
 }
 
 /// Location of an error in the frame: data byte 3 with class [`class::PROTOCOL`].
@@ -73,7 +73,7 @@ pub mod location {
     /// CRC sequence.
     pub const CRC_SEQUENCE: u8 = 0x08;
     /// ACK slot.
-    pub const ACK_SLOT: u8 = 0x19;
+    pub(crate) const ACK_SLOT: u8 = 0x19;
 }
 
 /// Error state of a controller (ISO 11898-1, clause 12.1).
@@ -94,8 +94,7 @@ pub enum BusState {
 
 impl BusState {
     /// The state that follows from these error counters.
-    #[must_use]
-    pub const fn of_counters(transmit: u16, receive: u16) -> Self {
+    pub(crate) const fn of_counters(transmit: u16, receive: u16) -> Self {
         let worst = if transmit > receive {
             transmit
         } else {
@@ -110,7 +109,6 @@ impl BusState {
     }
 
     /// As `ip link` and `takt doctor` write it.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::ErrorActive => "error-active",
@@ -154,7 +152,6 @@ impl ErrorFrame {
     const CLASS_MASK: u32 = 0x1FFF_FFFF;
 
     /// An error frame of these classes; bits above 28 are ignored.
-    #[must_use]
     pub const fn new(class: u32, data: [u8; 8]) -> Self {
         Self {
             class: class & Self::CLASS_MASK,
@@ -163,13 +160,11 @@ impl ErrorFrame {
     }
 
     /// Error classes, bits of [`mod@class`].
-    #[must_use]
     pub const fn class(&self) -> u32 {
         self.class
     }
 
     /// All reported causes by name; there is always at least one.
-    #[must_use]
     pub fn causes(&self) -> CanError {
         // Only more than 29 bits or more than 8 bytes are rejected.
         CanErrorFrame::new_error(self.class, &self.data)
@@ -177,7 +172,6 @@ impl ErrorFrame {
     }
 
     /// Transmit and receive error counters, if reported.
-    #[must_use]
     pub const fn counters(&self) -> Option<(u8, u8)> {
         let [.., transmit, receive] = self.data;
         if self.class & class::COUNTERS != 0 {
@@ -188,7 +182,6 @@ impl ErrorFrame {
     }
 
     /// The new state of the controller, if reported.
-    #[must_use]
     pub const fn state(&self) -> Option<BusState> {
         use controller::{ACTIVE, RX_PASSIVE, RX_WARNING, TX_PASSIVE, TX_WARNING};
         if self.class & class::BUS_OFF != 0 {
@@ -212,8 +205,7 @@ impl ErrorFrame {
 
     /// Whether a sent frame was not acknowledged, according to the class or to the location of a
     /// violation.
-    #[must_use]
-    pub const fn is_unacknowledged(&self) -> bool {
+    pub(crate) const fn is_unacknowledged(&self) -> bool {
         self.class & class::NO_ACK != 0
             || self.class & class::PROTOCOL != 0 && self.data[3] == location::ACK_SLOT
     }

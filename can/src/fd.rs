@@ -45,25 +45,21 @@ impl FdFrame {
     }
 
     /// Number of bytes of a 4-bit length code.
-    #[must_use]
-    pub fn len_of_code(code: u8) -> Option<usize> {
+    pub(crate) fn len_of_code(code: u8) -> Option<usize> {
         LENGTHS.get(usize::from(code)).copied().map(usize::from)
     }
 
     /// The identifier.
-    #[must_use]
     pub const fn id(&self) -> Id {
         self.id
     }
 
     /// The payload.
-    #[must_use]
     pub fn data(&self) -> &[u8] {
         self.data.get(..usize::from(self.len)).unwrap_or_default()
     }
 
     /// BRS as bit 0 and ESI as bit 1, as the kernel and candump write them.
-    #[must_use]
     pub fn flags(&self) -> u8 {
         u8::from(self.bit_rate_switch) | u8::from(self.sender_is_passive) << 1
     }

@@ -40,13 +40,11 @@ impl Id {
     }
 
     /// The number, without any flag.
-    #[must_use]
     pub const fn raw(self) -> u32 {
         self.raw
     }
 
     /// True for 29 bits.
-    #[must_use]
     pub const fn is_extended(self) -> bool {
         self.extended
     }
@@ -88,7 +86,6 @@ impl Frame {
     }
 
     /// A data frame with eight bytes.
-    #[must_use]
     pub const fn full(id: Id, data: [u8; 8]) -> Self {
         Self {
             id,
@@ -100,7 +97,6 @@ impl Frame {
     }
 
     /// A data frame without payload.
-    #[must_use]
     pub const fn empty(id: Id) -> Self {
         Self {
             id,
@@ -127,26 +123,23 @@ impl Frame {
     }
 
     /// The identifier.
-    #[must_use]
     pub const fn id(&self) -> Id {
         self.id
     }
 
     /// Whether it is a remote frame.
-    #[must_use]
     pub const fn is_remote(&self) -> bool {
         self.remote
     }
 
     /// Length of the payload, or the requested length of a remote frame; 0 to 8.
-    #[must_use]
     pub const fn dlc(&self) -> u8 {
         self.dlc
     }
 
     /// The same frame with a length code of 9 to 15 on the wire (ISO 11898-1, clause 8.4.2.4: it means
     /// eight bytes, and some devices use the difference). For frames of eight bytes only.
-    pub const fn with_raw_dlc(mut self, raw: u8) -> Result<Self, FrameError> {
+    pub(crate) const fn with_raw_dlc(mut self, raw: u8) -> Result<Self, FrameError> {
         if self.dlc != 8 || raw < 9 || raw > 15 {
             return Err(FrameError::RawDlc { raw, len: self.dlc });
         }
@@ -155,8 +148,7 @@ impl Frame {
     }
 
     /// The length code on the wire if it is above 8.
-    #[must_use]
-    pub const fn raw_dlc(&self) -> Option<u8> {
+    pub(crate) const fn raw_dlc(&self) -> Option<u8> {
         match self.raw_dlc {
             0 => None,
             raw => Some(raw),
@@ -164,7 +156,6 @@ impl Frame {
     }
 
     /// The payload; empty for a remote frame.
-    #[must_use]
     pub fn data(&self) -> &[u8] {
         let len = if self.remote {
             0

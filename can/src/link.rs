@@ -80,9 +80,6 @@ pub trait Link {
     fn send(&mut self, frame: &AnyFrame) -> Result<(), LinkError>;
 
     /// Waits at most `timeout` for one frame; `None` after the timeout.
-    ///
-    /// # Errors
-    /// See [`LinkError`].
     fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, LinkError>;
 
     /// The network interface of this host that it is at, if it is at one.

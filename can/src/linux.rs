@@ -24,13 +24,11 @@ use nix::time::{ClockId, clock_gettime};
 use crate::link::LinkError;
 
 /// Time of `CLOCK_MONOTONIC`.
-#[must_use]
 pub fn monotonic() -> Duration {
     now(ClockId::CLOCK_MONOTONIC)
 }
 
 /// Time since 1970 of `CLOCK_REALTIME`, which NTP may step; the kernel stamps frames with it.
-#[must_use]
 pub fn wall() -> Duration {
     now(ClockId::CLOCK_REALTIME)
 }

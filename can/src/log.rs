@@ -12,6 +12,8 @@ mod trc;
 use std::fmt;
 use std::time::Duration;
 
+use takt_link::capture::Container;
+
 pub use crate::error::LogError;
 use crate::{AnyFrame, Frame};
 
@@ -120,9 +122,6 @@ impl fmt::Display for LogLine<'_> {
 }
 
 /// Reads a frame in the syntax of candump logs and cansend: `123#DEADBEEF`, `123#R4`, `123##1AB`.
-///
-/// # Errors
-/// See [`LogError`].
 pub fn parse_frame(text: &str) -> Result<AnyFrame, LogError> {
     candump::frame(text)
 }
@@ -153,7 +152,6 @@ const HEAD_MAX: usize = 64 << 10;
 
 impl Format {
     /// Detects the format of a file from its content. An empty file is a candump log.
-    #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         if bytes.starts_with(blf::MAGIC) {
             Self::Blf
@@ -161,12 +159,12 @@ impl Format {
             Self::Asc
         } else if trc::is_trc(bytes) {
             Self::Trc
-        } else if pcap::is_pcap(bytes) {
-            Self::Pcap
-        } else if pcap::is_pcapng(bytes) {
-            Self::PcapNg
         } else {
-            Self::of_text(bytes.get(..HEAD_MAX).unwrap_or(bytes))
+            match Container::of(bytes) {
+                Some(Container::Pcap) => Self::Pcap,
+                Some(Container::PcapNg) => Self::PcapNg,
+                None => Self::of_text(bytes.get(..HEAD_MAX).unwrap_or(bytes)),
+            }
         }
     }
 
@@ -185,7 +183,6 @@ impl Format {
     }
 
     /// Unit of [`LeftOut::location`] in this format: line or byte.
-    #[must_use]
     pub const fn location_unit(self) -> &'static str {
         match self {
             Self::Candump | Self::Asc | Self::Plain | Self::Trc => "line",
@@ -234,7 +231,6 @@ impl Log {
     pub const LEFT_OUT_MAX: usize = 16;
 
     /// Reads all frames of a file; detects its format from the beginning.
-    #[must_use]
     pub fn read(bytes: &[u8]) -> Self {
         let mut log = Self::default();
         match Format::of(bytes) {
@@ -243,8 +239,7 @@ impl Log {
             Format::Blf => blf::read(bytes, &mut log),
             Format::Plain => plain::read(bytes, &mut log),
             Format::Trc => trc::read(bytes, &mut log),
-            Format::Pcap => pcap::read(bytes, &mut log),
-            Format::PcapNg => pcap::read_ng(bytes, &mut log),
+            Format::Pcap | Format::PcapNg => pcap::read(bytes, &mut log),
             Format::Unknown => log.leave_out(0, LogError::Unknown),
         }
         log

@@ -114,20 +114,17 @@ pub struct Report {
 
 impl Report {
     /// Mean bus load, 0 to 1; `None` without bit rate or time.
-    #[must_use]
     pub fn load(&self) -> Option<f64> {
         self.rates?;
         ratio(self.busy, self.span)
     }
 
     /// Findings, by descending severity.
-    #[must_use]
     pub fn findings(&self, limits: &Limits) -> Vec<Finding> {
         finding::judge(self, limits)
     }
 
     /// Jitter of SYNC: range of the intervals relative to their mean.
-    #[must_use]
     pub fn sync_jitter(&self) -> Option<f64> {
         let intervals = self.ids.get(&SYNC)?.intervals;
         let width = intervals.longest().saturating_sub(intervals.shortest());
@@ -153,7 +150,6 @@ pub struct Meter {
 
 impl Meter {
     /// A meter with these bit rates; without them it computes no load.
-    #[must_use]
     pub fn new(rates: Option<Rates>) -> Self {
         Self {
             report: Report {
@@ -205,7 +201,6 @@ impl Meter {
     }
 
     /// The statistics so far.
-    #[must_use]
     pub fn report(&self) -> Report {
         let mut report = self.report.clone();
         report.silent = self.silent();

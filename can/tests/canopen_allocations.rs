@@ -5,8 +5,6 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::time::Duration;
 
 use takt_can::canopen::NodeId;
@@ -18,31 +16,10 @@ use takt_can::canopen::network::{
 use takt_can::canopen::sdo::Outcome;
 use takt_cia402::Goal;
 use takt_cia402::dictionary::Address;
-
-thread_local! {
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-// SAFETY: every request is handed to the system allocator unchanged; the counter is a plain thread-local without a
-// destructor and allocates nothing.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // Not available while a thread ends: nothing is counted then.
-        let _gone = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller upholds the contract of `alloc`, which is the same here.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `System.alloc` above with this layout.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
+use takt_tests::{Allocations, CountingAllocator};
 
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 const PERIOD: Duration = Duration::from_millis(2);
 const LEN: usize = 60_000;
@@ -117,7 +94,7 @@ fn master_and_drives_do_not_allocate_in_cycle() {
     };
     network.transfer(node(3), read).unwrap();
 
-    let before = ALLOCATIONS.get();
+    let allocations = Allocations::count();
     let (mut read, mut emergencies) = (None, 0);
     for n in 0..2_000_i32 {
         for axis in 1..=6 {
@@ -140,8 +117,7 @@ fn master_and_drives_do_not_allocate_in_cycle() {
             }
         }
     }
-    let allocations = ALLOCATIONS.get() - before;
-    assert_eq!(allocations, 0);
+    assert_eq!(allocations.end(), 0);
     let (transfer, outcome) = read.unwrap();
     assert_eq!((transfer.data.len(), outcome), (LEN, Outcome::Read));
     assert!(emergencies > 3_500, "{emergencies}");

@@ -26,6 +26,7 @@ use takt_can::canopen::{Emergency, emergency};
 use takt_cia402::dictionary::{Address, Mapped};
 use takt_cia402::emulator::FaultCode;
 use takt_cia402::{Change, DriveFault, Goal, HomingError, SetPoint, SetPointError, State};
+use takt_tests::Random;
 
 const CSP: i8 = 8;
 const PV: i8 = 3;
@@ -287,7 +288,7 @@ fn network_tolerates_one_percent_frame_loss() {
             config
         });
         let mut bus = Bus::new(config, plans.to_vec(), drives.to_vec());
-        (bus.loss, bus.dice) = (10, bus::Dice::new(seed));
+        (bus.loss, bus.random) = (0.01, Random::new(seed));
         bus.master.start(bus.now);
         let running = |bus: &mut Bus| {
             let mut nodes = bus.master.nodes();

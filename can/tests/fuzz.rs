@@ -7,7 +7,8 @@ use std::time::Duration;
 use takt_can::canopen::NodeId;
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
 use takt_can::{Frame, Id, fuzz};
-use takt_tests::fuzz::{Random, feed, feed_files};
+use takt_tests::Random;
+use takt_tests::fuzz::{feed, feed_files};
 
 /// Inputs for each target.
 const INPUTS: u64 = 5_000;

@@ -161,7 +161,6 @@ const GROUPS: [(u8, &str); 45] = [
 ];
 
 /// The text of an error code: that of the profile, else that of its group.
-#[must_use]
 #[doc(alias = "603Fh")]
 pub fn error_text(code: u16) -> &'static str {
     let [group, _] = code.to_be_bytes();

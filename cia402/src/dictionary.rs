@@ -166,13 +166,11 @@ impl Dictionary {
     }
 
     /// All objects by ascending index.
-    #[must_use]
     pub fn objects(&self) -> &[Object] {
         &self.objects
     }
 
     /// The object of an index.
-    #[must_use]
     pub fn object(&self, index: u16) -> Option<&Object> {
         let at = self
             .objects
@@ -182,7 +180,6 @@ impl Dictionary {
     }
 
     /// The definition of an entry.
-    #[must_use]
     pub fn entry(&self, address: Address) -> Option<&Entry> {
         self.find(address).ok().map(|(entry, _)| entry)
     }
@@ -201,7 +198,6 @@ impl Dictionary {
     }
 
     /// The stored value of an entry, little-endian; nothing is checked.
-    #[must_use]
     pub fn bytes(&self, address: Address) -> Option<&[u8]> {
         let (_, slot) = self.find(address).ok()?;
         let Slot { offset, len, .. } = self.slots[slot];
@@ -292,9 +288,6 @@ impl Dictionary {
     }
 
     /// The key of a number.
-    ///
-    /// # Errors
-    /// If there is no such entry or it has another type.
     pub fn key<T: Number>(&self, address: Address) -> Result<Key<T>, DictionaryError> {
         let found = self.find(address);
         let (entry, slot) = found.map_err(|_| DictionaryError::Missing(address))?;
@@ -312,7 +305,6 @@ impl Dictionary {
     }
 
     /// The number at a key of this dictionary.
-    #[must_use]
     pub fn get<T: Number>(&self, key: Key<T>) -> T {
         T::from_le(&self.values[key.offset..])
     }

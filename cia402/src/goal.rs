@@ -21,7 +21,6 @@ pub enum Goal {
 impl Goal {
     /// True if the drive has reached the goal. A quick stop is reached in Quick stop active and in Switch on disabled;
     /// whether the motor has stopped, the actual velocity shows.
-    #[must_use]
     pub fn is_reached(self, state: State) -> bool {
         match self {
             Self::SwitchOnDisabled => state == State::SwitchOnDisabled,
@@ -39,7 +38,6 @@ impl Goal {
 ///
 /// In Fault and Fault reaction active it is *disable voltage* for every goal: [`ControlWord::FAULT_RESET`] requests a
 /// reset, a goal never does. In Quick stop active the stop is held, unless [`Goal::SwitchOnDisabled`] cuts the power.
-#[must_use]
 pub fn next_control_word(state: State, goal: Goal) -> ControlWord {
     match goal {
         Goal::SwitchOnDisabled => ControlWord::DISABLE_VOLTAGE,

@@ -32,7 +32,6 @@ pub enum HomingStatus {
 
 impl HomingStatus {
     /// The status that a statusword shows in homing mode.
-    #[must_use]
     pub fn of(status: StatusWord) -> Self {
         let bit = |n: u16| status.raw() >> n & 1 == 1;
         match (bit(13), bit(12), bit(10)) {
@@ -110,7 +109,6 @@ impl Homing {
     const SETTLED: Duration = Duration::from_millis(500);
 
     /// A run that has not started; `timeout` is its longest duration.
-    #[must_use]
     pub const fn new(timeout: Duration) -> Self {
         Self {
             phase: Phase::Waits,

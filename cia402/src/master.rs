@@ -207,7 +207,6 @@ pub struct Master {
 
 impl Master {
     /// A master of an axis whose goal is to be without power.
-    #[must_use]
     pub const fn new(options: MasterOptions) -> Self {
         Self {
             options,
@@ -259,13 +258,11 @@ impl Master {
     }
 
     /// The goal.
-    #[must_use]
     pub const fn goal(&self) -> Goal {
         self.goal
     }
 
     /// The commanded mode of operation.
-    #[must_use]
     pub const fn mode(&self) -> i8 {
         self.mode
     }
@@ -285,7 +282,6 @@ impl Master {
     }
 
     /// Why the axis has not reached its goal; `None` while it has, or is on schedule.
-    #[must_use]
     pub const fn drive_fault(&self) -> Option<DriveFault> {
         self.drive_fault
     }
@@ -318,9 +314,6 @@ impl Master {
     }
 
     /// The state that a statusword shows, with the quirks of the drive.
-    ///
-    /// # Errors
-    /// If it shows no state.
     pub fn state(&self, status: StatusWord) -> Result<State, DecodeError> {
         if self.options.sod_as_0020 && status.raw() & 0x6F == 0x20 {
             return Ok(State::SwitchOnDisabled);

@@ -221,7 +221,6 @@ const RELEASE: [Object; 2] = [Object::STATUS, Object::TARGET];
 impl Proof {
     /// The proof for an axis (0 to 7) whose PDOs carry these objects. `not_mirrored` are those of which SDO does not
     /// show what PDOs carry: they are not compared, on the authority of the configuration.
-    #[must_use]
     pub fn new(axis: u8, carried: Objects, not_mirrored: Objects) -> Self {
         Self {
             axis,
@@ -252,37 +251,31 @@ impl Proof {
     }
 
     /// Whether the axis may get power.
-    #[must_use]
     pub const fn is_proven(&self) -> bool {
         matches!(self.stage, Stage::Proven)
     }
 
     /// Whether the proof is running.
-    #[must_use]
     pub const fn is_running(&self) -> bool {
         matches!(self.stage, Stage::Resting | Stage::Pattern | Stage::Release)
     }
 
     /// Why the proof failed; `None` while it has not.
-    #[must_use]
     pub const fn fault(&self) -> Option<ProofFault> {
         self.fault
     }
 
     /// How long the proof took, once it is complete.
-    #[must_use]
     pub const fn took(&self) -> Option<Duration> {
         self.took
     }
 
     /// Carried objects that are not compared.
-    #[must_use]
     pub const fn taken_on_trust(&self) -> Objects {
         self.carried.common(self.not_mirrored)
     }
 
     /// Highest state that the axis may reach.
-    #[must_use]
     pub const fn ceiling(&self) -> Goal {
         match self.stage {
             Stage::Quiet | Stage::Resting | Stage::Pattern | Stage::Refused => {
@@ -294,7 +287,6 @@ impl Proof {
     }
 
     /// Values to send instead of controlword and targets; `None` to send those.
-    #[must_use]
     pub const fn instead(&self) -> Option<&Values> {
         match self.stage {
             Stage::Quiet | Stage::Resting | Stage::Pattern | Stage::Refused => Some(&self.pattern),
@@ -465,7 +457,6 @@ impl Proof {
     }
 
     /// Whether an upload is due.
-    #[must_use]
     pub fn has_upload(&self) -> bool {
         self.upload == Upload::Due
     }

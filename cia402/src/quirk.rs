@@ -21,7 +21,6 @@ impl Quirk {
     pub const ALL: [Self; 3] = [Self::NoFollowBit, Self::SodAs0020, Self::ModeAfterEnable];
 
     /// Its name.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::NoFollowBit => "no_follow_bit",

@@ -70,7 +70,6 @@ pub struct Monitor {
 
 impl Monitor {
     /// A monitor with these limits.
-    #[must_use]
     pub const fn new(limits: RunawayLimits) -> Self {
         Self {
             limits,
@@ -80,7 +79,6 @@ impl Monitor {
     }
 
     /// Its limits.
-    #[must_use]
     pub const fn limits(&self) -> RunawayLimits {
         self.limits
     }

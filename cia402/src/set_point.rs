@@ -129,7 +129,6 @@ pub struct HandShake {
 
 impl HandShake {
     /// An idle hand-shake; `timeout` is how long a drive may take to accept a set-point.
-    #[must_use]
     pub const fn new(timeout: Duration) -> Self {
         Self {
             phase: Phase::Idle,
@@ -139,7 +138,6 @@ impl HandShake {
     }
 
     /// Whether the next set-point can be offered.
-    #[must_use]
     pub fn is_idle(&self) -> bool {
         self.phase == Phase::Idle
     }

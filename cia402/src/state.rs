@@ -51,8 +51,7 @@ impl State {
     ];
 
     /// The statusword bits of this state; bits that the state does not define are low.
-    #[must_use]
-    pub fn status_bits(self) -> u16 {
+    pub(crate) fn status_bits(self) -> u16 {
         SHOWN
             .iter()
             .find(|(state, _, _)| *state == self)

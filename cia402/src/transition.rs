@@ -136,7 +136,6 @@ pub const TRANSITIONS: [Transition; 17] = {
 
 impl ControlWord {
     /// The command in the word, given the previous word (for the edge of bit 7). `None` while bit 7 stays high.
-    #[must_use]
     pub const fn command(self, previous: Self) -> Option<Command> {
         if self.fault_reset() {
             return if previous.fault_reset() {
@@ -162,7 +161,6 @@ impl ControlWord {
 }
 
 /// The transition out of `state` that `trigger` causes, if there is one.
-#[must_use]
 pub fn transition(state: State, trigger: Trigger) -> Option<&'static Transition> {
     TRANSITIONS
         .iter()

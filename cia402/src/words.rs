@@ -61,32 +61,28 @@ impl ControlWord {
     /// To Ready to switch on.
     pub const SHUTDOWN: Self = Self(0x0006);
     /// To Switched on, from either side: from Operation enabled it is *disable operation*.
-    pub const SWITCH_ON: Self = Self(0x0007);
+    pub(crate) const SWITCH_ON: Self = Self(0x0007);
     /// To Operation enabled.
-    pub const ENABLE_OPERATION: Self = Self(0x000F);
+    pub(crate) const ENABLE_OPERATION: Self = Self(0x000F);
     /// Acts by its rising edge only: the word before must have had bit 7 low.
     pub const FAULT_RESET: Self = Self(0x0080);
 
     /// From the raw value; any 16 bits are a controlword.
-    #[must_use]
     pub const fn new(raw: u16) -> Self {
         Self(raw)
     }
 
     /// As on the wire.
-    #[must_use]
     pub const fn raw(self) -> u16 {
         self.0
     }
 
     /// True if bit 7 is high.
-    #[must_use]
-    pub const fn fault_reset(self) -> bool {
+    pub(crate) const fn fault_reset(self) -> bool {
         self.0 & 0x0080 != 0
     }
 
     /// True if bit 8 commands the drive to stop and stay enabled (605Dh selects how).
-    #[must_use]
     pub const fn halt(self) -> bool {
         self.0 & 0x0100 != 0
     }
@@ -94,43 +90,36 @@ impl ControlWord {
 
 impl StatusWord {
     /// From the raw value; any 16 bits can be received. [`StatusWord::state`] decodes those that show a state.
-    #[must_use]
     pub const fn new(raw: u16) -> Self {
         Self(raw)
     }
 
     /// As on the wire.
-    #[must_use]
     pub const fn raw(self) -> u16 {
         self.0
     }
 
     /// True if the power stage is supplied (bit 4).
-    #[must_use]
-    pub const fn voltage_enabled(self) -> bool {
+    pub(crate) const fn voltage_enabled(self) -> bool {
         self.0 & 0x0010 != 0
     }
 
     /// True if a warning is present (bit 7); it changes no state.
-    #[must_use]
     pub const fn warning(self) -> bool {
         self.0 & 0x0080 != 0
     }
 
     /// True if the drive accepts the controlword (bit 9).
-    #[must_use]
     pub const fn remote(self) -> bool {
         self.0 & 0x0200 != 0
     }
 
     /// True if the target is reached or, during halt, the drive has stopped (bit 10).
-    #[must_use]
     pub const fn target_reached(self) -> bool {
         self.0 & 0x0400 != 0
     }
 
     /// True if the drive limits the commanded value (bit 11).
-    #[must_use]
     pub const fn internal_limit(self) -> bool {
         self.0 & 0x0800 != 0
     }

@@ -35,7 +35,6 @@ pub enum Mode {
 
 impl Mode {
     /// The number in 6060h.
-    #[must_use]
     pub const fn raw(self) -> i8 {
         match self {
             Self::Csp => 8,
@@ -187,13 +186,11 @@ impl Axis {
     }
 
     /// Its slave.
-    #[must_use]
     pub const fn slave(&self) -> usize {
         self.slave
     }
 
     /// The proof of its process data.
-    #[must_use]
     pub const fn proof(&self) -> &Proof {
         self.prover.proof()
     }
@@ -345,7 +342,6 @@ impl fmt::Display for AxisState {
 
 /// PDOs with the objects that [`Axis`] uses, for `axes` axes (1 to 8) in one slave: one RxPDO and one TxPDO for each,
 /// 10h apart as ETG.6010 has them.
-#[must_use]
 pub fn pdos(axes: u8) -> (Vec<PdoSpec>, Vec<PdoSpec>) {
     let one = |first: u16, axis: u8, objects: &[(u16, u8)]| PdoSpec {
         index: first + 0x10 * u16::from(axis),
@@ -385,7 +381,6 @@ pub fn pdos(axes: u8) -> (Vec<PdoSpec>, Vec<PdoSpec>) {
 
 /// Start-up objects of an axis for cyclic modes: the interpolation time (60C2h) of a cycle, in its largest unit. Drives
 /// without 60C2h take the cycle from SYNC0, so that a refusal is not a fault.
-#[must_use]
 pub fn interpolation(axis: u8, cycle: Duration) -> Vec<StartupSdo> {
     let mut value = cycle.as_micros();
     let mut exponent = -6_i8;
@@ -411,7 +406,6 @@ pub fn interpolation(axis: u8, cycle: Duration) -> Vec<StartupSdo> {
 
 /// Start-up objects of an axis for homing: method (6098h), speeds towards the switch and away from it (6099h), in units
 /// of the drive.
-#[must_use]
 pub fn homing(axis: u8, method: i8, speeds: (u32, u32)) -> Vec<StartupSdo> {
     let write = |index, sub, data: &[u8]| {
         let address = Address::new(index, sub).on_axis(axis)?;

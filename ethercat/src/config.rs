@@ -175,7 +175,6 @@ pub struct SlaveSpec {
 
 impl SlaveSpec {
     /// A slave at a location, of any vendor, brought to OP with its defaults.
-    #[must_use]
     pub fn new(name: impl Into<String>, location: Location) -> Self {
         Self {
             name: name.into(),
@@ -221,7 +220,6 @@ pub struct StartupSdo {
 
 impl StartupSdo {
     /// Writes one entry, which must succeed.
-    #[must_use]
     pub fn entry(address: Address, data: impl Into<Vec<u8>>) -> Self {
         Self {
             address,
@@ -252,7 +250,6 @@ impl SyncSpec {
     pub const BOTH: u16 = 0x0700;
 
     /// SYNC0 in each cycle.
-    #[must_use]
     pub const fn sync0(cycle: Duration) -> Self {
         Self {
             assign_activate: Self::SYNC0,

@@ -18,7 +18,6 @@ pub struct Sample {
 }
 
 /// Phase of a system time in a period, ns from 0 to the period; periods start `shift` after multiples of the period.
-#[must_use]
 pub fn phase_ns(system_ns: u64, period: Duration, shift_ns: i32) -> u64 {
     let period = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX).max(1);
     let shift = i64::from(shift_ns)
@@ -29,8 +28,7 @@ pub fn phase_ns(system_ns: u64, period: Duration, shift_ns: i32) -> u64 {
 
 /// The first shifted start of a period that is at least `lead` after a system time, ns. Slaves with the same period and
 /// shift thus pulse simultaneously, whenever they are started.
-#[must_use]
-pub fn start_time(system_ns: u64, lead: Duration, period: Duration, shift_ns: i32) -> u64 {
+pub(crate) fn start_time(system_ns: u64, lead: Duration, period: Duration, shift_ns: i32) -> u64 {
     let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
     let earliest = system_ns.saturating_add(ns(lead));
     let left = ns(period).saturating_sub(phase_ns(earliest, period, shift_ns));
@@ -38,7 +36,6 @@ pub fn start_time(system_ns: u64, lead: Duration, period: Duration, shift_ns: i3
 }
 
 /// Extends the time of a 32 bit clock to 64 bits, given the time to within two seconds, ns.
-#[must_use]
 pub fn extended(low: u32, near_ns: u64) -> u64 {
     let [a, b, c, d, ..] = near_ns.to_le_bytes();
     let ahead = low.wrapping_sub(u32::from_le_bytes([a, b, c, d]));
@@ -54,7 +51,6 @@ pub(crate) const ORDER: [usize; 3] = [3, 1, 2];
 /// measures the time spent there. Half of the rest is the delay of one direction. Times wrap at 32 bits. A slave
 /// without clock (`times` is `None`) counts as part of the path from the nearest slave with a clock before it; its
 /// branches count as part of this path.
-#[must_use]
 pub fn delays(topology: &Topology, times: &[Option<[u32; 4]>]) -> Vec<u32> {
     let mut delays = vec![0_u32; times.len()];
     for number in 0..times.len() {
@@ -137,10 +133,6 @@ pub const BIN_NS: i64 = 5_000;
 impl PhaseFigures {
     /// Adds a deviation, ns; positive is late.
     pub fn add(&mut self, distance_ns: i64) {
-        #[expect(
-            clippy::cast_precision_loss,
-            reason = "deviations are far below 2^52 ns"
-        )]
         let exact = distance_ns as f64;
         self.count += 1;
         self.sum += exact;
@@ -154,31 +146,26 @@ impl PhaseFigures {
     }
 
     /// Number of values.
-    #[must_use]
     pub const fn count(&self) -> u64 {
         self.count
     }
 
     /// Mean, ns; zero without values.
-    #[must_use]
     pub fn mean_ns(&self) -> f64 {
         self.per(self.sum)
     }
 
     /// Root mean square, ns; zero without values.
-    #[must_use]
     pub fn rms_ns(&self) -> f64 {
         self.per(self.squares).sqrt()
     }
 
     fn per(&self, sum: f64) -> f64 {
-        #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^52")]
         let count = self.count.max(1) as f64;
         sum / count
     }
 
     /// Minimum and maximum, ns; `None` without values.
-    #[must_use]
     pub const fn range_ns(&self) -> Option<(i64, i64)> {
         if self.count == 0 {
             None
@@ -188,7 +175,6 @@ impl PhaseFigures {
     }
 
     /// Histogram of deviations: below -50 us, then 20 bins of [`BIN_NS`], then above 50 us.
-    #[must_use]
     pub const fn bins(&self) -> &[u64; 22] {
         &self.bins
     }

@@ -370,7 +370,6 @@ impl Master {
     }
 
     /// Whether process data is exchanged: one frame each cycle.
-    #[must_use]
     pub fn is_exchanging(&self) -> bool {
         self.scan.phase == Phase::Running && self.config.goal != AlState::PreOp
     }
@@ -426,7 +425,6 @@ impl Master {
     }
 
     /// Inputs of a slave as last read, and how many cycles ago that was; `u32::MAX` for never.
-    #[must_use]
     pub fn inputs(&self, slave: usize) -> (&[u8], u32) {
         self.image.inputs(slave)
     }

@@ -11,7 +11,6 @@ pub struct Topology {
 
 impl Topology {
     /// From the open ports of the slaves, by position in the ring. A slave for which no port is left has no parent.
-    #[must_use]
     pub fn new(ports: &[[bool; 4]]) -> Self {
         let mut parents = Vec::with_capacity(ports.len());
         // Ports that frames have yet to leave by, the nearest last.
@@ -31,7 +30,6 @@ impl Topology {
     }
 
     /// A line of `count` slaves.
-    #[must_use]
     pub fn line(count: usize) -> Self {
         let ports: Vec<_> = (0..count)
             .map(|number| [true, number + 1 < count, false, false])
@@ -40,38 +38,32 @@ impl Topology {
     }
 
     /// Parent slave and port of a slave; `None` for the first, which is connected to the master.
-    #[must_use]
     pub fn parent(&self, number: usize) -> Option<(usize, usize)> {
         self.parents.get(number).copied().flatten()
     }
 
     /// The open ports of a slave.
-    #[must_use]
     pub fn ports(&self, number: usize) -> [bool; 4] {
         self.ports.get(number).copied().unwrap_or_default()
     }
 
     /// Whether a slave is connected to a port of another. An open port without a slave leads back to the master, as at
     /// the end of a ring of two ports.
-    #[must_use]
-    pub fn has_child(&self, number: usize, port: usize) -> bool {
+    pub(crate) fn has_child(&self, number: usize, port: usize) -> bool {
         self.parents.contains(&Some((number, port)))
     }
 
     /// Number of slaves.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.ports.len()
     }
 
     /// Whether the segment is empty.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.ports.is_empty()
     }
 
     /// Whether a slave is behind another, directly or indirectly.
-    #[must_use]
     pub fn is_behind(&self, number: usize, other: usize) -> bool {
         let mut at = number;
         while let Some((parent, _)) = self.parent(at) {

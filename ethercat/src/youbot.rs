@@ -50,7 +50,6 @@ pub enum Firmware {
 
 impl Firmware {
     /// Length of the inputs, bytes.
-    #[must_use]
     pub const fn inputs_len(self) -> u16 {
         match self {
             Self::V148 => 20,
@@ -59,8 +58,7 @@ impl Firmware {
     }
 
     /// The firmware with inputs of this length.
-    #[must_use]
-    pub const fn of_inputs(len: usize) -> Option<Self> {
+    pub(crate) const fn of_inputs(len: usize) -> Option<Self> {
         match len {
             20 => Some(Self::V148),
             32 => Some(Self::V200),

@@ -1,13 +1,10 @@
 //! Proof that the master of a running segment does not allocate: cycles with objects, emergencies, lost frames, a cut
 //! cable and a returning slave, under a counting allocator.
-#![expect(unsafe_code, reason = "a global allocator is an unsafe trait")]
 #![expect(
     clippy::unwrap_used,
     reason = "a test may fail anywhere, its helpers too"
 )]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::time::Duration;
 
 use takt_cia402::dictionary::Address;
@@ -16,37 +13,16 @@ use takt_ethercat::coe::Whole;
 use takt_ethercat::config::MasterConfig;
 use takt_ethercat::emulator::{Coupler, Entry, Io, Segment, ServoConfig, ServoDrive};
 use takt_ethercat::master::{Job, JobKind, Master};
-
-thread_local! {
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-// SAFETY: every request is passed to the system allocator unchanged; the counter is a plain thread-local without a
-// destructor and allocates nothing.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _gone = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller keeps the contract of `alloc`, which is the same here.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        let _gone = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: `pointer` came from `System.alloc` above with this layout.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
+use takt_tests::{Allocations, CountingAllocator};
 
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// What `body` allocates and frees.
 fn counted<R>(total: &mut u64, body: impl FnOnce() -> R) -> R {
-    let before = ALLOCATIONS.get();
+    let allocations = Allocations::count();
     let result = body();
-    *total += ALLOCATIONS.get() - before;
+    *total += allocations.end();
     result
 }
 

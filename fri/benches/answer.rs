@@ -178,7 +178,6 @@ fn main() -> Result<(), Failure> {
     ] {
         let [p50, p99, p999] = [500, 990, 999].map(|it| ours.quantile(it));
         let [base_p50, base_p99] = [500, 990].map(|it| copy.quantile(it));
-        #[expect(clippy::cast_precision_loss, reason = "nanoseconds of a moment")]
         let ratio = p50 as f64 / base_p50.max(1) as f64;
         println!(
             "{name:<28} {p50:>8} {p99:>7} {p999:>7} {base_p50:>14} {base_p99:>5} {ratio:>11.1}"

@@ -34,7 +34,6 @@ pub struct Datagram {
 
 impl Datagram {
     /// The UDP datagram in an IPv4 packet; `None` if it holds no whole one.
-    #[must_use]
     pub fn in_packet(at: Duration, packet: &[u8]) -> Option<Self> {
         let (from, to, bytes) = packet::parse(packet)?;
         let bytes = bytes.to_vec();
@@ -47,7 +46,6 @@ impl Datagram {
     }
 
     /// An IPv4 packet around it. A datagram longer than UDP can carry is cut.
-    #[must_use]
     pub fn to_packet(&self) -> Vec<u8> {
         packet::build(self)
     }
@@ -59,9 +57,6 @@ pub struct Writer<W>(takt_link::capture::Writer<W>);
 
 impl<W: Write> Writer<W> {
     /// Writes the header of the file.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn new(to: W) -> Result<Self, CaptureError> {
         let writer = takt_link::capture::Writer::new(to, LinkType::RAW)?;
         Ok(Self(writer))
@@ -76,7 +71,6 @@ impl<W: Write> Writer<W> {
     }
 
     /// Returns the inner writer.
-    #[must_use]
     pub fn into_inner(self) -> W {
         self.0.into_inner()
     }
@@ -94,9 +88,6 @@ pub struct Reader<R> {
 
 impl<R: Read> Reader<R> {
     /// Reads the header of the file.
-    ///
-    /// # Errors
-    /// If it cannot be read or is not a recording.
     pub fn new(from: R) -> Result<Self, CaptureError> {
         Ok(Self {
             packets: takt_link::capture::Reader::new(from)?,
@@ -106,13 +97,11 @@ impl<R: Read> Reader<R> {
     }
 
     /// Packets skipped because they hold no whole UDP datagram.
-    #[must_use]
     pub const fn skipped(&self) -> u64 {
         self.skipped
     }
 
     /// Where the recording is cut off; known once reading has ended.
-    #[must_use]
     pub const fn cut(&self) -> Option<Cut> {
         self.packets.cut()
     }
@@ -178,7 +167,6 @@ pub enum Decoded {
 
 impl Decoded {
     /// Decodes a datagram of any kind.
-    #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         Self::decode(bytes).unwrap_or_else(Self::Refused)
     }

@@ -15,7 +15,8 @@ mod status;
 #[cfg(test)]
 mod tests;
 
-pub use status::{AnswerStatistics, Counters, Phase, Quality, State, Status};
+pub use crate::counters::Counters;
+pub use status::{AnswerStatistics, Phase, Quality, State, Status};
 
 /// Number of axes of both generations.
 pub const AXES: usize = 7;
@@ -124,7 +125,6 @@ pub struct Client {
 
 impl Client {
     /// A client that has received nothing yet.
-    #[must_use]
     pub fn new(mut config: ClientConfig) -> Self {
         if let Some(Version::Sunrise(dialect)) = config.expected {
             config.sunrise.dialect = dialect;
@@ -268,7 +268,6 @@ impl Client {
     }
 
     /// Whether an answer is due.
-    #[must_use]
     pub fn is_pending(&self) -> bool {
         match self.version {
             Some(Version::Sunrise(_)) => self.sunrise.is_pending(),
@@ -278,7 +277,6 @@ impl Client {
     }
 
     /// Joint positions, rad, that the next answer may carry without a jump. Zeros before the first measurement.
-    #[must_use]
     pub fn mirror(&self) -> [f64; AXES] {
         match self.version {
             Some(Version::Sunrise(_)) => self.sunrise.mirror(),
@@ -287,7 +285,6 @@ impl Client {
     }
 
     /// Time between measurements; `None` before the first one.
-    #[must_use]
     pub fn period(&self) -> Option<Duration> {
         match self.version? {
             Version::Sunrise(_) => self.sunrise.period(),
@@ -296,13 +293,11 @@ impl Client {
     }
 
     /// Version of the controller; `None` before the first measurement.
-    #[must_use]
     pub fn version(&self) -> Option<Version> {
         self.version
     }
 
     /// Timing observed so far.
-    #[must_use]
     pub fn observed(&self) -> Observed {
         self.observer.observed()
     }
@@ -325,7 +320,6 @@ impl Version {
     }
 
     /// Largest absolute position of each joint by the data sheets, rad.
-    #[must_use]
     pub fn position_max_rad(self) -> [f64; AXES] {
         let last = match self {
             Self::Lwr => 170.0,
@@ -335,7 +329,6 @@ impl Version {
     }
 
     /// Names of the joints in the order of every joint array.
-    #[must_use]
     pub fn joint_names(self) -> [&'static str; AXES] {
         match self {
             Self::Lwr => lwr::JOINT_NAMES,

@@ -13,7 +13,6 @@ macro_rules! codes {
 
         impl $name {
             /// The number on the wire.
-            #[must_use]
             pub fn code(self) -> $int {
                 match self {
                     $(Self::$variant => $code,)+

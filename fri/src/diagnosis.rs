@@ -109,7 +109,6 @@ pub enum Verdict {
 
 /// Returns the first verdict that holds, in the order of [`Verdict`]: causes nearest to this host come first because
 /// they can be fixed here. The network takes precedence where more measurements are lost or disordered than answered late.
-#[must_use]
 pub fn judge(observed: &Observed) -> Verdict {
     let Observed {
         period,
@@ -168,20 +167,17 @@ fn judge_answers(observed: &Observed) -> Verdict {
     }
 }
 
-#[expect(clippy::cast_precision_loss, reason = "a share, not a count")]
 fn share(part: u64, of: u64) -> f64 {
     part as f64 / of.max(1) as f64
 }
 
 impl Verdict {
     /// Whether there is no finding.
-    #[must_use]
     pub fn is_good(&self) -> bool {
         *self == Self::Good
     }
 
     /// How to fix it.
-    #[must_use]
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::Silent => {
@@ -315,13 +311,11 @@ impl Deviation {
 
 impl Observer {
     /// For the 16-bit counters of FRI 1.0.
-    #[must_use]
     pub fn lwr() -> Self {
         Self::new(Tracker::new(COUNTER_WINDOW))
     }
 
     /// For the 32-bit counters of Sunrise.
-    #[must_use]
     pub fn sunrise() -> Self {
         Self::new(Tracker::wide(COUNTER_WINDOW))
     }
@@ -409,7 +403,6 @@ impl Observer {
     }
 
     /// Counters so far.
-    #[must_use]
     pub fn observed(&self) -> Observed {
         Observed {
             arrival_jitter: self.arrivals.mean().unwrap_or_default(),
@@ -419,7 +412,6 @@ impl Observer {
     }
 
     /// Verdict on the counters so far.
-    #[must_use]
     pub fn verdict(&self) -> Verdict {
         judge(&self.observed())
     }

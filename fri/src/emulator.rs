@@ -5,11 +5,11 @@ mod arm;
 mod body;
 mod chain;
 mod contact;
+mod counters;
 mod faults;
 mod grid;
 mod history;
 mod line;
-mod rng;
 #[cfg(target_os = "linux")]
 mod serve;
 mod served;
@@ -20,11 +20,11 @@ pub(crate) use arm::Arm;
 pub(crate) use body::{Body, INERTIA, Law};
 pub(crate) use chain::{Chain, Pose};
 pub use contact::{Contact, Shape};
+pub use counters::ControllerCounters;
 pub use faults::{LineFaults, PowerOff};
 pub(crate) use grid::Grid;
 pub(crate) use history::{History, Sent};
 pub(crate) use line::Line;
-pub(crate) use rng::Rng;
 #[cfg(target_os = "linux")]
 pub use serve::serve;
 pub(crate) use served::served;

@@ -28,7 +28,6 @@ pub enum Kind {
 
 impl Kind {
     /// Identifies `datagram`.
-    #[must_use]
     pub fn of(datagram: &[u8]) -> Self {
         Self::lwr(datagram)
             .or_else(|| Self::sunrise(datagram))
@@ -57,7 +56,6 @@ impl Kind {
     }
 
     /// Error for `datagram` where `expected` was due: `error`, unless the datagram is of another kind.
-    #[must_use]
     pub(crate) fn explain(expected: Self, datagram: &[u8], error: DecodeError) -> DecodeError {
         let found = Self::of(datagram);
         if found == Self::Unknown || found == expected {
@@ -83,7 +81,6 @@ impl Kind {
     }
 
     /// Whether controllers send it.
-    #[must_use]
     pub fn is_from_controller(self) -> bool {
         match self {
             Self::LwrMeasurement | Self::SunriseMonitoring { .. } => true,

@@ -34,7 +34,6 @@ pub struct Guard {
 
 impl Guard {
     /// Checks only that values are finite.
-    #[must_use]
     pub const fn open(names: [&'static str; AXES]) -> Self {
         Self {
             names,

@@ -5,15 +5,20 @@
 pub mod capture;
 pub mod client;
 mod codes;
+mod counters;
 pub mod diagnosis;
 #[cfg(feature = "emulator")]
 mod emulator;
 pub mod error;
 pub mod generation;
 pub mod guard;
-pub mod link;
 #[cfg(target_os = "linux")]
 pub mod linux;
 pub mod lwr;
 mod sequence;
 pub mod sunrise;
+
+/// The transport of datagrams.
+pub mod link {
+    pub use takt_link::{Link, Memory, pair};
+}

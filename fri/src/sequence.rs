@@ -20,7 +20,6 @@ pub enum Order {
 
 impl Order {
     /// Whether the datagram is to be used: not a duplicate and not old.
-    #[must_use]
     pub fn is_new(self) -> bool {
         match self {
             Self::First | Self::Next { .. } | Self::Restart => true,

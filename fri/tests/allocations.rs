@@ -4,10 +4,8 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::time::Duration;
-use takt_fri::lwr::emulator::{Faults, Krc, KrcConfig, KrcCounters, LineFaults};
+use takt_fri::lwr::emulator::{ControllerCounters, Faults, Krc, KrcConfig, LineFaults};
 use takt_fri::lwr::wire::{Cmd, Msr};
 use takt_fri::lwr::{Session, SessionConfig};
 use takt_fri::sunrise;
@@ -15,31 +13,10 @@ use takt_fri::sunrise::emulator::{
     Cabinet, CabinetConfig, Contact, Control, Overlay, Program, Shape,
 };
 use takt_fri::sunrise::wire::{CommandMode, Dialect, MESSAGE_MAX};
-
-thread_local! {
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-// SAFETY: every request is passed to the system allocator unchanged; the counter is a plain thread-local without a
-// destructor and allocates nothing.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // Not accessible while a thread ends: nothing is counted then.
-        let _gone = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller keeps the contract of `alloc`, which is the same here.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `System.alloc` above with this layout.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
+use takt_tests::{Allocations, CountingAllocator};
 
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 fn cycle(krc: &mut Krc, session: &mut Session) {
     let now = krc.poll_timeout();
@@ -78,15 +55,15 @@ fn lwr_10000_faulty_cycles_allocate_nothing() {
         Duration::ZERO,
     );
     let mut session = Session::new(SessionConfig::default());
-    let before = ALLOCATIONS.get();
+    let allocations = Allocations::count();
     for index in 0..10_000 {
         if index % 1_000 == 999 {
             krc.faults_mut().to_krc.drop_next = 15;
         }
         cycle(&mut krc, &mut session);
     }
-    assert_eq!(ALLOCATIONS.get() - before, 0);
-    assert_ne!(krc.counters(), KrcCounters::default());
+    assert_eq!(allocations.end(), 0);
+    assert_ne!(krc.counters(), ControllerCounters::default());
     assert!(krc.exits() > 0, "{krc:?}");
     assert!(session.counters().answered > 2_000, "{session:?}");
 }
@@ -142,21 +119,14 @@ fn sunrise_10000_faulty_cycles_allocate_nothing() {
     (config.faults.to_client, config.faults.to_cabinet) = (line, line);
     let mut cabinet = Cabinet::new(config, Duration::ZERO);
     let mut session = sunrise::Session::new(sunrise::SessionConfig::default());
-    let before = ALLOCATIONS.get();
+    let allocations = Allocations::count();
     for index in 0..10_000 {
         if index % 1_000 == 999 {
             cabinet.faults_mut().to_cabinet.drop_next = 15;
         }
         sunrise_cycle(&mut cabinet, &mut session);
     }
-    assert_eq!(ALLOCATIONS.get() - before, 0);
+    assert_eq!(allocations.end(), 0);
     assert!(cabinet.exits() > 0 && session.is_engaged(), "{cabinet:?}");
     assert!(session.counters().answered > 2_000, "{session:?}");
-}
-
-#[test]
-fn allocation_counter_counts() {
-    let before = ALLOCATIONS.get();
-    drop(std::hint::black_box(Box::new(1)));
-    assert_eq!(ALLOCATIONS.get() - before, 1);
 }

@@ -7,6 +7,7 @@
 use proptest::prelude::*;
 use takt_fri::error::{DecodeError, EncodeError};
 use takt_fri::lwr::wire::{Cmd, CmdFlags, Control, Msr, Quality, State, fuzz};
+use takt_tests::Random;
 
 const MSR: &str = include_str!("captures/msr_layout.hex");
 const MSR_UNKNOWN: &str = include_str!("captures/msr_unknown_codes.hex");
@@ -213,26 +214,18 @@ fn lwr_encode_short_buffer_is_left_untouched() {
     assert_eq!(buf, [0xaa; Cmd::LEN - 1]);
 }
 
-/// Multiplicative congruential numbers, good enough to mutate with.
-fn noise(state: &mut u64) -> usize {
-    *state = state
-        .wrapping_mul(6_364_136_223_846_793_005)
-        .wrapping_add(1);
-    usize::try_from(*state >> 33).unwrap()
-}
-
 #[test]
 fn lwr_decode_hostile_inputs_do_not_panic() {
     let seeds = [bytes(MSR), bytes(CMD)];
-    let mut state = 1;
+    let mut random = Random::new(1);
     for round in 0..10_000 {
         let mut input = seeds[round % 2].clone();
-        for _ in 0..noise(&mut state) % 8 {
-            let at = noise(&mut state) % input.len();
-            input[at] = noise(&mut state).to_le_bytes()[0];
+        for _ in 0..random.below(8) {
+            let at = random.below(input.len());
+            input[at] = random.byte();
         }
-        if noise(&mut state).is_multiple_of(4) {
-            input.resize(noise(&mut state) % 1600, 0);
+        if random.below(4) == 0 {
+            input.resize(random.below(1600), 0);
         }
         fuzz(&input);
     }

@@ -14,6 +14,7 @@ mod fuzz;
 mod input;
 mod pcap;
 mod pcapng;
+mod replay;
 #[cfg(test)]
 mod tests;
 mod writer;
@@ -21,6 +22,7 @@ mod writer;
 pub use ethernet::{EthernetFrame, Frames};
 pub use fuzz::fuzz;
 use input::Input;
+pub use replay::Replay;
 pub use writer::Writer;
 
 /// Longest packet that is read, bytes; a longer one is treated as damage.
@@ -78,15 +80,19 @@ pub struct Packet {
     pub at: Duration,
     /// Outermost header of the packet.
     pub link: LinkType,
-    /// Index of the recording interface in the file; 0 if there is only one.
+    /// Index of the recording interface in the file; 0 if there is only one. See [`Reader::interface_name`].
     pub interface: u32,
+    /// Offset of its record from the beginning of the file, bytes.
+    pub offset: u64,
+    /// Whether the recording host is big-endian: SocketCAN identifiers have its byte order after a header of `any`.
+    pub is_big_endian: bool,
     /// Length on the wire, bytes; more than `data` if the packet was truncated.
     pub original_len: u32,
     /// The recorded bytes.
     pub data: Vec<u8>,
 }
 
-/// Why a recording cannot be read further.
+/// Why a recording, or a packet of it, cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CaptureError {
@@ -136,15 +142,40 @@ impl fmt::Display for Cut {
     }
 }
 
-enum Format {
+/// File format of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Container {
+    /// Older format, with one interface.
+    Pcap,
+    /// Newer format, with several interfaces and their names.
+    PcapNg,
+}
+
+impl Container {
+    /// Detects the format from the first bytes of a file.
+    pub fn of(bytes: &[u8]) -> Option<Self> {
+        let magic: [u8; 4] = *bytes.first_chunk()?;
+        if magic == PCAPNG {
+            return Some(Self::PcapNg);
+        }
+        let words = [u32::from_be_bytes(magic), u32::from_le_bytes(magic)];
+        words
+            .iter()
+            .any(|word| matches!(word, 0xA1B2_C3D4 | 0xA1B2_3C4D))
+            .then_some(Self::Pcap)
+    }
+}
+
+enum Parser {
     Pcap(PcapParser),
     PcapNg(PcapNgParser),
 }
 
-/// Reads the packets of a recording; an iterator that ends after an error.
+/// Reads the packets of a recording. An iterator: damaged packets of pcapng are errors between the others, any other
+/// error is the last item.
 pub struct Reader<R> {
     input: Input<R>,
-    format: Format,
+    parser: Parser,
     packets: u64,
     is_ended: bool,
     cut: Option<Cut>,
@@ -153,55 +184,44 @@ pub struct Reader<R> {
 }
 
 impl<R: Read> Reader<R> {
-    /// Reads the header of the file.
-    ///
-    /// # Errors
-    /// If it cannot be read or is not a recording.
+    /// Reads the header of the file; fails if it is not a recording.
     pub fn new(from: R) -> Result<Self, CaptureError> {
         let mut input = Input::new(from);
         let magic = input.fill(4)?;
         if magic.starts_with(&GZIP) {
             return Err(CaptureError::Compressed);
         }
-        let Some(magic) = magic.first_chunk::<4>().copied() else {
+        let Some(four) = magic.first_chunk::<4>() else {
             return Err(CaptureError::Short(magic.len()));
         };
-        let format = if magic == PCAPNG {
-            Format::PcapNg(pcapng::begin(&mut input)?)
-        } else {
-            Format::Pcap(pcap::begin(&mut input)?)
+        let unknown = CaptureError::Unknown(u32::from_be_bytes(*four));
+        let parser = match Container::of(magic).ok_or(unknown)? {
+            Container::Pcap => Parser::Pcap(pcap::begin(&mut input)?),
+            Container::PcapNg => Parser::PcapNg(pcapng::begin(&mut input)?),
         };
         Ok(Self {
             input,
-            format,
+            parser,
             packets: 0,
             is_ended: false,
             cut: None,
             last: Duration::ZERO,
         })
     }
+}
 
+impl<R> Reader<R> {
     /// Where the recording is cut off; known once reading has ended.
-    #[must_use]
     pub const fn cut(&self) -> Option<Cut> {
         self.cut
     }
 
-    /// Returns the next packet; `None` at the end and where the recording is cut off.
-    fn read(&mut self) -> Result<Option<Packet>, CaptureError> {
-        let step = match &mut self.format {
-            Format::Pcap(parser) => pcap::next(&mut self.input, parser)?,
-            Format::PcapNg(parser) => pcapng::next(&mut self.input, parser, self.last)?,
-        };
-        Ok(match step {
-            Step::Packet(packet) => Some(packet),
-            Step::End => None,
-            Step::Cut(left) => {
-                let packets = self.packets;
-                self.cut = Some(Cut { packets, left });
-                None
-            }
-        })
+    /// Name of the interface of the latest packet, as `can0`, if it was recorded.
+    pub fn interface_name(&self, interface: u32) -> Option<&str> {
+        match &self.parser {
+            Parser::Pcap(_) => None,
+            Parser::PcapNg(parser) => pcapng::name(parser.interfaces(), interface),
+        }
     }
 }
 
@@ -212,14 +232,25 @@ impl<R: Read> Iterator for Reader<R> {
         if self.is_ended {
             return None;
         }
-        let item = self.read().transpose();
-        if let Some(Ok(packet)) = &item {
-            self.packets += 1;
-            self.last = packet.at;
-        } else {
-            self.is_ended = true;
+        let step = match &mut self.parser {
+            Parser::Pcap(parser) => pcap::next(&mut self.input, parser),
+            Parser::PcapNg(parser) => pcapng::next(&mut self.input, parser, self.last),
+        };
+        self.is_ended = !matches!(step, Ok(Step::Packet(_) | Step::Skipped(_)));
+        match step {
+            Ok(Step::Packet(packet)) => {
+                self.packets += 1;
+                self.last = packet.at;
+                Some(Ok(packet))
+            }
+            Ok(Step::Skipped(error)) | Err(error) => Some(Err(error)),
+            Ok(Step::Cut(left)) => {
+                let packets = self.packets;
+                self.cut = Some(Cut { packets, left });
+                None
+            }
+            Ok(Step::End) => None,
         }
-        item
     }
 }
 
@@ -235,6 +266,8 @@ impl<R> fmt::Debug for Reader<R> {
 /// Next item of a file.
 enum Step {
     Packet(Packet),
+    /// A damaged packet; the next record is found by the length of this one.
+    Skipped(CaptureError),
     End,
     /// Number of bytes left of an incomplete record.
     Cut(u64),

@@ -111,7 +111,6 @@ fn histogram_copy(traffic: usize) -> f64 {
     median(times.collect())
 }
 
-#[expect(clippy::cast_precision_loss, reason = "nanoseconds of a benchmark")]
 fn mean_ns(span: Nanos, count: u32) -> f64 {
     span.0 as f64 / f64::from(count)
 }

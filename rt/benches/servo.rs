@@ -293,7 +293,6 @@ fn queue() -> Vec<f64> {
 struct Random(u64);
 
 impl Random {
-    #[expect(clippy::cast_precision_loss, reason = "52 bits")]
     fn uniform(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
@@ -315,7 +314,6 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / count(values.len())).sqrt()
 }
 
-#[expect(clippy::cast_precision_loss, reason = "thousands")]
 fn count(n: usize) -> f64 {
     n as f64
 }
@@ -325,7 +323,6 @@ fn nanos(ns: f64) -> Nanos {
     Nanos(ns.round() as i64)
 }
 
-#[expect(clippy::cast_precision_loss, reason = "at most minutes")]
 fn float(span: Nanos) -> f64 {
     span.0 as f64
 }

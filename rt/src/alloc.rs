@@ -20,6 +20,8 @@ thread_local! {
     /// Number of [`RealTimeScope`]s of this thread. Constant and without destructor: using it never
     /// allocates, even while the thread ends.
     static SCOPES: Cell<u32> = const { Cell::new(0) };
+    /// This thread's part of [`CALLS`].
+    static CALLS_OF_THREAD: Cell<u64> = const { Cell::new(0) };
 }
 
 static CALLS: AtomicU64 = AtomicU64::new(0);
@@ -53,6 +55,11 @@ pub fn set_guard(guard: Guard) {
 /// unless [`CountingAllocator`] is installed.
 pub fn real_time_allocations() -> u64 {
     CALLS.load(Ordering::Relaxed)
+}
+
+/// As [`real_time_allocations`], those of the calling thread only.
+pub fn real_time_allocations_of_thread() -> u64 {
+    CALLS_OF_THREAD.get()
 }
 
 /// Marks the calling thread as real-time until the scope is dropped. Scopes nest.
@@ -124,6 +131,7 @@ fn watch(size: usize) {
 #[cold]
 fn violation(size: usize) {
     CALLS.fetch_add(1, Ordering::Relaxed);
+    CALLS_OF_THREAD.set(CALLS_OF_THREAD.get() + 1);
     if ABORT.load(Ordering::Relaxed) {
         process::die(abort_message(&process::thread_name(), size).as_bytes());
     }

@@ -32,7 +32,7 @@ impl fmt::Display for Entry {
 
 impl Entry {
     /// An empty entry, the initial content of entry memory.
-    pub const BLANK: Self = Self {
+    pub(crate) const BLANK: Self = Self {
         cycle: 0,
         source: "",
         event: "",

@@ -41,7 +41,6 @@ impl Nanos {
     }
 
     /// In ns; exact up to 104 days.
-    #[expect(clippy::cast_precision_loss, reason = "the name says so")]
     pub(crate) const fn to_f64(self) -> f64 {
         self.0 as f64
     }

@@ -95,7 +95,7 @@ impl StatsWriter {
     }
 
     /// Records the distance of a wake-up from its nominal time on a followed clock, early or late.
-    pub fn record_phase(&mut self, error: Nanos) {
+    pub(crate) fn record_phase(&mut self, error: Nanos) {
         self.phase_error.record(error.abs());
     }
 

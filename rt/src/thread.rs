@@ -134,9 +134,6 @@ impl<T> Thread<T> {
     }
 
     /// Waits for the end of the thread and returns the result of its body.
-    ///
-    /// # Errors
-    /// The panic's payload, if the body panicked.
     pub fn join(self) -> thread::Result<T> {
         self.handle.join()
     }

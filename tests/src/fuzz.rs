@@ -9,6 +9,8 @@
 use std::fmt::Write as _;
 use std::time::Instant;
 
+use takt_link::Random;
+
 /// Longest input composed of bytes or words. Longer ones find no more and cost more.
 const BYTES_MAX: usize = 600;
 /// Bytes of a failing input that are printed.
@@ -19,85 +21,54 @@ pub const COUNT: &str = "TAKT_FUZZ_COUNT";
 /// Environment variable with the seed; another seed gives other inputs (`cargo xtask fuzz --seed`).
 pub const SEED: &str = "TAKT_FUZZ_SEED";
 
-/// A xorshift generator: the same inputs on every machine.
-#[derive(Clone, Debug)]
-pub struct Random(u64);
-
-impl Random {
-    /// A generator with that seed.
-    #[must_use]
-    pub const fn new(seed: u64) -> Self {
-        Self(0x5eed_0f7a_c700_0001 ^ seed.wrapping_mul(0x9E37_79B9_7F4A_7C15))
+/// Half of the inputs are bytes; the other half are words of the format, which get further,
+/// with a few bytes replaced. Short ones are the most frequent, because they are the fastest.
+fn of_words(random: &mut Random, words: &[&[u8]], input: &mut Vec<u8>) {
+    input.clear();
+    let longest = BYTES_MAX >> random.below(6);
+    let len = random.below(longest);
+    if words.is_empty() || random.next().is_multiple_of(2) {
+        input.resize_with(len, || random.byte());
+        return;
     }
-
-    /// The next number.
-    pub const fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
+    while input.len() < len {
+        input.extend_from_slice(words[random.below(words.len())]);
     }
+    damage(random, input);
+}
 
-    /// A number below that bound; 0 for a bound of 0.
-    pub fn below(&mut self, bound: usize) -> usize {
-        let bound = u64::try_from(bound.max(1)).unwrap_or(u64::MAX);
-        usize::try_from(self.next() % bound).unwrap_or(0)
+/// A file with bytes replaced, removed or duplicated, or truncated.
+fn of_files(random: &mut Random, files: &[&[u8]], input: &mut Vec<u8>) {
+    input.clear();
+    if files.is_empty() {
+        return;
     }
-
-    /// A byte.
-    pub const fn byte(&mut self) -> u8 {
-        self.next().to_le_bytes()[3]
-    }
-
-    /// Half of the inputs are bytes; the other half are words of the format, which get further,
-    /// with a few bytes replaced. Short ones are the most frequent, because they are the fastest.
-    fn of_words(&mut self, words: &[&[u8]], input: &mut Vec<u8>) {
-        input.clear();
-        let longest = BYTES_MAX >> self.below(6);
-        let len = self.below(longest);
-        if words.is_empty() || self.next().is_multiple_of(2) {
-            input.resize_with(len, || self.byte());
-            return;
-        }
-        while input.len() < len {
-            input.extend_from_slice(words[self.below(words.len())]);
-        }
-        self.damage(input);
-    }
-
-    /// A file with bytes replaced, removed or duplicated, or truncated.
-    fn of_files(&mut self, files: &[&[u8]], input: &mut Vec<u8>) {
-        input.clear();
-        if files.is_empty() {
-            return;
-        }
-        input.extend_from_slice(files[self.below(files.len())]);
-        for _ in 0..=self.below(3) {
-            let at = self.below(input.len());
-            let end = (at + self.below(64)).min(input.len());
-            match self.below(6) {
-                0 => input.truncate(at),
-                1 => drop(input.drain(at..end)),
-                2 if input.len() < BYTES_MAX * 16 => input.extend_from_within(at..end),
-                3 => {
-                    // Counts and lengths at their limits.
-                    let limits = [0, 1, 0x7F, 0x80, 0xFF];
-                    let limit = limits[self.below(limits.len())];
-                    let end = end.min(at + 4);
-                    input[at..end].fill(limit);
-                }
-                _ => self.damage(input),
+    input.extend_from_slice(files[random.below(files.len())]);
+    for _ in 0..=random.below(3) {
+        let at = random.below(input.len());
+        let end = (at + random.below(64)).min(input.len());
+        match random.below(6) {
+            0 => input.truncate(at),
+            1 => drop(input.drain(at..end)),
+            2 if input.len() < BYTES_MAX * 16 => input.extend_from_within(at..end),
+            3 => {
+                // Counts and lengths at their limits.
+                let limits = [0, 1, 0x7F, 0x80, 0xFF];
+                let limit = limits[random.below(limits.len())];
+                let end = end.min(at + 4);
+                input[at..end].fill(limit);
             }
+            _ => damage(random, input),
         }
     }
+}
 
-    fn damage(&mut self, input: &mut [u8]) {
-        for _ in 0..self.below(4) {
-            let at = self.below(input.len());
-            let byte = self.byte();
-            if let Some(target) = input.get_mut(at) {
-                *target = byte;
-            }
+fn damage(random: &mut Random, input: &mut [u8]) {
+    for _ in 0..random.below(4) {
+        let at = random.below(input.len());
+        let byte = random.byte();
+        if let Some(target) = input.get_mut(at) {
+            *target = byte;
         }
     }
 }
@@ -130,14 +101,14 @@ fn number(name: &str) -> Option<u64> {
 /// and prints the rate.
 pub fn feed(name: &str, target: impl FnMut(&[u8]), words: &[&[u8]], usual: u64) {
     run(name, target, usual, |random, input| {
-        random.of_words(words, input);
+        of_words(random, words, input);
     });
 }
 
 /// As [`feed`], with damaged files.
 pub fn feed_files(name: &str, target: impl FnMut(&[u8]), files: &[&[u8]], usual: u64) {
     run(name, target, usual, |random, input| {
-        random.of_files(files, input);
+        of_files(random, files, input);
     });
 }
 
@@ -161,7 +132,6 @@ fn run(
         target(&shown.input);
     }
     let seconds = begin.elapsed().as_secs_f64();
-    #[expect(clippy::cast_precision_loss, reason = "shown with few digits")]
     let rate = count as f64 / seconds.max(1e-9);
     println!("fuzzed {name}: {count} inputs in {seconds:.1} s, {rate:.0}/s");
 }
@@ -185,9 +155,9 @@ mod tests {
             for turn in 0..200 {
                 let mut input = Vec::new();
                 if turn % 2 == 0 {
-                    random.of_words(&[b"ab", b"c"], &mut input);
+                    of_words(&mut random, &[b"ab", b"c"], &mut input);
                 } else {
-                    random.of_files(&[b"0123456789", b""], &mut input);
+                    of_files(&mut random, &[b"0123456789", b""], &mut input);
                 }
                 made.push(input);
             }

@@ -1,9 +1,12 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod allocations;
 pub mod fuzz;
 mod skip;
 mod steady;
 
+pub use allocations::{Allocations, CountingAllocator};
 pub use skip::{skip, vcan};
 pub use steady::steady;
+pub use takt_link::Random;

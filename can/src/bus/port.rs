@@ -16,7 +16,6 @@ pub struct Shared {
 
 impl Shared {
     /// Shares a bus.
-    #[must_use]
     pub fn new(bus: Bus) -> Self {
         Self {
             bus: Arc::new(Mutex::new(bus)),
@@ -30,7 +29,6 @@ impl Shared {
     }
 
     /// Adds a port.
-    #[must_use]
     pub fn attach(&self) -> Port {
         let id = self.lock().attach();
         Port {
@@ -49,13 +47,11 @@ pub struct Port {
 
 impl Port {
     /// Its number on the bus.
-    #[must_use]
     pub const fn id(&self) -> PortId {
         self.id
     }
 
     /// The bus it belongs to.
-    #[must_use]
     pub const fn bus(&self) -> &Shared {
         &self.bus
     }

@@ -20,7 +20,6 @@ pub struct Counters {
 
 impl Counters {
     /// The bus state that follows from the counters.
-    #[must_use]
     pub const fn state(self) -> BusState {
         BusState::of_counters(self.transmit, self.receive)
     }

@@ -20,7 +20,7 @@ use super::pdo::{Direction, PDOS_MAX, Parameters};
 use super::{NodeId, NodeIdError};
 
 /// Maximum file size, bytes.
-pub const FILE_MAX: usize = 16 << 20;
+pub(crate) const FILE_MAX: usize = 16 << 20;
 
 /// Why a file is not a data sheet.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -86,7 +86,6 @@ pub struct Eds {
 impl Eds {
     /// The value of a key outside of objects: `info("DeviceInfo", "ProductName")`.
     /// Case-insensitive.
-    #[must_use]
     pub fn info(&self, section: &str, key: &str) -> Option<&str> {
         let (_, keys) = self
             .sections
@@ -97,7 +96,6 @@ impl Eds {
     }
 
     /// The name of an entry: the name of its object, a slash, and its own name.
-    #[must_use]
     pub fn name(&self, address: Address) -> Option<String> {
         let object = self.objects.iter().find(|o| o.index == address.index)?;
         let (_, entry) = object.entries.iter().find(|(sub, _)| *sub == address.sub)?;
@@ -110,7 +108,6 @@ impl Eds {
 
     /// Finds an entry by name, as [`Self::name`] writes it, or by its own name if that is unique.
     /// Case-insensitive.
-    #[must_use]
     pub fn find(&self, name: &str) -> Option<Address> {
         let all = || {
             self.objects.iter().flat_map(|object| {
@@ -129,9 +126,6 @@ impl Eds {
 
     /// The dictionary of a device with that node number: defaults, overridden by the values of the
     /// DCF.
-    ///
-    /// # Errors
-    /// If the objects do not form a valid dictionary.
     pub fn dictionary(&self, node: NodeId) -> Result<Dictionary, EdsError> {
         let mut dictionary = Dictionary::new(self.objects.clone())?;
         super::node::add_node_id(&mut dictionary, &self.relative, node);
@@ -143,10 +137,7 @@ impl Eds {
     }
 
     /// Configuration of a node with this data sheet.
-    ///
-    /// # Errors
-    /// If the objects do not form a valid dictionary.
-    pub fn node_config(&self, id: Option<NodeId>) -> Result<NodeConfig, EdsError> {
+    pub(crate) fn node_config(&self, id: Option<NodeId>) -> Result<NodeConfig, EdsError> {
         Ok(NodeConfig {
             id,
             dictionary: Dictionary::new(self.objects.clone())?,
@@ -159,9 +150,6 @@ impl Eds {
 
     /// The plan by which a master starts this device: type and identity as far as given, existing
     /// PDOs, heartbeat, and all other values of the DCF.
-    ///
-    /// # Errors
-    /// If the objects do not form a valid dictionary.
     pub fn plan(&self, node: NodeId) -> Result<NodePlan, EdsError> {
         let dictionary = self.dictionary(node)?;
         let number = |index, sub| {

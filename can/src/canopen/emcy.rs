@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::Emergency;
 
 /// Maximum number of active errors; a further one replaces the oldest.
-pub const ERRORS_MAX: usize = 8;
+pub(crate) const ERRORS_MAX: usize = 8;
 /// Length of the queue for the inhibit time; further emergencies are counted and dropped.
 pub const QUEUE_MAX: usize = 8;
 
@@ -15,21 +15,21 @@ pub mod code {
     /// A heartbeat or the life guarding was lost.
     pub const HEARTBEAT: u16 = 0x8130;
     /// A PDO was shorter than its mapping and was dropped.
-    pub const PDO_SHORT: u16 = 0x8210;
+    pub(crate) const PDO_SHORT: u16 = 0x8210;
     /// A PDO was longer than its mapping; the excess was dropped.
-    pub const PDO_LONG: u16 = 0x8220;
+    pub(crate) const PDO_LONG: u16 = 0x8220;
     /// A SYNC had an unexpected length.
-    pub const SYNC_LENGTH: u16 = 0x8240;
+    pub(crate) const SYNC_LENGTH: u16 = 0x8240;
     /// An RPDO missed its deadline.
-    pub const RPDO_TIMEOUT: u16 = 0x8250;
+    pub(crate) const RPDO_TIMEOUT: u16 = 0x8250;
 }
 
 /// Bits of the error register 1001h.
 pub mod register {
     /// Generic error.
-    pub const GENERIC: u8 = 0x01;
+    pub(crate) const GENERIC: u8 = 0x01;
     /// Communication error.
-    pub const COMMUNICATION: u8 = 0x10;
+    pub(crate) const COMMUNICATION: u8 = 0x10;
 }
 
 /// Source of an error. Several sources may report the same error; it ends when all have cleared it.
@@ -74,12 +74,11 @@ pub struct Producer {
 
 impl Producer {
     /// Sets the inhibit time, 1015h.
-    pub const fn set_inhibit(&mut self, inhibit: Duration) {
+    pub(crate) const fn set_inhibit(&mut self, inhibit: Duration) {
         self.inhibit = inhibit;
     }
 
     /// The error register 1001h.
-    #[must_use]
     pub fn register(&self) -> u8 {
         self.errors.iter().flatten().fold(0, |register, error| {
             register | error.register | register::GENERIC
@@ -87,7 +86,6 @@ impl Producer {
     }
 
     /// Emergencies dropped because the queue was full.
-    #[must_use]
     pub const fn dropped(&self) -> u32 {
         self.dropped
     }
@@ -130,7 +128,7 @@ impl Producer {
     }
 
     /// Clears all errors of a source.
-    pub fn clear_all(&mut self, source: Source) {
+    pub(crate) fn clear_all(&mut self, source: Source) {
         for at in 0..ERRORS_MAX {
             if let Some(error) = self.errors[at].filter(|error| error.source == source) {
                 self.clear(source, error.code);
@@ -164,7 +162,7 @@ impl Producer {
     }
 
     /// The next code to append to the history 1003h.
-    pub fn poll_log(&mut self) -> Option<Emergency> {
+    pub(crate) fn poll_log(&mut self) -> Option<Emergency> {
         let new = |queued: &&mut Queued| !queued.logged && queued.emergency.code != 0;
         let queued = self.queue.iter_mut().flatten().find(new)?;
         queued.logged = true;
@@ -183,7 +181,6 @@ impl Producer {
     }
 
     /// When an emergency is due.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         self.queue[0]?;
         Some(self.sent.map_or(Duration::ZERO, |sent| sent + self.inhibit))

@@ -57,7 +57,6 @@ pub struct DriveNodeConfig {
 
 impl DriveNodeConfig {
     /// A drive with one axis.
-    #[must_use]
     pub fn new(id: NodeId) -> Self {
         Self {
             id: Some(id),
@@ -103,7 +102,6 @@ impl DriveNodeConfig {
 
     /// The communication objects: four PDOs per axis and direction, mapped as in CiA 402-3; PDO 1
     /// of the first axis is enabled.
-    #[must_use]
     pub fn communication(&self) -> Communication {
         let count = self.axes.len().clamp(1, AXES_MAX);
         let axes = (0..8_u8).take(count);
@@ -125,14 +123,12 @@ impl DriveNodeConfig {
     }
 
     /// Its data sheet.
-    #[must_use]
     pub fn eds(&self) -> Eds {
         let relative = self.communication().relative();
         Eds::of_device(self.objects(), relative, "takt-drive.eds")
     }
 
     /// All its objects.
-    #[must_use]
     pub fn objects(&self) -> Vec<Object> {
         let mut objects = self.communication().objects();
         if self.domain_len > 0 {
@@ -206,9 +202,6 @@ pub type DriveNode = Node<Drives>;
 
 impl DriveNode {
     /// Powers a drive on.
-    ///
-    /// # Errors
-    /// If its objects do not form a valid node.
     pub fn power_on(config: DriveNodeConfig, now: Duration) -> Result<Self, NodeError> {
         let communication = config.communication();
         let dictionary = Dictionary::new(config.objects())?;
@@ -265,7 +258,6 @@ impl Drives {
     }
 
     /// An axis by number, from 0.
-    #[must_use]
     pub fn axis(&self, axis: usize) -> Option<&Drive> {
         self.axes.get(axis)
     }

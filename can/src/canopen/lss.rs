@@ -35,14 +35,12 @@ pub struct Identity {
 
 impl Identity {
     /// The numbers in the order of 1018h.
-    #[must_use]
     pub const fn numbers(&self) -> [u32; 4] {
         [self.vendor, self.product, self.revision, self.serial]
     }
 
     /// Creates an identity from the numbers in the order of 1018h.
-    #[must_use]
-    pub const fn from_numbers(numbers: [u32; 4]) -> Self {
+    pub(crate) const fn from_numbers(numbers: [u32; 4]) -> Self {
         let [vendor, product, revision, serial] = numbers;
         Self {
             vendor,
@@ -73,7 +71,7 @@ pub enum Mode {
 }
 
 /// The node number on the wire of a device that has none.
-pub const NO_NODE: u8 = 0xFF;
+pub(crate) const NO_NODE: u8 = 0xFF;
 
 /// One LSS message.
 pub type Message = [u8; 8];

@@ -25,9 +25,6 @@ impl NodeId {
     pub const LAST: Self = Self(127);
 
     /// Checks a node number.
-    ///
-    /// # Errors
-    /// If it is 0 or above 127.
     pub const fn new(number: u8) -> Result<Self, NodeIdError> {
         if number == 0 || number > 127 {
             return Err(NodeIdError(number));
@@ -36,7 +33,6 @@ impl NodeId {
     }
 
     /// The number as an integer.
-    #[must_use]
     pub const fn raw(self) -> u8 {
         self.0
     }
@@ -47,7 +43,6 @@ impl NodeId {
     }
 
     /// The identifier of one of its messages in the pre-defined connection set: 080h, 180h, ...
-    #[must_use]
     pub fn cob(self, function: u16) -> Id {
         // At most 700h + 127: always fits.
         Id::standard((function & 0x780) + u16::from(self.0)).unwrap_or(NMT)
@@ -127,7 +122,6 @@ const COMMANDS: [(NmtCommand, u8, &str); 5] = [
 
 impl NmtCommand {
     /// The byte on the wire.
-    #[must_use]
     pub fn raw(self) -> u8 {
         if let Self::Other(raw) = self {
             return raw;
@@ -137,14 +131,12 @@ impl NmtCommand {
     }
 
     /// From the byte on the wire.
-    #[must_use]
     pub fn from_raw(raw: u8) -> Self {
         let found = COMMANDS.iter().find(|(_, known, _)| *known == raw);
         found.map_or(Self::Other(raw), |(command, ..)| *command)
     }
 
     /// The frame: to one node or to all.
-    #[must_use]
     pub fn frame(self, node: Option<NodeId>) -> Frame {
         frame(NMT, &[self.raw(), node.map_or(0, NodeId::raw)])
     }
@@ -176,7 +168,6 @@ pub enum NmtState {
 
 impl NmtState {
     /// The 7-bit code on the wire.
-    #[must_use]
     pub const fn raw(self) -> u8 {
         match self {
             Self::BootUp => 0,
@@ -188,7 +179,6 @@ impl NmtState {
     }
 
     /// Decodes the lowest seven bits.
-    #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw & 0x7F {
             0 => Self::BootUp,
@@ -231,7 +221,6 @@ pub struct Emergency {
 
 impl Emergency {
     /// From the bytes of a frame.
-    #[must_use]
     pub const fn decode(bytes: &[u8; 8]) -> Self {
         let [a, b, register, data @ ..] = *bytes;
         Self {
@@ -242,7 +231,6 @@ impl Emergency {
     }
 
     /// The bytes of the frame.
-    #[must_use]
     pub const fn encode(&self) -> [u8; 8] {
         let [a, b] = self.code.to_le_bytes();
         let [c, d, e, f, g] = self.data;
@@ -286,7 +274,6 @@ pub(super) fn frame(id: Id, data: &[u8]) -> Frame {
 
 impl Message {
     /// A decoded CANopen message.
-    #[must_use]
     pub fn decode(frame: &Frame) -> Self {
         let id = frame.id();
         if id.is_extended() {
@@ -348,7 +335,6 @@ impl Message {
 }
 
 /// SYNC, with counter if 1019h requires one.
-#[must_use]
 pub fn sync(counter: Option<u8>) -> Frame {
     match counter {
         Some(counter) => frame(SYNC, &[counter]),
@@ -357,13 +343,11 @@ pub fn sync(counter: Option<u8>) -> Frame {
 }
 
 /// A heartbeat or, in [`NmtState::BootUp`], a boot-up message.
-#[must_use]
 pub fn heartbeat(node: NodeId, state: NmtState) -> Frame {
     frame(node.cob(HEARTBEAT), &[state.raw()])
 }
 
 /// An emergency of a node.
-#[must_use]
 pub fn emergency(node: NodeId, emergency: &Emergency) -> Frame {
     frame(node.cob(EMERGENCY), &emergency.encode())
 }

@@ -232,19 +232,16 @@ impl Network {
     }
 
     /// Start phase of a node.
-    #[must_use]
     pub fn phase(&self, node: NodeId) -> Option<Phase> {
         self.member(node).map(|member| member.startup.phase())
     }
 
     /// The last fault of a node.
-    #[must_use]
     pub fn fault(&self, node: NodeId) -> Option<NodeFault> {
         self.member(node).and_then(|member| member.fault)
     }
 
     /// An axis of a node, in the order of its plan.
-    #[must_use]
     pub fn axis(&self, node: NodeId, axis: usize) -> Option<&Axis> {
         self.member(node).and_then(|member| member.axes.get(axis))
     }
@@ -257,7 +254,6 @@ impl Network {
 
     /// The process image of a node: all objects in its PDOs. [`Self::cycle`] writes the objects of
     /// its axes.
-    #[must_use]
     pub fn image(&self, node: NodeId) -> Option<&Dictionary> {
         self.member(node).map(|member| &member.image)
     }
@@ -390,7 +386,6 @@ impl Network {
     }
 
     /// Next time at which [`Self::poll_transmit`] has work, apart from the periods.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if !self.process.is_empty() {
             return Some(Duration::ZERO);

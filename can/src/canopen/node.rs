@@ -228,19 +228,16 @@ impl<A: Application> Node<A> {
     }
 
     /// Node number; `None` while it waits for LSS.
-    #[must_use]
     pub fn id(&self) -> Option<NodeId> {
         (self.slave.state() != State::Initialising).then(|| self.slave.id())
     }
 
     /// NMT state.
-    #[must_use]
     pub const fn state(&self) -> State {
         self.slave.state()
     }
 
     /// Object dictionary.
-    #[must_use]
     pub const fn dictionary(&self) -> &Dictionary {
         &self.dictionary
     }
@@ -251,7 +248,6 @@ impl<A: Application> Node<A> {
     }
 
     /// The application.
-    #[must_use]
     pub const fn application(&self) -> &A {
         &self.application
     }
@@ -267,7 +263,6 @@ impl<A: Application> Node<A> {
     }
 
     /// Frames dropped because the send queue was full.
-    #[must_use]
     pub const fn dropped(&self) -> u32 {
         self.dropped
     }
@@ -444,7 +439,6 @@ impl<A: Application> Node<A> {
     }
 
     /// Next time at which [`Self::poll_transmit`] has work; at or before `now`: at once.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if !self.queue.is_empty() {
             return Some(Duration::ZERO);
@@ -478,7 +472,6 @@ impl<A: Application> Node<A> {
     }
 
     /// The state as in heartbeats.
-    #[must_use]
     pub const fn nmt_state(&self) -> NmtState {
         self.slave.state().nmt_state()
     }

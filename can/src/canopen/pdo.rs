@@ -38,7 +38,6 @@ pub enum Transmission {
 
 impl Transmission {
     /// Decodes the value in the dictionary.
-    #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw {
             0 => Self::SyncAcyclic,
@@ -52,7 +51,6 @@ impl Transmission {
     }
 
     /// The value in the dictionary.
-    #[must_use]
     pub const fn raw(self) -> u8 {
         match self {
             Self::SyncAcyclic => 0,
@@ -65,14 +63,12 @@ impl Transmission {
     }
 
     /// Whether an RPDO takes effect with SYNC.
-    #[must_use]
-    pub const fn is_synchronous(self) -> bool {
+    pub(crate) const fn is_synchronous(self) -> bool {
         matches!(self, Self::SyncAcyclic | Self::Sync(_))
     }
 
     /// Whether it is sent on events.
-    #[must_use]
-    pub const fn is_event_driven(self) -> bool {
+    pub(crate) const fn is_event_driven(self) -> bool {
         matches!(self, Self::EventManufacturer | Self::EventProfile)
     }
 }
@@ -95,26 +91,22 @@ impl PdoCob {
     const COMPARED: u32 = 0x8FFF_FFFF;
 
     /// Decodes the value in the dictionary.
-    #[must_use]
     pub const fn from_raw(raw: u32) -> Self {
         Self(raw)
     }
 
     /// COB-ID of an enabled PDO without remote frames.
-    #[must_use]
     pub const fn new(id: Id) -> Self {
         Self(id.raw() | Self::NO_REMOTE)
     }
 
     /// The value in the dictionary.
-    #[must_use]
     pub const fn raw(self) -> u32 {
         self.0
     }
 
     /// Whether identifier and bit 31 are equal. Devices set and clear bits 28 to 30 on their own, so values read back
     /// are never compared as a whole.
-    #[must_use]
     pub const fn is_same(self, other: Self) -> bool {
         (self.0 ^ other.0) & Self::COMPARED == 0
     }
@@ -126,26 +118,22 @@ impl PdoCob {
     }
 
     /// Whether the PDO is enabled.
-    #[must_use]
-    pub const fn is_valid(self) -> bool {
+    pub(crate) const fn is_valid(self) -> bool {
         self.0 & Self::INVALID == 0
     }
 
     /// Whether remote frames are allowed.
-    #[must_use]
-    pub const fn allows_remote(self) -> bool {
+    pub(crate) const fn allows_remote(self) -> bool {
         self.0 & Self::NO_REMOTE == 0
     }
 
     /// The identifier, if the PDO is enabled and the identifier is allowed for PDOs.
-    #[must_use]
     pub fn id(self) -> Option<Id> {
         self.identifier().filter(|_| self.is_valid())
     }
 
     /// The identifier, if it has 11 bits and is not reserved for other services (clause 7.3.5,
     /// table of restricted identifiers).
-    #[must_use]
     pub fn identifier(self) -> Option<Id> {
         // Bit 28 is only used by 29-bit identifiers; some devices set it anyway.
         let raw = u16::try_from(self.0 & 0x2FFF_FFFF).ok()?;

@@ -46,7 +46,6 @@ pub struct Bytes {
 
 impl Bytes {
     /// The first bytes of a slice, up to seven.
-    #[must_use]
     pub fn new(from: &[u8]) -> Self {
         let mut bytes = [0; 7];
         let mut len = 0;
@@ -58,7 +57,6 @@ impl Bytes {
     }
 
     /// The bytes.
-    #[must_use]
     pub fn as_slice(&self) -> &[u8] {
         self.bytes.get(..usize::from(self.len)).unwrap_or_default()
     }
@@ -172,7 +170,6 @@ pub struct BlockSegment {
 
 impl BlockSegment {
     /// The segment in a message; `None` if its sequence number is 0.
-    #[must_use]
     pub const fn decode(message: &Message) -> Option<Self> {
         let [first, data @ ..] = *message;
         if first & 0x7F == 0 {
@@ -186,7 +183,6 @@ impl BlockSegment {
     }
 
     /// The message.
-    #[must_use]
     pub fn encode(self) -> Message {
         let first = u8::from(self.last) << 7 | self.sequence & 0x7F;
         let [a, b, c, d, e, f, g] = self.data;
@@ -270,7 +266,6 @@ const fn crc_of(message: &Message) -> u16 {
 
 impl Request {
     /// The request in a message; `None` for an unknown command.
-    #[must_use]
     pub fn decode(m: &Message) -> Option<Self> {
         let (first, address) = (m[0], address(m));
         Some(match first >> 5 {
@@ -319,7 +314,6 @@ impl Request {
     }
 
     /// The message.
-    #[must_use]
     pub fn encode(&self) -> Message {
         match *self {
             Self::Download { address, data } => initiated(0x20, address, &data),
@@ -350,7 +344,6 @@ impl Request {
 
 impl Response {
     /// The object; segments and acknowledgements do not contain it.
-    #[must_use]
     pub const fn address(&self) -> Option<Address> {
         match self {
             Self::Download { address }
@@ -367,7 +360,6 @@ impl Response {
     }
 
     /// The response in a message; `None` for an unknown command.
-    #[must_use]
     pub fn decode(m: &Message) -> Option<Self> {
         let (first, address) = (m[0], address(m));
         Some(match first >> 5 {
@@ -415,7 +407,6 @@ impl Response {
     }
 
     /// The message.
-    #[must_use]
     pub fn encode(&self) -> Message {
         match *self {
             Self::Download { address } => message(0x60, address, 0),

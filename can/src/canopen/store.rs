@@ -6,7 +6,7 @@ use std::str::FromStr;
 use takt_cia402::dictionary::{Access, Address, Dictionary, Entry};
 
 /// Signature of the store command, `save`.
-pub const SAVE: u32 = u32::from_le_bytes(*b"save");
+pub(crate) const SAVE: u32 = u32::from_le_bytes(*b"save");
 /// Signature of the restore command, `load`.
 pub const LOAD: u32 = u32::from_le_bytes(*b"load");
 
@@ -36,27 +36,23 @@ const GROUPS: [(Group, u8, &str); 4] = [
 
 impl Group {
     /// The group by sub-index of 1010h and 1011h.
-    #[must_use]
-    pub fn from_sub(sub: u8) -> Option<Self> {
+    pub(crate) fn from_sub(sub: u8) -> Option<Self> {
         let found = GROUPS.iter().find(|(_, known, _)| *known == sub);
         found.map(|(group, ..)| *group)
     }
 
     /// Its sub-index in 1010h and 1011h.
-    #[must_use]
     pub fn sub(self) -> u8 {
         let found = GROUPS.iter().find(|(group, ..)| *group == self);
         found.map_or(1, |(_, sub, _)| *sub)
     }
 
     /// Object and bytes to write so that a node stores the group.
-    #[must_use]
     pub fn store(self) -> (Address, [u8; 4]) {
         (Address::new(0x1010, self.sub()), SAVE.to_le_bytes())
     }
 
     /// Object and bytes to write so that a node restores the defaults at its next reset.
-    #[must_use]
     pub fn restore(self) -> (Address, [u8; 4]) {
         (Address::new(0x1011, self.sub()), LOAD.to_le_bytes())
     }

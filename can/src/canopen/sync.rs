@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 /// Maximum counter overflow value, 1019h.
-pub const OVERFLOW_MAX: u8 = 240;
+pub(crate) const OVERFLOW_MAX: u8 = 240;
 
 /// A SYNC whose length does not match 1019h.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -24,7 +24,6 @@ pub struct Counter {
 
 impl Counter {
     /// A counter up to the overflow value (1019h), 2 to 240; smaller values disable it.
-    #[must_use]
     pub const fn new(overflow: u8) -> Self {
         let overflow = if overflow > OVERFLOW_MAX {
             OVERFLOW_MAX
@@ -58,7 +57,6 @@ pub struct Producer {
 
 impl Producer {
     /// Produces a SYNC every `period` (1006h) from `now` on, with a counter up to `overflow` (1019h; 0: none).
-    #[must_use]
     pub fn new(period: Duration, overflow: u8, now: Duration) -> Self {
         Self {
             period: period.max(Duration::from_micros(1)),
@@ -80,7 +78,6 @@ impl Producer {
     }
 
     /// When the next one is due.
-    #[must_use]
     pub const fn poll_timeout(&self) -> Duration {
         self.due
     }
@@ -98,7 +95,6 @@ pub struct Consumer {
 impl Consumer {
     /// Expects a counter if `overflow` (1019h) is not 0; the window for synchronous PDOs is open
     /// until `window` (1007h) after SYNC, always if that is zero.
-    #[must_use]
     pub const fn new(overflow: u8, window: Duration) -> Self {
         Self {
             overflow,
@@ -122,14 +118,12 @@ impl Consumer {
     }
 
     /// Whether the window for synchronous PDOs is open.
-    #[must_use]
     pub fn is_open(&self, now: Duration) -> bool {
         let within = |at| now.saturating_sub(at) <= self.window;
         self.window.is_zero() || self.last_received.is_some_and(within)
     }
 
     /// Time of the last SYNC.
-    #[must_use]
     pub const fn last_received(&self) -> Option<Duration> {
         self.last_received
     }

@@ -26,7 +26,6 @@ pub struct TimeOfDay {
 
 impl TimeOfDay {
     /// The time of day at a time since 1970-01-01; clamped to 1984 to 2163.
-    #[must_use]
     pub fn from_unix(since: Duration) -> Self {
         let days = since.as_secs() / 86_400;
         let ms = since.as_millis() % u128::from(DAY_MS);
@@ -37,14 +36,12 @@ impl TimeOfDay {
     }
 
     /// The time since 1970-01-01.
-    #[must_use]
     pub fn unix(self) -> Duration {
         let days = u64::from(self.days) + EPOCH_DAYS;
         Duration::from_secs(days * 86_400) + Duration::from_millis(self.ms.into())
     }
 
     /// The frame, on the default identifier.
-    #[must_use]
     pub fn frame(self) -> Frame {
         let [a, b, c, d] = (self.ms & 0x0FFF_FFFF).to_le_bytes();
         let [e, f] = self.days.to_le_bytes();
@@ -52,7 +49,6 @@ impl TimeOfDay {
     }
 
     /// From the bytes of a frame.
-    #[must_use]
     pub fn decode(data: &[u8]) -> Option<Self> {
         let [a, b, c, d, e, f] = *data.first_chunk::<6>()?;
         Some(Self {

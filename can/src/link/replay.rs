@@ -28,7 +28,6 @@ impl<I: Iterator<Item = Record>> Replay<I> {
     }
 
     /// The current time on the log's clock.
-    #[must_use]
     pub const fn now(&self) -> Duration {
         self.now
     }
@@ -39,7 +38,6 @@ impl<I: Iterator<Item = Record>> Replay<I> {
     }
 
     /// Sent frames with their times.
-    #[must_use]
     pub fn sent(&self) -> &[(Duration, AnyFrame)] {
         &self.sent
     }

@@ -145,9 +145,6 @@ impl Cyclic {
     }
 
     /// Replaces the content from the next period on. The identifier must not change.
-    ///
-    /// # Errors
-    /// Of the operating system.
     pub fn update(&self, frame: &Frame) -> io::Result<()> {
         self.setup(frame, 0)
     }
@@ -180,9 +177,6 @@ pub struct Watch {
 
 impl Watch {
     /// Monitors an identifier with a `timeout`, which starts with its first frame.
-    ///
-    /// # Errors
-    /// Of the operating system.
     pub fn start(interface: &str, id: Id, timeout: Duration) -> io::Result<Self> {
         let socket = connect(interface)?;
         let flags = SETTIMER | STARTTIMER | RX_ANNOUNCE_RESUME;
@@ -197,9 +191,6 @@ impl Watch {
     }
 
     /// Waits at most `timeout` for a change or for a timeout of the identifier.
-    ///
-    /// # Errors
-    /// Of the operating system.
     pub fn wait(&self, timeout: Duration) -> io::Result<Option<Watched>> {
         let mut fds = [PollFd::new(self.socket.as_fd(), PollFlags::POLLIN)];
         match ppoll(&mut fds, Some(TimeSpec::from_duration(timeout)), None) {

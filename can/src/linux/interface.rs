@@ -37,8 +37,7 @@ pub struct Setup {
 
 impl Setup {
     /// Whether a requested setting can only change while the interface is down.
-    #[must_use]
-    pub const fn needs_down(&self) -> bool {
+    pub(crate) const fn needs_down(&self) -> bool {
         self.bitrate.is_some()
             || self.data_bitrate.is_some()
             || self.restart.is_some()
@@ -116,7 +115,6 @@ pub enum InterfaceError {
 }
 
 /// Names of the CAN interfaces of this host.
-#[must_use]
 pub fn interfaces() -> Vec<String> {
     Present::list().0
 }
@@ -194,13 +192,11 @@ pub struct Details {
 
 impl Details {
     /// Whether it is virtual, without a controller.
-    #[must_use]
     pub const fn is_virtual(&self) -> bool {
         self.state.is_none() && self.bitrate.is_none()
     }
 
     /// Its bit rates, if set.
-    #[must_use]
     pub fn rates(&self) -> Option<Rates> {
         let nominal = self.bitrate.filter(|rate| *rate > 0)?;
         Some(Rates {
@@ -223,9 +219,6 @@ pub struct Interface {
 
 impl Interface {
     /// Opens the interface of that name.
-    ///
-    /// # Errors
-    /// If it does not exist, or is not a CAN interface.
     pub fn open(name: &str) -> Result<Self, InterfaceError> {
         let missing = |_| InterfaceError::Missing {
             name: name.to_owned(),
@@ -246,9 +239,6 @@ impl Interface {
     }
 
     /// Reads its current state.
-    ///
-    /// # Errors
-    /// If the kernel rejects the request.
     pub fn details(&self) -> Result<Details, InterfaceError> {
         let info = self.netlink.details();
         let info = info.map_err(|error| InterfaceError::Refused {

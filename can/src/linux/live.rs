@@ -25,7 +25,6 @@ pub struct LivePort {
 
 impl LivePort {
     /// Creates a bus and its first port.
-    #[must_use]
     pub fn first_of(mut bus: Bus) -> Self {
         bus.advance(monotonic());
         let id = bus.attach();
@@ -40,7 +39,6 @@ impl LivePort {
     }
 
     /// Adds a port to the same bus.
-    #[must_use]
     pub fn attach(&self) -> Self {
         Self {
             hub: Arc::clone(&self.hub),
@@ -49,13 +47,12 @@ impl LivePort {
     }
 
     /// Its number on the bus.
-    #[must_use]
     pub const fn id(&self) -> PortId {
         self.id
     }
 
     /// Locks the bus, advanced to the present, to inject faults or read its state.
-    pub fn with_bus<R>(&self, use_it: impl FnOnce(&mut Bus) -> R) -> R {
+    pub(crate) fn with_bus<R>(&self, use_it: impl FnOnce(&mut Bus) -> R) -> R {
         let mut bus = self.hub.bus.lock().unwrap_or_else(PoisonError::into_inner);
         bus.advance(monotonic());
         let result = use_it(&mut bus);

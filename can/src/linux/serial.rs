@@ -31,9 +31,6 @@ pub struct Serial {
 
 impl Serial {
     /// Opens a port, such as `/dev/ttyUSB0`, with 460,800 Bd, 8N1, raw mode.
-    ///
-    /// # Errors
-    /// If it cannot be opened or is not a terminal.
     pub fn open(path: &str) -> io::Result<Self> {
         let port = OpenOptions::new()
             .read(true)
@@ -67,9 +64,6 @@ impl Serial {
 
     /// Waits at most `timeout` for a frame; returns the channel, the frame and the time of
     /// reception.
-    ///
-    /// # Errors
-    /// If the port was removed.
     pub fn receive(&mut self, timeout: Duration) -> io::Result<Option<(Channel, Frame, Duration)>> {
         let until = monotonic() + timeout;
         loop {

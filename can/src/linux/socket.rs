@@ -48,14 +48,12 @@ pub struct Filter {
 
 impl Filter {
     /// Accepts exactly this identifier.
-    #[must_use]
     pub const fn exactly(id: Id) -> Self {
         let mask = if id.is_extended() { 0x1FFF_FFFF } else { 0x7FF };
         Self::masked(id, mask)
     }
 
     /// Accepts identifiers of the same length that match in the bits of `mask`.
-    #[must_use]
     pub const fn masked(id: Id, mask: u32) -> Self {
         let extended = if id.is_extended() {
             libc::CAN_EFF_FLAG
@@ -180,25 +178,21 @@ impl SocketCan {
     }
 
     /// Whether the interface provides hardware time stamps.
-    #[must_use]
     pub fn has_hardware_stamps(&self) -> bool {
         self.socket.has_hw_timestamps()
     }
 
     /// Frames dropped because the send queue was full.
-    #[must_use]
     pub const fn refused(&self) -> u64 {
         self.refused
     }
 
     /// Frames lost because this socket was not read in time. The kernel reports them with the next received frame.
-    #[must_use]
     pub const fn dropped(&self) -> u32 {
         self.dropped
     }
 
     /// The socket, to wait for several at once.
-    #[must_use]
     pub fn fd(&self) -> BorrowedFd<'_> {
         self.socket.as_fd()
     }

@@ -1,234 +1,115 @@
 //! Recordings of SocketCAN by tcpdump, dumpcap and Wireshark: pcap and pcapng with the link types of CAN (227) and of
-//! the Linux "any" device (113, 276). Packets of other protocols are passed over.
+//! the Linux "any" device (113, 276). Packets of other protocols are skipped.
 //!
-//! | bytes of a frame | what |
+//! | bytes of a frame | content |
 //! |---|---|
-//! | 0 to 3 | identifier; bit 31 of 29 bits, bit 30 remote, bit 29 error. Big-endian, behind a header of "any" as the file |
-//! | 4 | bytes of data; bit 7 marks CAN XL |
-//! | 5 | of CAN FD: bit 0 bit rate switch, bit 1 sender is passive, bit 2 it is one |
-//! | 7 | length code, if it is none of the length |
+//! | 0 to 3 | identifier; bit 31 extended, bit 30 remote, bit 29 error. Big-endian; in the host's order after a header of "any" |
+//! | 4 | length of the data, bytes; bit 7 marks CAN XL |
+//! | 5 | CAN FD: bit 0 bit rate switch, bit 1 sender is passive, bit 2 it is a CAN FD frame |
+//! | 7 | length code, if it differs from the length |
 //! | 8 ... | data |
 
-use std::time::Duration;
-
-use pcap_file::Endianness;
-use pcap_file::pcap::PcapParser;
-use pcap_file::pcapng::blocks::interface_description::{
-    InterfaceDescriptionBlock, InterfaceDescriptionOption,
-};
-use pcap_file::pcapng::{Block, PcapNgParser};
+use takt_link::capture::{CaptureError, LinkType, Packet, Reader};
 
 use super::{Direction, Log, Record};
 use crate::{AnyFrame, ErrorFrame, FdFrame, Frame, Id, LogError};
 
-const NG: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
-const CLASSIC: [[u8; 4]; 4] = [
-    [0xA1, 0xB2, 0xC3, 0xD4],
-    [0xD4, 0xC3, 0xB2, 0xA1],
-    [0xA1, 0xB2, 0x3C, 0x4D],
-    [0x4D, 0x3C, 0xB2, 0xA1],
-];
-
-const CAN: u32 = 227;
-const COOKED: u32 = 113;
-const COOKED_2: u32 = 276;
-
-const BROKEN: LogError = LogError::Event {
+const DAMAGED: LogError = LogError::Event {
     what: "a packet of a pcap file, cut off or damaged,",
 };
 const FRAME: LogError = LogError::Event {
     what: "a CAN frame in a pcap file",
 };
-
-/// Which of the two a file is by its first bytes.
-pub(super) fn is_pcap(bytes: &[u8]) -> bool {
-    bytes
-        .first_chunk()
-        .is_some_and(|first| CLASSIC.contains(first))
-}
-
-/// The same for pcapng.
-pub(super) fn is_pcapng(bytes: &[u8]) -> bool {
-    bytes.starts_with(&NG)
-}
-
-/// A packet with what its file says of it.
-#[derive(Clone, Copy, Debug)]
-struct Packet<'a> {
-    at: Duration,
-    link: u32,
-    order: Endianness,
-    interface: &'a str,
-    data: &'a [u8],
-}
-
 /// The interface of a file that names none.
 const NAMELESS: &str = "can";
 
 pub(super) fn read(bytes: &[u8], log: &mut Log) {
-    let Ok((mut rest, parser)) = PcapParser::new(bytes) else {
-        return log.leave_out(0, BROKEN);
+    let Ok(mut reader) = Reader::new(bytes) else {
+        return log.leave_out(0, DAMAGED);
     };
-    let header = parser.header();
-    let unit = match header.ts_resolution {
-        pcap_file::TsResolution::MicroSecond => 1_000,
-        pcap_file::TsResolution::NanoSecond => 1,
-    };
-    while !rest.is_empty() {
-        let place = bytes.len() - rest.len();
-        let Ok((behind, raw)) = parser.next_raw_packet(rest) else {
-            return log.leave_out(place, BROKEN);
-        };
-        rest = behind;
-        let fraction = Duration::from_nanos(u64::from(raw.ts_frac) * unit);
-        let packet = Packet {
-            at: Duration::from_secs(raw.ts_sec.into()) + fraction,
-            link: header.datalink.into(),
-            order: header.endianness,
-            interface: NAMELESS,
-            data: &raw.data,
-        };
-        if !take(place, &packet, log) {
-            return;
-        }
-    }
-}
-
-pub(super) fn read_ng(bytes: &[u8], log: &mut Log) {
-    let Ok((mut rest, mut parser)) = PcapNgParser::new(bytes) else {
-        return log.leave_out(0, BROKEN);
-    };
-    while !rest.is_empty() {
-        let place = bytes.len() - rest.len();
-        let order = parser.section().endianness;
-        let Ok((behind, block)) = parser.next_block(rest) else {
-            log.leave_out(place, BROKEN);
-            // The length of a block whose content is damaged still says where the next one begins.
-            match rest.get(block_len(rest, order)..) {
-                Some(next) if next.len() < rest.len() => rest = next,
-                Some(_) | None => return,
+    while let Some(packet) = reader.next() {
+        match packet {
+            Ok(packet) => {
+                let name = reader.interface_name(packet.interface);
+                let interface = name.filter(|name| is_word(name)).unwrap_or(NAMELESS);
+                if !take(&packet, interface, log) {
+                    return;
+                }
             }
-            continue;
-        };
-        rest = behind;
-        let Block::EnhancedPacket(packet) = block else {
-            continue;
-        };
-        let Some(interface) = parser.packet_interface(&packet) else {
-            log.leave_out(place, BROKEN);
-            continue;
-        };
-        let packet = Packet {
-            at: time(&packet.timestamp, interface),
-            link: interface.linktype.into(),
-            order,
-            interface: name(interface),
-            data: &packet.data,
-        };
-        if !take(place, &packet, log) {
-            return;
+            Err(CaptureError::Damaged { offset, .. }) => log.leave_out(location(offset), DAMAGED),
+            Err(_) => log.leave_out(bytes.len(), DAMAGED),
         }
+    }
+    if let Some(cut) = reader.cut() {
+        log.leave_out(bytes.len().saturating_sub(location(cut.left)), DAMAGED);
     }
 }
 
-/// Total length of a block; 0 if it has none that can be.
-fn block_len(block: &[u8], order: Endianness) -> usize {
-    let len = block.get(4..).and_then(|rest| rest.first_chunk());
-    let len = len.map_or(0, |bytes| match order {
-        Endianness::Big => u32::from_be_bytes(*bytes),
-        Endianness::Little => u32::from_le_bytes(*bytes),
-    });
-    usize::try_from(len).unwrap_or(usize::MAX)
+fn location(offset: u64) -> usize {
+    usize::try_from(offset).unwrap_or(usize::MAX)
 }
 
-fn name<'a>(interface: &'a InterfaceDescriptionBlock<'_>) -> &'a str {
-    let mut options = interface.options.iter();
-    let name = options.find_map(|option| {
-        if let InterfaceDescriptionOption::IfName(name) = option {
-            Some(name.as_ref())
-        } else {
-            None
-        }
-    });
-    // As candump logs hold it: one word.
-    let is_word = |name: &&str| {
-        !name.is_empty() && name.len() <= 15 && name.bytes().all(|b| b.is_ascii_graphic())
-    };
-    name.filter(is_word).unwrap_or(NAMELESS)
+/// Whether a candump log can hold the name.
+fn is_word(name: &str) -> bool {
+    (1..=15).contains(&name.len()) && name.bytes().all(|byte| byte.is_ascii_graphic())
 }
 
-/// The library takes the ticks of a file for nanoseconds, whatever the interface says: 10^-n s, or 2^-n s with the
-/// highest bit set; 10^-6 s without a word.
-fn time(ticks: &Duration, interface: &InterfaceDescriptionBlock<'_>) -> Duration {
-    let mut options = interface.options.iter();
-    let resolution = options.find_map(|option| {
-        if let InterfaceDescriptionOption::IfTsResol(resolution) = option {
-            Some(*resolution)
-        } else {
-            None
-        }
-    });
-    let resolution = resolution.unwrap_or(6);
-    let base: u128 = if resolution & 0x80 == 0 { 10 } else { 2 };
-    let per_second = base.checked_pow(u32::from(resolution & 0x7F));
-    let nanos = ticks.as_nanos().saturating_mul(1_000_000_000) / per_second.unwrap_or(u128::MAX);
-    Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
-}
-
-/// Takes the frame out of a packet; returns whether it is worth while to go on.
-fn take(place: usize, packet: &Packet<'_>, log: &mut Log) -> bool {
-    let Some(frame) = unwrap(packet) else {
-        let link = packet.link;
-        log.leave_out(place, LogError::LinkType { link });
+/// Reads the frame of a packet; returns false for a link type that carries none.
+fn take(packet: &Packet, interface: &str, log: &mut Log) -> bool {
+    let location = location(packet.offset);
+    let Some(frame) = unwrap(packet, interface) else {
+        let link = packet.link.0;
+        log.leave_out(location, LogError::LinkType { link });
         return false;
     };
-    if let Some((direction, interface, order, bytes)) = frame {
-        let frame = frame_of(bytes, order);
+    if let Some((direction, interface, is_big_endian, bytes)) = frame {
+        let frame = frame_of(bytes, is_big_endian);
         let record = frame.map(|frame| Record {
             at: packet.at,
             interface,
             frame,
             direction,
         });
-        log.take(place, record);
+        log.take(location, record);
     }
     true
 }
 
-type Unwrapped<'a> = (Option<Direction>, String, Endianness, &'a [u8]);
+/// Direction, interface, whether the identifier is big-endian, frame.
+type Unwrapped<'a> = (Option<Direction>, String, bool, &'a [u8]);
 
-/// Takes the header of the link off. `None` for a link type that is not known; `Some(None)` for another protocol.
-fn unwrap<'a>(packet: &Packet<'a>) -> Option<Option<Unwrapped<'a>>> {
-    let data = packet.data;
+/// Removes the header of the link. `None` for an unknown link type; `Some(None)` for another protocol.
+fn unwrap<'a>(packet: &'a Packet, interface: &str) -> Option<Option<Unwrapped<'a>>> {
+    let data = packet.data.as_slice();
     let two = |at: usize| {
         let bytes = data.get(at..)?.first_chunk()?;
         Some(u16::from_be_bytes(*bytes))
     };
     let is_can = |protocol: u16| matches!(protocol, 0x0C..=0x0E);
     // Packets of type 4 were sent by the host itself.
-    let way = |kind: u16| match kind {
+    let direction = |kind: u16| match kind {
         4 => Direction::Transmitted,
         _ => Direction::Received,
     };
-    let interface = packet.interface.to_owned();
+    let (interface, order) = (interface.to_owned(), packet.is_big_endian);
     Some(match packet.link {
-        CAN => Some((None, interface, Endianness::Big, data)),
-        COOKED => data.get(16..).zip(two(0)).and_then(|(frame, kind)| {
+        LinkType::CAN_SOCKETCAN => Some((None, interface, true, data)),
+        LinkType::LINUX_SLL => data.get(16..).zip(two(0)).and_then(|(frame, kind)| {
             let is_can = two(14).is_some_and(is_can);
-            is_can.then(|| (Some(way(kind)), interface, packet.order, frame))
+            is_can.then(|| (Some(direction(kind)), interface, order, frame))
         }),
-        COOKED_2 => data.get(20..).and_then(|frame| {
+        LinkType::LINUX_SLL2 => data.get(20..).and_then(|frame| {
             let is_can = two(0).is_some_and(is_can);
             let index = data.get(4..)?.first_chunk()?;
             let name = format!("if{}", u32::from_be_bytes(*index));
             let kind = u16::from(*data.get(10)?);
-            is_can.then(|| (Some(way(kind)), name, packet.order, frame))
+            is_can.then(|| (Some(direction(kind)), name, order, frame))
         }),
         _ => return None,
     })
 }
 
-fn frame_of(bytes: &[u8], order: Endianness) -> Result<AnyFrame, LogError> {
+fn frame_of(bytes: &[u8], is_big_endian: bool) -> Result<AnyFrame, LogError> {
     let (head, data) = bytes.split_first_chunk::<8>().ok_or(FRAME)?;
     let [a, b, c, d, len, flags, _, code] = *head;
     if len & 0x80 != 0 {
@@ -236,9 +117,10 @@ fn frame_of(bytes: &[u8], order: Endianness) -> Result<AnyFrame, LogError> {
             what: "a CAN XL frame",
         });
     }
-    let raw = match order {
-        Endianness::Big => u32::from_be_bytes([a, b, c, d]),
-        Endianness::Little => u32::from_le_bytes([a, b, c, d]),
+    let raw = if is_big_endian {
+        u32::from_be_bytes([a, b, c, d])
+    } else {
+        u32::from_le_bytes([a, b, c, d])
     };
     let len = usize::from(len);
     let bit = |bit: u32| raw >> bit & 1 == 1;

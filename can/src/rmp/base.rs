@@ -64,7 +64,6 @@ const JUMP_TURNS: f64 = 0.15;
 
 impl Base {
     /// A base with these limits of `acceleration`, m/s², and `angular_acceleration`, rad/s².
-    #[must_use]
     pub fn new(config: DriverConfig, acceleration: f64, angular_acceleration: f64) -> Self {
         Self {
             driver: Driver::new(config),
@@ -84,7 +83,6 @@ impl Base {
     }
 
     /// The driver of its power base.
-    #[must_use]
     pub const fn driver(&self) -> &Driver {
         &self.driver
     }
@@ -95,14 +93,12 @@ impl Base {
     }
 
     /// Its measured motion.
-    #[must_use]
     pub const fn motion(&self) -> &Motion {
         &self.motion
     }
 
     /// Angles of the left and the right wheel since the start, rad, and their rates, rad/s; the other two elements,
     /// used by the platform, are zero.
-    #[must_use]
     pub fn wheels(&self) -> ([f64; 4], [f64; 4]) {
         let radius = self.config.model.wheel_radius();
         let [left, right] = self.rolled.map(|distance| distance / radius);
@@ -112,14 +108,12 @@ impl Base {
     }
 
     /// Number of rejected displacement steps: after reset integrators, or a power cycle of the power base.
-    #[must_use]
     pub const fn jumps(&self) -> u64 {
         let [left, right, yaw] = &self.counters;
         left.jumps() + right.jumps() + yaw.jumps()
     }
 
     /// The last of these steps.
-    #[must_use]
     pub const fn jump(&self) -> Option<Jump> {
         self.jump
     }
@@ -170,7 +164,6 @@ impl Base {
     }
 
     /// Next time at which [`Self::poll_transmit`] has work.
-    #[must_use]
     pub const fn poll_timeout(&self) -> Duration {
         self.driver.poll_timeout()
     }
@@ -199,7 +192,6 @@ impl Base {
     }
 
     /// Factor, at most 1, by which a forward velocity, m/s, and a rotation, rad/s, must be scaled to be feasible.
-    #[must_use]
     pub fn reach(&self, velocity: [f64; 2]) -> f64 {
         let [ahead, turn] = self.exact_counts(velocity).map(f64::abs);
         let most = (ahead / f64::from(VELOCITY_MAX)).max(turn / f64::from(TURN_MAX));

@@ -47,7 +47,6 @@ pub enum Mode {
 
 impl Mode {
     /// Decodes the mode.
-    #[must_use]
     pub const fn from_raw(raw: u16) -> Self {
         match raw {
             0 => Self::Disabled,
@@ -59,7 +58,6 @@ impl Mode {
     }
 
     /// Its code.
-    #[must_use]
     pub const fn raw(self) -> u16 {
         match self {
             Self::Disabled => 0,
@@ -99,7 +97,6 @@ pub enum Gain {
 
 impl Gain {
     /// Decodes the schedule.
-    #[must_use]
     pub const fn from_raw(raw: u16) -> Self {
         match raw {
             0 => Self::Light,
@@ -110,7 +107,6 @@ impl Gain {
     }
 
     /// Its code.
-    #[must_use]
     pub const fn raw(self) -> u16 {
         match self {
             Self::Light => 0,
@@ -131,14 +127,13 @@ impl Integrators {
     /// Left wheel.
     pub const LEFT: Self = Self(2);
     /// Yaw.
-    pub const YAW: Self = Self(4);
+    pub(crate) const YAW: Self = Self(4);
     /// Fore and aft.
-    pub const FORE_AFT: Self = Self(8);
+    pub(crate) const FORE_AFT: Self = Self(8);
     /// All of them.
     pub const ALL: Self = Self(15);
 
     /// Whether it contains all of `others`.
-    #[must_use]
     pub const fn contains(self, others: Self) -> bool {
         self.0 & others.0 == others.0
     }
@@ -177,7 +172,6 @@ pub enum Config {
 
 impl Config {
     /// Decodes the slots. Some hosts repeat 8-bit values in the upper byte, which is ignored.
-    #[must_use]
     pub fn from_raw(code: u16, value: u16) -> Self {
         let low = value.to_be_bytes()[1];
         match code {
@@ -195,7 +189,6 @@ impl Config {
     }
 
     /// Its slots.
-    #[must_use]
     pub fn raw(self) -> (u16, u16) {
         match self {
             Self::None => (0, 0),
@@ -242,7 +235,6 @@ pub struct Command {
 
 impl Command {
     /// Decodes a command; `None` for other frames.
-    #[must_use]
     pub fn decode(frame: &Frame) -> Option<Self> {
         if frame.id() != COMMAND_ID {
             return None;
@@ -256,7 +248,6 @@ impl Command {
     }
 
     /// Encodes the command.
-    #[must_use]
     pub fn frame(self) -> Frame {
         let (code, value) = self.config.raw();
         let [velocity, turn] = [self.velocity, self.turn].map(i16::cast_unsigned);

@@ -53,7 +53,6 @@ pub struct Cycles {
 
 impl Cycles {
     /// For a power base of this model.
-    #[must_use]
     pub const fn new(model: Model) -> Self {
         Self {
             scales: model.scales(),
@@ -83,7 +82,6 @@ impl Cycles {
     }
 
     /// Number of incomplete cycles.
-    #[must_use]
     pub const fn broken(&self) -> u64 {
         self.broken
     }

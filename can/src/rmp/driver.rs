@@ -159,7 +159,6 @@ pub struct Driver {
 
 impl Driver {
     /// A driver before the first message. The period is clamped to its range.
-    #[must_use]
     pub fn new(config: DriverConfig) -> Self {
         Self {
             config: DriverConfig {
@@ -182,19 +181,16 @@ impl Driver {
     }
 
     /// Its state.
-    #[must_use]
     pub const fn state(&self) -> State {
         self.state
     }
 
     /// Number of transitions out of Ready.
-    #[must_use]
     pub const fn lost(&self) -> u64 {
         self.lost
     }
 
     /// Incomplete cycles of the active channel.
-    #[must_use]
     pub const fn broken(&self) -> u64 {
         let [a, b] = &self.cycles;
         match self.channel {
@@ -204,13 +200,11 @@ impl Driver {
     }
 
     /// The last measurement.
-    #[must_use]
     pub const fn measurement(&self) -> Option<&Measurement> {
         self.last.as_ref()
     }
 
     /// Whether it follows commands: it is ready, and rest was commanded since.
-    #[must_use]
     pub fn follows(&self) -> bool {
         self.state == State::Ready && self.armed
     }
@@ -318,7 +312,6 @@ impl Driver {
     }
 
     /// Next time at which [`Self::poll_transmit`] has work.
-    #[must_use]
     pub const fn poll_timeout(&self) -> Duration {
         self.next
     }

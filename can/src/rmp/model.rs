@@ -37,7 +37,6 @@ impl Model {
     pub const ALL: [Self; 4] = [Self::Rmp50, Self::Rmp100, Self::Rmp200, Self::Rmp400];
 
     /// Its scales.
-    #[must_use]
     pub const fn scales(self) -> Scales {
         match self {
             Self::Rmp50 | Self::Rmp100 => Scales {
@@ -57,18 +56,8 @@ impl Model {
         }
     }
 
-    /// Whether it is statically stable and never balances.
-    #[must_use]
-    pub const fn is_statically_stable(self) -> bool {
-        match self {
-            Self::Rmp50 | Self::Rmp100 | Self::Rmp400 => true,
-            Self::Rmp200 => false,
-        }
-    }
-
     /// Radius of the standard wheels, m.
-    #[must_use]
-    pub const fn wheel_radius(self) -> f64 {
+    pub(crate) const fn wheel_radius(self) -> f64 {
         match self {
             Self::Rmp50 | Self::Rmp100 => 0.0965,
             Self::Rmp200 | Self::Rmp400 => 0.24,
@@ -76,7 +65,6 @@ impl Model {
     }
 
     /// Its name, such as `rmp200`.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Rmp50 => "rmp50",
@@ -87,7 +75,6 @@ impl Model {
     }
 
     /// The model with this name.
-    #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|model| model.name() == name)
     }

@@ -19,7 +19,6 @@ pub struct Odometer {
 
 impl Odometer {
     /// The pose so far.
-    #[must_use]
     pub const fn pose(&self) -> Pose {
         self.pose
     }

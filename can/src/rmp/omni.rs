@@ -37,14 +37,12 @@ impl Default for Geometry {
 
 impl Geometry {
     /// Rates of the wheels for a velocity ahead and to the left, m/s, and a rotation, rad/s.
-    #[must_use]
     pub fn wheels(&self, [x, y, rotation]: [f64; 3]) -> Wheels {
         let turn = self.lever * rotation;
         [x - y - turn, x + y + turn, x + y - turn, x - y + turn].map(|speed| speed / self.radius)
     }
 
     /// The velocity of the base that best fits these rates.
-    #[must_use]
     pub fn velocity(&self, [fl, fr, bl, br]: Wheels) -> [f64; 3] {
         let quarter = self.radius / 4.0;
         [
@@ -55,7 +53,6 @@ impl Geometry {
     }
 
     /// Deviation of the wheels from a motion without slip, in the unit of the wheels; 0: no slip.
-    #[must_use]
     pub fn slip([fl, fr, bl, br]: Wheels) -> f64 {
         (fl + fr - bl - br) / 4.0
     }
@@ -128,7 +125,6 @@ const JUMP_RAD: f64 = 2.0;
 
 impl Omni {
     /// A base before the first message of its parts.
-    #[must_use]
     pub fn new(config: OmniConfig) -> Self {
         Self {
             config,
@@ -147,37 +143,31 @@ impl Omni {
     }
 
     /// The drivers of its power bases: [`FRONT`] and [`BACK`].
-    #[must_use]
     pub const fn drivers(&self) -> &[Driver; 2] {
         &self.drivers
     }
 
     /// Its measured motion.
-    #[must_use]
     pub const fn motion(&self) -> &Motion {
         &self.motion
     }
 
     /// Angles of the wheels since the start, rad.
-    #[must_use]
     pub const fn wheels(&self) -> &Wheels {
         &self.angles
     }
 
     /// Rates of the wheels, rad/s.
-    #[must_use]
     pub const fn rates(&self) -> &Wheels {
         &self.rates
     }
 
     /// How far the wheels' rates are from a motion without slip, rad/s.
-    #[must_use]
     pub fn slip(&self) -> f64 {
         Geometry::slip(self.rates)
     }
 
     /// Number of rejected wheel steps.
-    #[must_use]
     pub fn jumps(&self) -> u64 {
         self.counters
             .as_flattened()
@@ -187,13 +177,11 @@ impl Omni {
     }
 
     /// The last of these steps.
-    #[must_use]
     pub const fn jump(&self) -> Option<Jump> {
         self.jump
     }
 
     /// Whether both power bases follow commands.
-    #[must_use]
     pub fn follows(&self) -> bool {
         self.drivers.iter().all(Driver::follows)
     }
@@ -269,7 +257,6 @@ impl Omni {
     }
 
     /// Next time at which [`Self::poll_transmit`] has work for a part.
-    #[must_use]
     pub fn poll_timeout(&self) -> Duration {
         let [front, back] = &self.drivers;
         front.poll_timeout().min(back.poll_timeout())
@@ -312,7 +299,6 @@ impl Omni {
     }
 
     /// Factor, at most 1, by which a velocity must be scaled to be feasible for all wheels.
-    #[must_use]
     pub fn reach(&self, velocity: [f64; 3]) -> f64 {
         1.0 / most(&self.motions(velocity))
     }

@@ -59,7 +59,7 @@ pub struct StatusWord1(pub u16);
 
 impl StatusWord1 {
     /// Motors are enabled.
-    pub const MOTORS_ENABLED: Self = Self(0x0080);
+    pub(crate) const MOTORS_ENABLED: Self = Self(0x0080);
     /// It balances.
     pub const BALANCE: Self = Self(0x0100);
 
@@ -81,7 +81,6 @@ impl StatusWord1 {
     ];
 
     /// Whether all bits of `other` are set.
-    #[must_use]
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
@@ -107,9 +106,9 @@ pub struct StatusWord2(pub u16);
 
 impl StatusWord2 {
     /// Emergency stop open, seen by board A.
-    pub const EMERGENCY_STOP_A: Self = Self(0x0002);
+    pub(crate) const EMERGENCY_STOP_A: Self = Self(0x0002);
     /// Emergency stop open, seen by board B.
-    pub const EMERGENCY_STOP_B: Self = Self(0x0200);
+    pub(crate) const EMERGENCY_STOP_B: Self = Self(0x0200);
 
     const NAMES: [&'static str; 8] = [
         "pitch limit",
@@ -134,7 +133,6 @@ impl StatusWord2 {
     }
 
     /// Whether either board sees the emergency stop open.
-    #[must_use]
     pub const fn emergency_stop(self) -> bool {
         self.0 & (Self::EMERGENCY_STOP_A.0 | Self::EMERGENCY_STOP_B.0) != 0
     }
@@ -155,8 +153,7 @@ pub struct ControlUnit {
 
 impl ControlUnit {
     /// The mode of the hardware.
-    #[must_use]
-    pub const fn hardware_mode(&self) -> Mode {
+    pub(crate) const fn hardware_mode(&self) -> Mode {
         Mode::from_raw(self.mode & 3)
     }
 }
@@ -266,7 +263,6 @@ pub enum Message {
 
 impl Message {
     /// Decodes a message; `None` if it is not from a power base or its host.
-    #[must_use]
     pub fn decode(frame: &Frame) -> Option<Self> {
         if frame.id().is_extended() || frame.is_remote() {
             return None;
@@ -339,7 +335,6 @@ impl Message {
     }
 
     /// Encodes the message.
-    #[must_use]
     pub fn frame(&self) -> Frame {
         let i = i16::cast_unsigned;
         let (id, slots) = match *self {

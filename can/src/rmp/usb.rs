@@ -37,14 +37,12 @@ impl Packet {
 
     /// The frame to the power base. Shorter frames are padded with zeros; a power base accepts
     /// eight bytes only.
-    #[must_use]
-    pub fn to_powerbase(frame: &Frame) -> Self {
+    pub(crate) fn to_powerbase(frame: &Frame) -> Self {
         let [high, low] = identifier(frame).to_be_bytes();
         Self::new([0, 0, 0, 0, high, low, 0], frame)
     }
 
     /// The frame from a power base.
-    #[must_use]
     pub fn from_powerbase(channel: Channel, frame: &Frame) -> Self {
         let channel = match channel {
             Channel::A => 0xAA,
@@ -65,7 +63,6 @@ impl Packet {
     }
 
     /// The frame sent by the power base; `None` for other packets and the old heartbeat.
-    #[must_use]
     pub fn decode(&self) -> Option<(Channel, Frame)> {
         let [f0, id55, channel, _, high, low, ..] = self.0;
         let channel = match channel {
@@ -79,7 +76,6 @@ impl Packet {
     }
 
     /// The frame sent by a host.
-    #[must_use]
     pub fn decode_host(&self) -> Option<Frame> {
         let [f0, id55, channel, _, _, _, high, low, ..] = self.0;
         let id = u16::from_be_bytes([high, low]);
@@ -140,13 +136,11 @@ impl PacketReader {
     }
 
     /// Number of bytes outside of packets.
-    #[must_use]
     pub const fn skipped(&self) -> u64 {
         self.skipped
     }
 
     /// Packets with a wrong checksum.
-    #[must_use]
     pub const fn wrong(&self) -> u64 {
         self.wrong
     }

@@ -34,7 +34,6 @@ pub struct Emergencies {
 
 impl Emergencies {
     /// Statistics by code, in order of first occurrence.
-    #[must_use]
     pub fn codes(&self) -> &[EmergencyStat] {
         &self.codes
     }

@@ -222,7 +222,6 @@ pub enum Finding {
 
 impl Finding {
     /// Its severity.
-    #[must_use]
     pub const fn severity(&self) -> Severity {
         match self {
             Self::BusOff { still: true, .. }
@@ -252,7 +251,6 @@ impl Finding {
     }
 
     /// A stable name without spaces, for programs.
-    #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {
             Self::BusOff { .. } => "bus-off",
@@ -456,7 +454,6 @@ fn wire(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
     } else if report.frames == 0 && errors.frames == 0 && report.span >= limits.silence {
         found.push(Finding::Nothing { span: report.span });
     }
-    #[expect(clippy::cast_precision_loss, reason = "a ratio")]
     let per_thousand = errors.protocol as f64 * 1e3 / report.frames.max(1) as f64;
     if received > 0 && per_thousand >= limits.errors_per_thousand {
         found.push(Finding::Disturbed {

@@ -55,7 +55,6 @@ impl Heartbeat {
     }
 
     /// Its period: as observed, or as written to 1017h while too few were observed.
-    #[must_use]
     pub fn period(&self) -> Duration {
         match self.written {
             Some(written) if self.intervals.count() < 2 => written,
@@ -64,7 +63,6 @@ impl Heartbeat {
     }
 
     /// Timeout of the heartbeat: twice its period, once two intervals were observed or 1017h was written.
-    #[must_use]
     pub fn timeout(&self) -> Option<Duration> {
         let seen = (self.intervals.count() >= 2).then(|| self.intervals.mean());
         match self.written {

@@ -18,7 +18,6 @@ pub struct Intervals {
 
 impl Intervals {
     /// No events yet.
-    #[must_use]
     pub const fn new() -> Self {
         Self {
             last: None,
@@ -56,37 +55,31 @@ impl Intervals {
     }
 
     /// Time of the last event.
-    #[must_use]
     pub const fn last(&self) -> Option<Duration> {
         self.last
     }
 
     /// Number of intervals.
-    #[must_use]
     pub const fn count(&self) -> u32 {
         self.count
     }
 
     /// Minimum interval; 0 without any.
-    #[must_use]
     pub const fn shortest(&self) -> Duration {
         self.shortest
     }
 
     /// Maximum interval; 0 without any.
-    #[must_use]
     pub const fn longest(&self) -> Duration {
         self.longest
     }
 
     /// Mean interval; 0 without any.
-    #[must_use]
     pub fn mean(&self) -> Duration {
         self.sum.checked_div(self.count).unwrap_or_default()
     }
 
     /// Standard deviation; 0 without any.
-    #[must_use]
     pub fn deviation(&self) -> Duration {
         if self.count == 0 {
             return Duration::ZERO;

@@ -58,7 +58,6 @@ enum State {
 
 impl SdoStat {
     /// Whether frames with its identifiers are SDOs: some were answered, or all requests are valid.
-    #[must_use]
     pub const fn is_sdo(&self) -> bool {
         self.requests > 0
             && (self.answered > 0 && self.answered >= self.strange || self.strange == 0)

@@ -9,6 +9,7 @@ use takt_can::canopen::NodeId;
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
 use takt_can::canopen::network::{AxisPlan, Event, Network, NetworkConfig, NodePlan, Phase};
 use takt_cia402::emulator::Distortion;
+use takt_tests::Random;
 
 pub(crate) const MS: Duration = Duration::from_millis(1);
 const TICK: Duration = Duration::from_micros(500);
@@ -24,24 +25,6 @@ pub(crate) fn plan(raw: u8) -> NodePlan {
     plan.tpdos.truncate(1);
     plan.device_type = Some(0x0002_0192);
     plan
-}
-
-/// A small random number generator, the same everywhere.
-#[derive(Debug)]
-pub(crate) struct Dice(u64);
-
-impl Dice {
-    pub(crate) const fn new(seed: u64) -> Self {
-        Self(seed | 1)
-    }
-
-    /// True with this probability, per mille.
-    pub(crate) fn hits(&mut self, per_mille: u64) -> bool {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0 % 1000 < per_mille
-    }
 }
 
 /// Distorts the data of an identifier between the bus and the objects of the device.
@@ -75,9 +58,9 @@ pub(crate) struct Bus {
     pub(crate) foreign_frames: VecDeque<Frame>,
     /// Frames with this identifier are lost for all.
     pub(crate) muted: Option<u32>,
-    /// Loss probability of a receiver, per mille.
-    pub(crate) loss: u64,
-    pub(crate) dice: Dice,
+    /// Loss probability of a receiver, 0 to 1.
+    pub(crate) loss: f64,
+    pub(crate) random: Random,
     pub(crate) period: Duration,
     /// The master is stopped: no cycles and no services.
     pub(crate) master_dead: bool,
@@ -113,8 +96,8 @@ impl Bus {
             drives,
             foreign_frames: VecDeque::new(),
             muted: None,
-            loss: 0,
-            dice: Dice::new(1),
+            loss: 0.0,
+            random: Random::new(1),
             period: 2 * MS,
             master_dead: false,
             events: vec![],
@@ -223,7 +206,7 @@ impl Bus {
             self.rpdo_latest = self.rpdo_latest.max(self.now - self.begun);
         }
         for to in 0..self.drives.len() + 1 {
-            if to == port || self.muted == Some(frame.id().raw()) || self.dice.hits(self.loss) {
+            if to == port || self.muted == Some(frame.id().raw()) || self.random.chance(self.loss) {
                 continue;
             }
             if to == 0 {

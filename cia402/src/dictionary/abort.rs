@@ -188,7 +188,6 @@ const TABLE: [(AbortCode, u32, &str); 35] = [
 
 impl AbortCode {
     /// The number on the wire.
-    #[must_use]
     pub fn raw(self) -> u32 {
         if let Self::Other(raw) = self {
             return raw;
@@ -198,14 +197,12 @@ impl AbortCode {
     }
 
     /// From the number on the wire.
-    #[must_use]
     pub fn from_raw(raw: u32) -> Self {
         let found = TABLE.iter().find(|(_, known, _)| *known == raw);
         found.map_or(Self::Other(raw), |(code, ..)| *code)
     }
 
     /// The text, without the number.
-    #[must_use]
     pub fn text(self) -> &'static str {
         let found = TABLE.iter().find(|(code, ..)| *code == self);
         found.map_or("manufacturer-specific reason", |(.., text)| text)

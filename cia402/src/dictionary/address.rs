@@ -25,7 +25,6 @@ impl Address {
     pub const AXIS: u16 = 0x800;
 
     /// The address with this index and sub-index.
-    #[must_use]
     pub const fn new(index: u16, sub: u8) -> Self {
         Self { index, sub }
     }

@@ -72,7 +72,6 @@ impl DataType {
     }
 
     /// The code of the standard.
-    #[must_use]
     pub fn raw(self) -> u16 {
         if let Self::Other(raw) = self {
             return raw;
@@ -81,27 +80,23 @@ impl DataType {
     }
 
     /// From the code of the standard.
-    #[must_use]
     pub fn from_raw(raw: u16) -> Self {
         let found = TABLE.iter().find(|row| row.1 == raw);
         found.map_or(Self::Other(raw), |row| row.0)
     }
 
     /// Size of a value, bytes; `None` if variable.
-    #[must_use]
     pub fn size(self) -> Option<usize> {
         self.row().map(|row| row.2).filter(|size| *size > 0)
     }
 
     /// Size of a value in a PDO, bits; `None` if variable. A BOOLEAN has one.
-    #[must_use]
     pub fn bits(self) -> Option<usize> {
         let size = self.size()?;
         Some(if self == Self::Boolean { 1 } else { 8 * size })
     }
 
     /// The integer in little-endian bytes; `None` if this is not an integer type.
-    #[must_use]
     pub fn integer(self, bytes: &[u8]) -> Option<i128> {
         let signed = self.row()?.3?;
         let mut value = 0_i128;

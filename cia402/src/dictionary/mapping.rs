@@ -17,7 +17,6 @@ pub struct Mapped {
 
 impl Mapped {
     /// From the number in a mapping object.
-    #[must_use]
     pub const fn from_raw(raw: u32) -> Self {
         let [bits, sub, low, high] = raw.to_le_bytes();
         Self {
@@ -27,14 +26,12 @@ impl Mapped {
     }
 
     /// The number in a mapping object.
-    #[must_use]
     pub const fn raw(self) -> u32 {
         let [low, high] = self.address.index.to_le_bytes();
         u32::from_le_bytes([self.bits, self.address.sub, low, high])
     }
 
     /// Whether it is a gap.
-    #[must_use]
     pub const fn is_gap(self) -> bool {
         self.address.index < 0x20
     }
@@ -133,19 +130,16 @@ impl Mapping {
     }
 
     /// Length of the PDO, bits.
-    #[must_use]
     pub const fn bits(&self) -> usize {
         self.bits
     }
 
     /// Length of the PDO, bytes.
-    #[must_use]
     pub const fn len(&self) -> usize {
         self.bits.div_ceil(8)
     }
 
     /// Whether the PDO is empty.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.bits == 0
     }

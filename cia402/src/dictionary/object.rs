@@ -23,7 +23,6 @@ pub enum ObjectCode {
 
 impl ObjectCode {
     /// The code of the standard.
-    #[must_use]
     pub const fn raw(self) -> u8 {
         match self {
             Self::Domain => 2,
@@ -35,7 +34,6 @@ impl ObjectCode {
     }
 
     /// From the code of the standard.
-    #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw {
             2 => Self::Domain,
@@ -62,13 +60,11 @@ pub enum Access {
 
 impl Access {
     /// Whether it can be read.
-    #[must_use]
     pub const fn is_readable(self) -> bool {
         !matches!(self, Self::WriteOnly)
     }
 
     /// Whether it can be written.
-    #[must_use]
     pub const fn is_writable(self) -> bool {
         matches!(self, Self::WriteOnly | Self::ReadWrite)
     }
@@ -122,7 +118,6 @@ pub struct Entry {
 
 impl Entry {
     /// A number with this value after a reset.
-    #[must_use]
     pub fn number<T: Number>(name: &'static str, access: Access, default: T) -> Self {
         let mut bytes = vec![0; T::TYPE.size().unwrap_or(0)];
         default.to_le(&mut bytes);
@@ -130,14 +125,12 @@ impl Entry {
     }
 
     /// A read-only VISIBLE_STRING.
-    #[must_use]
     pub fn text(name: &'static str, text: &str) -> Self {
         Self::of(name, DataType::VisibleString, Access::Const, text.into())
     }
 
     /// An entry of any type with this value after a reset. The capacity of strings and domains is the length of this
     /// value.
-    #[must_use]
     pub fn of(
         name: impl Into<Cow<'static, str>>,
         data_type: DataType,
@@ -218,7 +211,6 @@ pub struct Object {
 
 impl Object {
     /// A plain variable, named as its entry.
-    #[must_use]
     pub fn var(index: u16, entry: Entry) -> Self {
         Self {
             index,
@@ -229,7 +221,6 @@ impl Object {
     }
 
     /// A record of these entries from sub-index 1 on, with their number in sub-index 0, which is read only.
-    #[must_use]
     pub fn record(index: u16, name: &'static str, entries: Vec<Entry>) -> Self {
         let count = u8::try_from(entries.len()).unwrap_or(u8::MAX);
         let highest = Entry::number("highest sub-index", Access::Const, count);
@@ -243,7 +234,6 @@ impl Object {
     }
 
     /// An array of these entries from sub-index 1 on, as [`Self::record`].
-    #[must_use]
     pub fn array(index: u16, name: &'static str, entries: Vec<Entry>) -> Self {
         Self {
             code: ObjectCode::Array,

@@ -54,9 +54,6 @@ pub enum TextError {
 
 impl DataType {
     /// The type with a short name: `u16`, `i32`, `f32`, `string`, `bytes`, ..
-    ///
-    /// # Errors
-    /// If there is no type of this name.
     pub fn named(name: &str) -> Result<Self, TextError> {
         let found = SHORT.iter().find(|(short, _)| *short == name);
         let found = found.map(|(_, data_type)| *data_type);
@@ -70,7 +67,6 @@ impl DataType {
 
     /// A value as text: a number with its hexadecimal form, text in quotes, or bytes if the type has no other notation
     /// or the length does not match it.
-    #[must_use]
     pub fn show(self, bytes: &[u8]) -> String {
         if self.size().is_some_and(|size| size != bytes.len()) {
             return octets(bytes);
@@ -99,9 +95,6 @@ impl DataType {
 
     /// The bytes of a value given as text, little-endian: an integer, decimal or with `0x`, `true`, `1.5`, text, or
     /// bytes as in `0A 1B`.
-    ///
-    /// # Errors
-    /// If it is not a value of this type, or does not fit it.
     pub fn read(self, text: &str) -> Result<Vec<u8>, TextError> {
         let wrong = |wanted| TextError::Value {
             text: text.to_owned(),

@@ -22,7 +22,6 @@ pub struct Distortion {
 
 impl Distortion {
     /// A distortion with the entries in this order.
-    #[must_use]
     pub fn order(order: impl Into<Vec<usize>>) -> Self {
         Self {
             order: order.into(),
@@ -31,7 +30,6 @@ impl Distortion {
     }
 
     /// A distortion that rotates all bytes by `shift`.
-    #[must_use]
     pub fn shifted(shift: usize) -> Self {
         Self {
             shift,
@@ -40,7 +38,6 @@ impl Distortion {
     }
 
     /// Delay, cycles.
-    #[must_use]
     pub fn delayed(delay: usize) -> Self {
         Self {
             delay,
@@ -49,7 +46,6 @@ impl Distortion {
     }
 
     /// A distortion that freezes the bytes of the first cycle.
-    #[must_use]
     pub fn frozen() -> Self {
         Self {
             frozen: true,
@@ -58,7 +54,6 @@ impl Distortion {
     }
 
     /// Whether there is no distortion.
-    #[must_use]
     pub fn is_none(&self) -> bool {
         self.order.is_empty() && self.shift == 0 && self.delay == 0 && !self.frozen
     }

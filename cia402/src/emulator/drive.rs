@@ -39,7 +39,6 @@ pub struct DriveConfig {
 
 impl DriveConfig {
     /// The objects of such an axis (0 to 7), for the dictionary of the node.
-    #[must_use]
     pub fn objects(&self, axis: u8) -> Vec<Object> {
         let mut objects = objects(axis);
         let quirks = &self.quirks;
@@ -154,13 +153,11 @@ impl Drive {
     }
 
     /// The state of its power drive system.
-    #[must_use]
     pub const fn state(&self) -> State {
         self.power.state
     }
 
     /// The motor.
-    #[must_use]
     pub const fn motor(&self) -> &Motor {
         &self.motor
     }
@@ -221,9 +218,6 @@ impl Drive {
     }
 
     /// Checks a read from the bus.
-    ///
-    /// # Errors
-    /// If the object cannot be read by SDO.
     pub fn before_upload(&self, d: &mut Dictionary, address: Address) -> Result<(), AbortCode> {
         let enabled = self.power.state == State::OperationEnabled;
         self.process_data

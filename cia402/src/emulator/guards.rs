@@ -18,9 +18,9 @@ impl FaultCode {
     /// The DC link has too much voltage.
     pub const OVER_VOLTAGE: Self = Self(0x3210);
     /// The DC link has too little voltage.
-    pub const UNDER_VOLTAGE: Self = Self(0x3220);
+    pub(crate) const UNDER_VOLTAGE: Self = Self(0x3220);
     /// The control of the power stage failed; drives with a weak supply show it while they are enabled.
-    pub const POWER_STAGE: Self = Self(0x5201);
+    pub(crate) const POWER_STAGE: Self = Self(0x5201);
     /// Drive or motor is too hot.
     pub const TEMPERATURE: Self = Self(0x4310);
     /// The incremental encoder failed.
@@ -32,12 +32,11 @@ impl FaultCode {
     /// An expected PDO is missing.
     pub const PDO_TIMEOUT: Self = Self(0x8250);
     /// The position does not follow.
-    pub const FOLLOWING_ERROR: Self = Self(0x8611);
+    pub(crate) const FOLLOWING_ERROR: Self = Self(0x8611);
     /// A cyclic set-point is missing.
     pub const SYNC: Self = Self(0x8700);
 
     /// The bits of the error register 1001h for this code.
-    #[must_use]
     pub const fn register(self) -> u8 {
         match self.0 >> 8 {
             0x00 => 0,

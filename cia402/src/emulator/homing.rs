@@ -32,7 +32,6 @@ pub struct Method {
 
 impl Method {
     /// The method of that number; `None` for those reserved or of a manufacturer.
-    #[must_use]
     pub const fn new(number: i8) -> Option<Self> {
         const L: i8 = -1;
         const R: i8 = 1;

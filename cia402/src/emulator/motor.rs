@@ -88,7 +88,6 @@ pub struct Motor {
 
 impl Motor {
     /// A cold motor at rest at that position (rad), braked.
-    #[must_use]
     pub const fn new(config: MotorConfig, position: f64) -> Self {
         Self {
             config,
@@ -102,7 +101,6 @@ impl Motor {
     }
 
     /// Its properties.
-    #[must_use]
     pub const fn config(&self) -> &MotorConfig {
         &self.config
     }
@@ -130,7 +128,6 @@ impl Motor {
     }
 
     /// The switches at the present position.
-    #[must_use]
     pub fn switches(&self) -> Switches {
         let c = &self.config;
         Switches {
@@ -141,8 +138,7 @@ impl Motor {
     }
 
     /// The first index pulse on the path between two positions, rad.
-    #[must_use]
-    pub fn index_between(&self, from: f64, to: f64) -> Option<f64> {
+    pub(crate) fn index_between(&self, from: f64, to: f64) -> Option<f64> {
         let index = self.config.index;
         let turn = |position: f64| (position - index) / TAU;
         let number = if to > from {

@@ -5,10 +5,6 @@ use std::time::Duration;
 
 /// How a drive departs from the profile.
 #[derive(Clone, Debug, PartialEq, Eq)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "each is an independent switch"
-)]
 pub struct Quirks {
     /// Switch on disabled is shown as 0020h (slaves on a sample stack before version 5.12).
     pub sod_as_0020: bool,
@@ -79,7 +75,6 @@ impl Default for Quirks {
 
 impl Quirks {
     /// The quirks of that name; see [`Self::NAMES`].
-    #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         let plain = Self::default();
         Some(match name {

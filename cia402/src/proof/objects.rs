@@ -87,7 +87,6 @@ impl Object {
     }
 
     /// The object of that index of the first axis; `None` if it leads no axis.
-    #[must_use]
     pub const fn of(index: u16) -> Option<Self> {
         let mut at = 0;
         while at < COUNT {
@@ -105,26 +104,22 @@ impl Object {
     }
 
     /// Its index on the first axis.
-    #[must_use]
     pub const fn index(self) -> u16 {
         self.row().index
     }
 
     /// Its address on an axis, 0 to 7.
-    #[must_use]
     pub fn address(self, axis: u8) -> Address {
         let address = Address::new(self.index(), 0);
         address.on_axis(axis).unwrap_or(address)
     }
 
     /// Its length, bytes.
-    #[must_use]
     pub const fn bytes(self) -> usize {
         self.row().bytes as usize
     }
 
     /// Whether the master sends it.
-    #[must_use]
     pub const fn is_sent(self) -> bool {
         self.row().sent
     }
@@ -181,7 +176,6 @@ impl Objects {
     }
 
     /// Whether an object is in it.
-    #[must_use]
     pub const fn contains(self, object: Object) -> bool {
         self.0 >> object.0 & 1 == 1
     }
@@ -193,7 +187,6 @@ impl Objects {
     }
 
     /// Whether none is in it.
-    #[must_use]
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
@@ -223,7 +216,6 @@ pub struct Values([u32; COUNT]);
 
 impl Values {
     /// The value of an object.
-    #[must_use]
     pub fn get(&self, object: Object) -> u32 {
         self.0.get(usize::from(object.0)).copied().unwrap_or(0)
     }
@@ -237,7 +229,6 @@ impl Values {
     }
 
     /// The value of the object of that index; zero if there is none.
-    #[must_use]
     pub fn at(&self, index: u16) -> u32 {
         Object::of(index).map_or(0, |object| self.get(object))
     }

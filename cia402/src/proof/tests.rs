@@ -2,6 +2,8 @@
 //! controlword as the profile says; its bus is a cycle late each way, and its SDO server takes some cycles.
 
 use super::*;
+use takt_tests::Random;
+
 use crate::emulator::Distortion;
 use crate::{ControlWord, Feedback, Goal, Master, MasterOptions, Trigger, transition};
 
@@ -9,22 +11,10 @@ const CYCLE: Duration = Duration::from_millis(1);
 const SENT: [u16; 5] = [0x6040, 0x6060, 0x607A, 0x60FF, 0x6071];
 const RECEIVED: [u16; 6] = [0x6041, 0x6061, 0x6064, 0x606C, 0x6077, 0x603F];
 
-/// A small random number generator, the same everywhere.
-struct Dice(u64);
-
-impl Dice {
-    fn roll(&mut self) -> u32 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        u32::try_from(self.0 >> 32).unwrap()
-    }
-
-    /// From `-most` to `most`.
-    fn around(&mut self, most: i32) -> i32 {
-        let span = most.unsigned_abs() * 2 + 1;
-        (self.roll() % span).cast_signed() - most
-    }
+/// From `-most` to `most`.
+fn around(random: &mut Random, most: i32) -> i32 {
+    let span = usize::try_from(most.unsigned_abs() * 2 + 1).unwrap();
+    i32::try_from(random.below(span)).unwrap() - most
 }
 
 fn lens(indices: &[u16]) -> Vec<usize> {
@@ -62,7 +52,7 @@ struct Model {
     position: f64,
     turned: f64,
     noise: i32,
-    dice: Dice,
+    random: Random,
     /// It had power at some time.
     powered: bool,
     /// The first 607Ah that it saw enabled, and 6064h then.
@@ -80,7 +70,7 @@ impl Model {
             position: position.into(),
             turned: 0.0,
             noise: 0,
-            dice: Dice(0x9E37_79B9_7F4A_7C15),
+            random: Random::new(0x9E37_79B9_7F4A_7C15),
             powered: false,
             enabled_at: None,
         }
@@ -99,11 +89,11 @@ impl Model {
         self.powered |= matches!(self.state, State::SwitchedOn | State::OperationEnabled);
         self.position += self.turned;
         #[expect(clippy::cast_possible_truncation, reason = "positions in here fit")]
-        let position = self.position as i32 + self.dice.around(self.noise);
+        let position = self.position as i32 + around(&mut self.random, self.noise);
         #[expect(clippy::cast_possible_truncation, reason = "speeds in here fit")]
-        let velocity = (self.turned * 1000.0) as i32 + self.dice.around(self.noise * 20);
+        let velocity = (self.turned * 1000.0) as i32 + around(&mut self.random, self.noise * 20);
         let shaking = if self.noise > 0 {
-            self.dice.roll() & 0x1C00
+            u32::from(self.random.byte()) << 5 & 0x1C00
         } else {
             0
         };
@@ -115,7 +105,7 @@ impl Model {
         objects.put(0x6061, objects.at(0x6060));
         objects.put(0x6064, position.cast_unsigned());
         objects.put(0x606C, velocity.cast_unsigned());
-        objects.put(0x6077, self.dice.around(self.noise).cast_unsigned());
+        objects.put(0x6077, around(&mut self.random, self.noise).cast_unsigned());
         if self.state == State::OperationEnabled && self.enabled_at.is_none() {
             self.enabled_at = Some((self.objects.at(0x607A), self.objects.at(0x6064)));
         }
@@ -383,16 +373,16 @@ fn proof_error_shows_both_values_and_hint() {
 
 #[test]
 fn proof_of_a_noisy_turned_shaft_has_no_false_alarm_in_1000_starts() {
-    let mut dice = Dice(7);
+    let mut random = Random::new(7);
     let mut longest = Duration::ZERO;
     for start in 0..1000_u64 {
-        let mut model = Model::new(dice.around(1 << 30));
-        model.dice = Dice(start * 2 + 1);
-        model.noise = dice.around(50).abs();
+        let mut model = Model::new(around(&mut random, 1 << 30));
+        model.random = Random::new(start);
+        model.noise = around(&mut random, 50).abs();
         // Up to 20 turns of 4,096 increments in a second.
-        model.turned = f64::from(dice.around(82));
+        model.turned = f64::from(around(&mut random, 82));
         let mut bench = Bench::new(model);
-        bench.latency = dice.roll() % 40;
+        bench.latency = u32::try_from(random.below(40)).unwrap();
         let decided = bench.decide();
         assert!(decided.is_ok(), "{start}: {decided:?}");
         longest = longest.max(decided.unwrap());

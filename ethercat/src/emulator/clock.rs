@@ -53,7 +53,6 @@ const STEP_MAX: i64 = 2000;
 
 impl Clock {
     /// A clock that shows `local` ns at power-on and gains `drift_ppb` ns per second.
-    #[must_use]
     pub const fn new(local: u64, drift_ppb: i64) -> Self {
         Self {
             at: 0,
@@ -76,7 +75,6 @@ impl Clock {
     }
 
     /// Local time at a segment time.
-    #[must_use]
     pub fn local(&self, now: u64) -> u64 {
         let passed = i128::from(now) - i128::from(self.at);
         let gained = passed * i128::from(self.drift_ppb + self.trim_ppb) / 1_000_000_000;
@@ -99,7 +97,6 @@ impl Clock {
     /// Follows a system time datagram that arrived at `now` and differed by `difference` ns, positive when this clock
     /// is ahead; `depth` is that of the filter. Returns the filtered difference, ns.
     pub fn follow(&mut self, difference: i64, depth: u8, now: u64) -> i64 {
-        #[expect(clippy::cast_precision_loss, reason = "a difference of clocks in ns")]
         let exact = difference as f64;
         let weight = 0.5_f64.powi(depth.min(16).into());
         // A reset filter starts with the first difference.
@@ -147,29 +144,27 @@ impl Clock {
     }
 
     /// Disarms SYNC0.
-    pub const fn disarm(&mut self) {
+    pub(crate) const fn disarm(&mut self) {
         (self.sync0, self.sync1) = (None, None);
     }
 
     /// The next pulse of SYNC0 in system time, ns; `None` if there is none.
-    #[must_use]
-    pub fn next_sync0(&self) -> Option<u64> {
+    pub(crate) fn next_sync0(&self) -> Option<u64> {
         self.sync0.map(|pulses| pulses.next)
     }
 
     /// The next pulse of SYNC1 in system time, ns; `None` if there is none.
-    #[must_use]
-    pub fn next_sync1(&self) -> Option<u64> {
+    pub(crate) fn next_sync1(&self) -> Option<u64> {
         self.sync1.map(|pulses| pulses.next)
     }
 
     /// The oldest pulse of SYNC0 that was due up to a system time and is not handled yet.
-    pub const fn take_sync0(&mut self, system_time: u64) -> Option<u64> {
+    pub(crate) const fn take_sync0(&mut self, system_time: u64) -> Option<u64> {
         Pulses::take(&mut self.sync0, system_time)
     }
 
     /// Whether a pulse of SYNC1 was due up to a system time and was not taken yet.
-    pub const fn take_sync1(&mut self, system_time: u64) -> bool {
+    pub(crate) const fn take_sync1(&mut self, system_time: u64) -> bool {
         Pulses::take(&mut self.sync1, system_time).is_some()
     }
 

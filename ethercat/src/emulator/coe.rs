@@ -44,7 +44,6 @@ const SIZE_MAX: usize = takt_cia402::dictionary::VALUE_MAX;
 
 impl CoeServer {
     /// A server for mailboxes of a given length; complete access is optional.
-    #[must_use]
     pub fn new(mailbox_len: u16, complete_access: bool) -> Self {
         let headers = MailboxHeader::LEN + CoeService::LEN;
         Self {
@@ -58,7 +57,7 @@ impl CoeServer {
 
     /// Enables or disables the information service.
     #[must_use]
-    pub const fn with_information(mut self, information: bool) -> Self {
+    pub(crate) const fn with_information(mut self, information: bool) -> Self {
         self.information = information;
         self
     }

@@ -98,7 +98,6 @@ impl Default for ServoConfig {
 impl ServoConfig {
     /// A drive with these axes. Drives with other PDOs are other products, as a master distinguishes them by product
     /// code.
-    #[must_use]
     pub fn with_axes(axes: Vec<DriveConfig>) -> Self {
         let more = u32::try_from(axes.len().saturating_sub(1)).unwrap_or(0);
         let product = 0x4021 + 0x100 * more;
@@ -123,7 +122,6 @@ impl ServoConfig {
     /// A Stäubli TX90 with the drives of its uniVAL controller as one slave of six axes. The
     /// ranges are those of the arm; gears are taken as 50 to 1, and one turn of a motor has
     /// 4096 increments.
-    #[must_use]
     pub fn tx90() -> Self {
         // Degrees of each joint.
         let ranges: [(f64, f64); 6] = [

@@ -18,7 +18,6 @@ pub struct PdoImage {
 
 impl PdoImage {
     /// Length, bits.
-    #[must_use]
     pub fn bits(&self) -> usize {
         self.entries
             .iter()
@@ -84,7 +83,6 @@ const MAILBOX: u16 = 0x1000;
 
 impl SiiImage {
     /// The SyncManagers: optional mailboxes, outputs and inputs.
-    #[must_use]
     pub fn sync_managers(&self) -> Vec<SiiSyncManager> {
         if let Some(layout) = &self.layout {
             return layout.sync_managers.clone();
@@ -137,7 +135,6 @@ impl SiiImage {
     }
 
     /// The bytes of the EEPROM, 2 KiB or more.
-    #[must_use]
     pub fn encode(&self) -> Vec<u8> {
         let mut image = vec![0_u8; 2 * usize::from(sii::word::CATEGORIES)];
         let mut put = |at: u16, value: u16| {

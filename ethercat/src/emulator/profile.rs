@@ -100,7 +100,6 @@ impl Profile {
     ];
 
     /// Its name.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Ek1100 => "ek1100",

@@ -87,7 +87,6 @@ pub struct Segment {
 
 impl Segment {
     /// A segment of slaves in a line.
-    #[must_use]
     pub fn line(slaves: impl IntoIterator<Item = Slave>) -> Self {
         let mut segment = Self::default();
         for slave in slaves {
@@ -165,13 +164,11 @@ impl Segment {
     }
 
     /// Number of slaves.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.nodes.len()
     }
 
     /// Whether the segment is empty.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }

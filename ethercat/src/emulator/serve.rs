@@ -33,7 +33,6 @@ pub struct SharedSegment(Arc<Mutex<Segment>>);
 
 impl SharedSegment {
     /// Shares a segment.
-    #[must_use]
     pub fn new(segment: Segment) -> Self {
         Self(Arc::new(Mutex::new(segment)))
     }
@@ -56,7 +55,6 @@ pub struct Server<L> {
 
 impl<L: Link> Server<L> {
     /// Serves a segment at one cable.
-    #[must_use]
     pub fn new(segment: SharedSegment, link: L) -> Self {
         Self {
             segment,
@@ -76,7 +74,6 @@ impl<L: Link> Server<L> {
     }
 
     /// The segment.
-    #[must_use]
     pub const fn segment(&self) -> &SharedSegment {
         &self.segment
     }
@@ -161,10 +158,15 @@ fn nanoseconds(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
-fn send<L: Link>(first: &mut L, second: Option<&mut L>, by: Entry, frame: &[u8]) -> io::Result<()> {
+fn send<L: Link>(
+    first: &mut L,
+    second: Option<&mut L>,
+    by: Entry,
+    frame: &[u8],
+) -> io::Result<usize> {
     match (by, second) {
         (Entry::First, _) => first.send(frame),
         (Entry::Last, Some(second)) => second.send(frame),
-        (Entry::Last, None) => Ok(()),
+        (Entry::Last, None) => Ok(0),
     }
 }

@@ -10,6 +10,8 @@ mod mailbox;
 mod sync;
 mod times;
 
+use takt_link::Random;
+
 use crate::register;
 use crate::{Address, AlState, AlStatusCode, Command};
 
@@ -22,7 +24,6 @@ pub use chip::{Chip, ClockUnit};
 use eeprom::Eeprom;
 pub use faults::SlaveFaults;
 use mailbox::Post;
-use times::Chance;
 pub use times::{Span, Times};
 
 /// When a frame passed the ports of a slave, segment time, ns.
@@ -66,7 +67,6 @@ pub struct SlaveConfig {
 
 impl SlaveConfig {
     /// A slave with typical times, and a clock that starts at zero if the SII has one.
-    #[must_use]
     pub fn new(sii: SiiImage) -> Self {
         Self {
             chip: Chip {
@@ -157,7 +157,7 @@ pub struct Slave {
     request: Option<Request>,
     faults: SlaveFaults,
     post: Post,
-    chance: Chance,
+    random: Random,
     channels: Channels,
     /// Time of the last outputs; `None` before the first.
     outputs_at: Option<u64>,
@@ -178,12 +178,11 @@ pub struct Slave {
 
 impl Slave {
     /// A slave after power-on.
-    #[must_use]
     pub fn new(config: SlaveConfig, application: Box<dyn Application>) -> Self {
         let mut slave = Self {
             eeprom: Eeprom::new(config.sii.encode()),
             memory: config.memory(),
-            chance: Chance(u64::from(config.sii.identity.product)),
+            random: Random::new(config.sii.identity.product.into()),
             channels: Channels::new(&config.sii),
             expired: false,
             clock: config.clock.clone(),
@@ -265,7 +264,6 @@ impl Slave {
     }
 
     /// Its state.
-    #[must_use]
     pub const fn state(&self) -> AlState {
         self.state
     }
@@ -282,7 +280,6 @@ impl Slave {
     }
 
     /// Its configuration.
-    #[must_use]
     pub const fn config(&self) -> &SlaveConfig {
         &self.config
     }
@@ -298,7 +295,6 @@ impl Slave {
     }
 
     /// The content of its EEPROM; writes of the master change it.
-    #[must_use]
     pub fn eeprom(&self) -> &[u8] {
         self.eeprom.bytes()
     }

@@ -19,7 +19,6 @@ pub struct Coupler;
 
 impl Coupler {
     /// A slave with this application.
-    #[must_use]
     pub fn slave() -> Slave {
         let sii = SiiImage {
             identity: Identity {
@@ -50,7 +49,6 @@ pub struct Io {
 
 impl Io {
     /// A terminal of `outputs` and `inputs` digital channels of one bit, and this handle to them.
-    #[must_use]
     pub fn digital(outputs: u8, inputs: u8) -> (Slave, Self) {
         let pdos = |first: u16, sm: u8, count: u8, name: &str| {
             (0..u16::from(count))
@@ -72,7 +70,6 @@ impl Io {
     }
 
     /// A terminal of `outputs` and `inputs` analogue channels of 16 bits, and this handle to them.
-    #[must_use]
     pub fn analogue(outputs: u8, inputs: u8) -> (Slave, Self) {
         let pdos = |first: u16, sm: u8, count: u8, name: &str| {
             (0..u16::from(count))
@@ -99,7 +96,6 @@ impl Io {
     }
 
     /// A terminal with these PDOs, and this handle to it. The first word of its name is its order code.
-    #[must_use]
     pub fn terminal(
         name: String,
         product: u32,
@@ -126,7 +122,6 @@ impl Io {
     }
 
     /// Outputs as the master last set them; all zero outside of OP.
-    #[must_use]
     pub fn outputs(&self) -> Vec<u8> {
         self.outputs
             .lock()

@@ -97,7 +97,6 @@ pub struct YouBot {
 
 impl YouBot {
     /// Its slaves in order, and the handles.
-    #[must_use]
     pub fn slaves(config: &YouBotConfig) -> (Vec<Slave>, Self) {
         let (wheel, joint, arm_board) = config.boards.names();
         let mut slaves = Vec::new();
@@ -134,7 +133,6 @@ impl YouBot {
     }
 
     /// Its segment and the handles.
-    #[must_use]
     pub fn segment(config: &YouBotConfig) -> (Segment, Self) {
         let (slaves, bot) = Self::slaves(config);
         (Segment::line(slaves), bot)

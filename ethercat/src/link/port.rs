@@ -21,7 +21,6 @@ pub struct Port<L> {
 
 impl<L: Link> Port<L> {
     /// A port with a source MAC address; it sends to the broadcast address.
-    #[must_use]
     pub const fn new(link: L, source: [u8; 6]) -> Self {
         Self {
             link,
@@ -37,7 +36,6 @@ impl<L: Link> Port<L> {
     }
 
     /// Number of frames skipped because they were not EtherCAT.
-    #[must_use]
     pub const fn foreign(&self) -> u64 {
         self.foreign
     }
@@ -56,7 +54,7 @@ impl<L: Link> Port<L> {
         self.frame[..6].fill(0xFF);
         self.frame[6..12].copy_from_slice(&self.source);
         self.frame[12..HEADER_LEN].copy_from_slice(&[a, b]);
-        self.link.send(&self.frame[..len])
+        self.link.send(&self.frame[..len]).map(drop)
     }
 
     /// Waits at most `timeout` for an EtherCAT frame; returns it without its header, and its time of arrival.

@@ -7,16 +7,10 @@ use std::io;
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
 use std::time::Duration;
 
-use nix::time::{ClockId, clock_gettime};
+use takt_link::linux::{monotonic, readable};
 
 use super::InterfaceLock;
-use super::wait::readable;
 use crate::link::{ETHER_TYPE, Link};
-
-/// Time of CLOCK_MONOTONIC, the clock of every time stamp in this module.
-pub fn monotonic() -> io::Result<Duration> {
-    Ok(clock_gettime(ClockId::CLOCK_MONOTONIC)?.into())
-}
 
 /// A raw packet socket on one interface.
 #[derive(Debug)]
@@ -114,7 +108,6 @@ impl PacketLink {
     }
 
     /// MAC address of the interface; a locally administered one if it has none.
-    #[must_use]
     pub const fn mac(&self) -> [u8; 6] {
         self.mac
     }
@@ -174,11 +167,8 @@ fn mac_of(interface: &str) -> Option<[u8; 6]> {
 }
 
 impl Link for PacketLink {
-    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
-        match nix::unistd::write(&self.socket, frame) {
-            Ok(_) => Ok(()),
-            Err(error) => Err(error.into()),
-        }
+    fn send(&mut self, frame: &[u8]) -> io::Result<usize> {
+        Ok(nix::unistd::write(&self.socket, frame)?)
     }
 
     fn receive(

@@ -9,9 +9,8 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::time::Duration;
 
 use nix::errno::Errno;
+use takt_link::linux::{monotonic, readable};
 
-use super::monotonic;
-use super::wait::readable;
 use crate::link::Link;
 
 /// The process's side of a TAP; the interface exists as long as this value.
@@ -76,10 +75,11 @@ fn request(name: &str) -> io::Result<libc::ifreq> {
 }
 
 impl Link for TapLink {
-    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+    fn send(&mut self, frame: &[u8]) -> io::Result<usize> {
         match nix::unistd::write(&self.file, frame) {
+            Ok(len) => Ok(len),
             // While the interface is down, frames are dropped.
-            Ok(_) | Err(Errno::EIO) => Ok(()),
+            Err(Errno::EIO) => Ok(0),
             Err(error) => Err(error.into()),
         }
     }

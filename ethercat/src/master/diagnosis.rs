@@ -54,7 +54,6 @@ fn at_port(counters: &PortCounters, port: usize) -> (u64, u64) {
 
 impl Master {
     /// Cables with errors since the start, worst first.
-    #[must_use]
     pub fn suspects(&self) -> Vec<Suspect> {
         let mut all = Vec::new();
         for (position, number) in self.ring.iter().enumerate() {

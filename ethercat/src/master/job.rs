@@ -131,7 +131,6 @@ pub struct ObjectDescription<'a> {
 
 impl<'a> ObjectDescription<'a> {
     /// From the bytes; `None` if they are too few.
-    #[must_use]
     pub fn decode(bytes: &'a [u8]) -> Option<Self> {
         let ([a, b, c, d, highest, code], name) = bytes.split_first_chunk()?;
         Some(Self {
@@ -161,7 +160,6 @@ pub struct EntryDescription<'a> {
 
 impl<'a> EntryDescription<'a> {
     /// From the bytes; `None` if they are too few.
-    #[must_use]
     pub fn decode(bytes: &'a [u8]) -> Option<Self> {
         let ([a, b, sub, _, c, d, e, f, g, h], name) = bytes.split_first_chunk()?;
         Some(Self {

@@ -515,7 +515,6 @@ impl Master {
     }
 
     /// The cable at which a ring of two ports is open; `None` while it is whole.
-    #[must_use]
     pub fn ring_gap(&self) -> Option<Cable> {
         let position = self.presence.open?;
         let at = |position: u16| self.ring.get(usize::from(position)).copied();
@@ -527,20 +526,17 @@ impl Master {
     }
 
     /// The position before which a ring of two ports is open; `None` while it is whole.
-    #[must_use]
     pub const fn ring_open(&self) -> Option<u16> {
         self.presence.open
     }
 
     /// The position before which a ring of two ports is open at start, while the master waits for it; `None` once
     /// slaves have their addresses.
-    #[must_use]
     pub fn ring_split(&self) -> Option<u16> {
         self.scan.split.filter(|_| self.scan.phase == Phase::Count)
     }
 
     /// Number of unexpected slaves.
-    #[must_use]
     pub const fn strangers(&self) -> u16 {
         self.presence.strangers
     }

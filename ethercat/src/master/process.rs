@@ -19,7 +19,6 @@ pub struct Pdo {
 
 impl Pdo {
     /// Length, bits.
-    #[must_use]
     pub fn bits(&self) -> usize {
         self.entries
             .iter()
@@ -64,7 +63,6 @@ impl Channel {
     }
 
     /// Length of its data, bits.
-    #[must_use]
     pub fn bits(&self) -> usize {
         if self.pdos.is_empty() {
             self.unnamed
@@ -74,13 +72,11 @@ impl Channel {
     }
 
     /// Length, bytes.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.bits().div_ceil(8)
     }
 
     /// Whether it is empty.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bits() == 0
     }
@@ -295,13 +291,11 @@ impl ProcessData {
     }
 
     /// Length of the outputs, bytes.
-    #[must_use]
     pub fn outputs_len(&self) -> usize {
         self.len_of(true)
     }
 
     /// Length of the inputs, bytes.
-    #[must_use]
     pub fn inputs_len(&self) -> usize {
         self.len_of(false)
     }
@@ -315,7 +309,6 @@ impl ProcessData {
     }
 
     /// The location of an object; `None` if no PDO carries it.
-    #[must_use]
     pub fn locate(&self, address: Address, outputs: bool) -> Option<Located> {
         let mut bytes = 0;
         for channel in self

@@ -56,13 +56,11 @@ impl Master {
     }
 
     /// Whether the answer to a frame is pending.
-    #[must_use]
     pub const fn awaits_frame(&self) -> bool {
         self.exchange.is_open()
     }
 
     /// When to call [`Self::poll_transmit`] next.
-    #[must_use]
     pub fn poll_timeout(&self) -> Duration {
         let sent = self.exchange.sent_at();
         if self.is_exchanging() {

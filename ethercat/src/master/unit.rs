@@ -25,7 +25,7 @@ use std::time::Duration;
 
 use super::event::{Event, Fault, Outbox};
 use super::process::ProcessData;
-use crate::config::{MasterConfig, Timeouts, SlaveSpec};
+use crate::config::{MasterConfig, SlaveSpec, Timeouts};
 use crate::{AlState, AlStatusCode};
 use datagram::{Pending, Turn};
 use local_clock::{ClockChange, UnitClock};

@@ -18,97 +18,81 @@ pub struct SlaveView<'a> {
 
 impl<'a> SlaveView<'a> {
     /// Its number in the configuration or, without one, in the ring.
-    #[must_use]
     pub const fn number(&self) -> usize {
         self.unit.number
     }
 
     /// Its configuration.
-    #[must_use]
     pub const fn spec(&self) -> &'a SlaveSpec {
         &self.unit.spec
     }
 
     /// Its information, as reported by the slave.
-    #[must_use]
     pub const fn info(&self) -> &'a SlaveInfo {
         &self.unit.info
     }
 
     /// Its process data.
-    #[must_use]
     pub const fn process(&self) -> &'a ProcessData {
         &self.unit.process
     }
 
     /// Its position in the ring, from 0; `None` while it is offline.
-    #[must_use]
     pub const fn position(&self) -> Option<u16> {
         self.unit.position
     }
 
     /// Its station address.
-    #[must_use]
     pub const fn station(&self) -> u16 {
         self.unit.station
     }
 
     /// Its state as last read, and the code of an error.
-    #[must_use]
     pub const fn al(&self) -> (AlStatus, AlStatusCode) {
         (self.unit.status.al, self.unit.status.code)
     }
 
     /// Whether it has reached its goal.
-    #[must_use]
     pub const fn is_running(&self) -> bool {
         self.unit.is_running()
     }
 
     /// Why it has not reached its goal.
-    #[must_use]
     pub const fn fault(&self) -> Option<Fault> {
         self.unit.recovery.fault
     }
 
     /// Errors of its ports since the start.
-    #[must_use]
     pub const fn counters(&self) -> &'a PortCounters {
         self.unit.counters()
     }
 
     /// Difference of its clock to the reference as last read (092Ch), ns; positive is ahead. `None` if never read.
-    #[must_use]
     pub const fn clock_difference_ns(&self) -> Option<i32> {
         self.unit.clock.difference_ns
     }
 
     /// Whether its locked clock was outside of the window in at least the last three readings.
-    #[must_use]
     pub const fn clock_is_lost(&self) -> bool {
         self.unit.clock.is_lost()
     }
 
     /// Propagation delay from the reference clock, ns.
-    #[must_use]
     pub const fn delay_ns(&self) -> u32 {
         self.unit.clock.delay_ns
     }
 
     /// Number of readings outside of the window since its clock was locked.
-    #[must_use]
     pub const fn clock_violations(&self) -> u64 {
         self.unit.clock.violations
     }
 
     /// First SYNC0, system time, ns; `None` without.
-    #[must_use]
     pub const fn sync_start_ns(&self) -> Option<u64> {
         self.unit.clock.start_ns
     }
 
     /// Unsolicited messages of its mailbox, and repeat requests.
-    #[must_use]
     pub const fn mailbox_counters(&self) -> (u32, u32) {
         self.unit.mailbox_counters()
     }
@@ -116,99 +100,83 @@ impl<'a> SlaveView<'a> {
 
 impl Master {
     /// Phase of the start.
-    #[must_use]
     pub const fn phase(&self) -> Phase {
         self.scan.phase
     }
 
     /// Whether all slaves have reached their goals; optional ones may be missing.
-    #[must_use]
     pub fn is_operational(&self) -> bool {
         let good = |unit: &Unit| unit.is_running() || (unit.spec.optional && !unit.is_present());
         self.scan.phase == Phase::Running && self.units.iter().all(good)
     }
 
     /// The configuration.
-    #[must_use]
     pub const fn config(&self) -> &MasterConfig {
         &self.config
     }
 
     /// Differences between configuration and segment, slave by slave.
-    #[must_use]
     pub fn differences(&self) -> &[Difference] {
         &self.differences
     }
 
     /// Bytes of a process image that does not fit one frame; `None` if it fits. Remedies are fewer PDOs or several
     /// segments.
-    #[must_use]
     pub const fn image_too_large(&self) -> Option<usize> {
         self.too_large
     }
 
     /// Number of known slaves, online or not.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.units.len()
     }
 
     /// Whether no slave is known.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.units.is_empty()
     }
 
     /// A slave.
-    #[must_use]
     pub fn slave(&self, number: usize) -> Option<SlaveView<'_>> {
         self.units.get(number).map(|unit| SlaveView { unit })
     }
 
     /// The number of the slave of that name.
-    #[must_use]
     pub fn find(&self, name: &str) -> Option<usize> {
         self.units.iter().position(|unit| unit.spec.name == name)
     }
 
     /// The tree, by positions in the ring.
-    #[must_use]
     pub const fn topology(&self) -> &Topology {
         &self.topology
     }
 
     /// The slave at each position of the ring, as it was at start.
-    #[must_use]
     pub fn ring(&self) -> &[usize] {
         &self.ring
     }
 
     /// The slave whose clock is the reference.
-    #[must_use]
     pub const fn reference(&self) -> Option<usize> {
         self.clock.slave
     }
 
     /// Frame counters.
-    #[must_use]
     pub const fn frames(&self) -> FrameCounters {
         self.exchange.counters()
     }
 
     /// The groups and their working counters.
-    #[must_use]
     pub fn groups(&self) -> &[Group] {
         self.image.groups()
     }
 
     /// Frames of the running segment.
-    #[must_use]
     pub const fn cycles(&self) -> u64 {
         self.cycles
     }
 
     /// Events and emergencies that were dropped because they were not fetched in time.
-    #[must_use]
     pub const fn dropped(&self) -> u64 {
         self.out.dropped
     }

@@ -23,7 +23,6 @@ pub enum AlState {
 
 impl AlState {
     /// The four bits on the wire.
-    #[must_use]
     pub const fn raw(self) -> u8 {
         match self {
             Self::Init => 1,
@@ -36,7 +35,6 @@ impl AlState {
     }
 
     /// From the lowest four bits.
-    #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw & 0x0F {
             1 => Self::Init,
@@ -73,7 +71,6 @@ pub struct AlStatus {
 
 impl AlStatus {
     /// From the word on the wire.
-    #[must_use]
     pub const fn from_raw(raw: u16) -> Self {
         let [low, _] = raw.to_le_bytes();
         Self {
@@ -83,7 +80,6 @@ impl AlStatus {
     }
 
     /// The word on the wire.
-    #[must_use]
     pub fn raw(self) -> u16 {
         u16::from(self.state.raw()) | u16::from(self.error) << 4
     }
@@ -292,14 +288,12 @@ const CODES: [(u16, &str, &str); 42] = [
 
 impl AlStatusCode {
     /// The text.
-    #[must_use]
     pub fn text(self) -> &'static str {
         let found = CODES.iter().find(|(code, ..)| *code == self.0);
         found.map_or("vendor specific code", |(_, text, _)| text)
     }
 
     /// The probable cause, or what to do.
-    #[must_use]
     pub fn cause(self) -> &'static str {
         let found = CODES.iter().find(|(code, ..)| *code == self.0);
         found.map_or("see the slave's manual", |(.., cause)| cause)

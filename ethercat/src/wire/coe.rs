@@ -58,11 +58,10 @@ pub enum Sdo<'a> {
 }
 
 /// Length of an SDO message without data, bytes: command, address, four bytes.
-pub const SDO_LEN: usize = 8;
+pub(crate) const SDO_LEN: usize = 8;
 
 impl<'a> Sdo<'a> {
     /// Decodes a request from the bytes after the CoE header; `None` if it is not one.
-    #[must_use]
     pub fn decode_request(bytes: &'a [u8]) -> Option<Self> {
         let (first, address, rest) = split(bytes)?;
         Some(match first >> 5 {
@@ -93,7 +92,6 @@ impl<'a> Sdo<'a> {
     }
 
     /// Decodes a response from the bytes after the CoE header; `None` if it is not one.
-    #[must_use]
     pub fn decode_response(bytes: &'a [u8]) -> Option<Self> {
         let (first, address, rest) = split(bytes)?;
         Some(match first >> 5 {
@@ -125,7 +123,6 @@ impl<'a> Sdo<'a> {
 
     /// Writes the message; returns its length, or `None` if `to` is too short. Data beyond the size of a first message,
     /// and all data of a segment, is written.
-    #[must_use]
     pub fn encode(&self, to: &mut [u8]) -> Option<usize> {
         match *self {
             Self::Download {
@@ -297,12 +294,11 @@ impl Information {
     /// Request: object description.
     pub const OBJECT: u8 = 3;
     /// Request: entry description.
-    pub const ENTRY: u8 = 5;
+    pub(crate) const ENTRY: u8 = 5;
     /// Error, with an abort code.
     pub const ERROR: u8 = 7;
 
     /// Decodes the header and the bytes after it; `None` if truncated.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<(Self, &[u8])> {
         let ([operation, _, low, high], rest) = bytes.split_first_chunk()?;
         let header = Self {
@@ -314,7 +310,6 @@ impl Information {
     }
 
     /// The encoded bytes.
-    #[must_use]
     pub fn encode(&self) -> [u8; Self::LEN] {
         let [low, high] = self.left.to_le_bytes();
         let operation = self.operation & 0x7F | u8::from(self.incomplete) << 7;

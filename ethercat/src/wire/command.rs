@@ -61,7 +61,6 @@ const KNOWN: [(Command, &str); 15] = [
 
 impl Command {
     /// True if each slave adds one to the position in the address.
-    #[must_use]
     pub const fn is_positional(self) -> bool {
         matches!(
             self,
@@ -70,8 +69,7 @@ impl Command {
     }
 
     /// True if the address is one logical number.
-    #[must_use]
-    pub const fn is_logical(self) -> bool {
+    pub(crate) const fn is_logical(self) -> bool {
         matches!(self, Self::Lrd | Self::Lwr | Self::Lrw)
     }
 }

@@ -14,13 +14,11 @@ impl WorkingCounter {
     pub(crate) const LEN: usize = 2;
 
     /// From the raw value; any 16 bits are a counter.
-    #[must_use]
     pub const fn new(raw: u16) -> Self {
         Self(raw)
     }
 
     /// The number.
-    #[must_use]
     pub const fn raw(self) -> u16 {
         self.0
     }

@@ -21,7 +21,7 @@ impl FrameHeader {
     /// Bytes on the wire.
     pub const LEN: usize = 2;
     /// The type of a frame that holds datagrams.
-    pub const DATAGRAMS: u8 = 1;
+    pub(crate) const DATAGRAMS: u8 = 1;
 
     /// Reads the header at the start of `bytes`.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
@@ -79,7 +79,6 @@ impl<'a> Frame<'a> {
     }
 
     /// The datagrams in order, ended by the first error.
-    #[must_use]
     pub const fn datagrams(&self) -> Datagrams<'a> {
         let next = if self.header.kind == FrameHeader::DATAGRAMS {
             Next::Datagram(self.payload)

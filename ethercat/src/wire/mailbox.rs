@@ -36,7 +36,6 @@ const KINDS: [(MailboxKind, u8, &str); 7] = [
 
 impl MailboxKind {
     /// The four bits on the wire.
-    #[must_use]
     pub fn raw(self) -> u8 {
         if let Self::Other(raw) = self {
             return raw;
@@ -46,7 +45,6 @@ impl MailboxKind {
     }
 
     /// From the lowest four bits.
-    #[must_use]
     pub fn from_raw(raw: u8) -> Self {
         let raw = raw & 0x0F;
         let found = KINDS.iter().find(|(_, known, _)| *known == raw);
@@ -88,7 +86,6 @@ impl MailboxHeader {
     pub const LEN: usize = 6;
 
     /// Decodes the header and the announced bytes; `None` if truncated.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<(Self, &[u8])> {
         let ([a, b, c, d, _, kind], rest) = bytes.split_first_chunk()?;
         let header = Self {
@@ -101,7 +98,6 @@ impl MailboxHeader {
     }
 
     /// The bytes.
-    #[must_use]
     pub fn encode(&self) -> [u8; Self::LEN] {
         let [a, b] = self.len.to_le_bytes();
         let [c, d] = self.address.to_le_bytes();
@@ -109,8 +105,7 @@ impl MailboxHeader {
     }
 
     /// The next counter: 1 to 7, then 1 again.
-    #[must_use]
-    pub const fn next_counter(counter: u8) -> u8 {
+    pub(crate) const fn next_counter(counter: u8) -> u8 {
         counter % 7 + 1
     }
 }
@@ -137,7 +132,6 @@ impl CoeService {
     pub const LEN: usize = 2;
 
     /// Decodes the service and the bytes after its header; `None` if truncated.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<(Self, &[u8])> {
         let ([_, high], rest) = bytes.split_first_chunk()?;
         let service = match high >> 4 {
@@ -181,7 +175,6 @@ impl Emergency {
     pub const LEN: usize = 8;
 
     /// From the bytes after the CoE header; `None` if too short.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let [a, b, register, data @ ..] = *bytes.first_chunk::<{ Self::LEN }>()?;
         Some(Self {
@@ -192,7 +185,6 @@ impl Emergency {
     }
 
     /// The bytes.
-    #[must_use]
     pub const fn encode(&self) -> [u8; Self::LEN] {
         let [a, b] = self.code.to_le_bytes();
         let [c, d, e, f, g] = self.data;
@@ -218,7 +210,6 @@ const ERRORS: [&str; 9] = [
 
 impl MailboxError {
     /// From the bytes after a mailbox header of the kind `Error`; `None` if they are something else.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let [1, 0, low, high] = *bytes.first_chunk()? else {
             return None;
@@ -227,7 +218,6 @@ impl MailboxError {
     }
 
     /// The bytes.
-    #[must_use]
     pub const fn encode(self) -> [u8; 4] {
         let [low, high] = self.0.to_le_bytes();
         [1, 0, low, high]

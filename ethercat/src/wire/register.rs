@@ -13,7 +13,7 @@ pub const STATION_ALIAS: Register = 0x0012;
 /// DL control, 4 bytes.
 pub const DL_CONTROL: Register = 0x0100;
 /// Loop control alone, 1 byte: two bits a port, 0 automatic, 1 automatic close, 2 open, 3 closed.
-pub const LOOP_CONTROL: Register = 0x0101;
+pub(crate) const LOOP_CONTROL: Register = 0x0101;
 /// DL status, 2 bytes.
 pub const DL_STATUS: Register = 0x0110;
 /// AL control, 2 bytes.
@@ -26,7 +26,7 @@ pub const AL_STATUS_CODE: Register = 0x0134;
 pub const PDI_CONTROL: Register = 0x0140;
 /// ESC configuration, 1 byte, from SII word 0: bit 0 AL status is AL control (device emulation), 2 SYNC outputs,
 /// 3 latch inputs of the clock.
-pub const ESC_CONFIGURATION: Register = 0x0141;
+pub(crate) const ESC_CONFIGURATION: Register = 0x0141;
 /// ECAT event mask, 2 bytes.
 pub const ECAT_EVENT_MASK: Register = 0x0200;
 /// ECAT event request, 2 bytes.
@@ -73,7 +73,7 @@ pub const DC_FILTERS: Register = 0x0934;
 /// Cyclic unit control and activation, 2 bytes.
 pub const DC_CONTROL: Register = 0x0980;
 /// Activation alone, 1 byte.
-pub const DC_ACTIVATION: Register = 0x0981;
+pub(crate) const DC_ACTIVATION: Register = 0x0981;
 /// Start time of SYNC0, 8 bytes; read, the next one.
 pub const DC_START_TIME: Register = 0x0990;
 /// SYNC0 cycle time, 4 bytes, ns.
@@ -81,7 +81,7 @@ pub const DC_SYNC0_CYCLE: Register = 0x09A0;
 /// SYNC1 cycle time, 4 bytes, ns.
 pub const DC_SYNC1_CYCLE: Register = 0x09A4;
 /// Output registers of digital terminals, 4 bytes; SyncManagers may lie over them.
-pub const OUTPUT_REGISTERS: Register = 0x0F00;
+pub(crate) const OUTPUT_REGISTERS: Register = 0x0F00;
 /// Start of the process data memory.
 pub const PROCESS_DATA: Register = 0x1000;
 
@@ -124,7 +124,6 @@ impl Fmmu {
     pub const LEN: usize = 16;
 
     /// From the bytes of a register block.
-    #[must_use]
     pub const fn decode(bytes: &[u8; Self::LEN]) -> Self {
         let [a, b, c, d, e, f, start, stop, g, h, bit, kind, active, ..] = *bytes;
         Self {
@@ -141,7 +140,6 @@ impl Fmmu {
     }
 
     /// The bytes of the register block.
-    #[must_use]
     pub fn encode(&self) -> [u8; Self::LEN] {
         let [a, b, c, d] = self.logical.to_le_bytes();
         let [e, f] = self.len.to_le_bytes();
@@ -155,7 +153,6 @@ impl Fmmu {
     }
 
     /// Number of mapped bits.
-    #[must_use]
     pub fn bits(&self) -> usize {
         let whole = usize::from(self.len).saturating_sub(1) * 8;
         (whole + usize::from(self.stop_bit) + 1).saturating_sub(self.start_bit.into())
@@ -192,16 +189,15 @@ impl SyncManager {
     /// Bytes on the wire.
     pub const LEN: usize = 8;
     /// Control of a mailbox that the master writes.
-    pub const MAILBOX_OUT: u8 = 0x26;
+    pub(crate) const MAILBOX_OUT: u8 = 0x26;
     /// Control of a mailbox that the master reads.
-    pub const MAILBOX_IN: u8 = 0x22;
+    pub(crate) const MAILBOX_IN: u8 = 0x22;
     /// Control of process data that the master writes, with watchdog.
     pub const OUTPUTS: u8 = 0x64;
     /// Control of process data that the master reads.
     pub const INPUTS: u8 = 0x20;
 
     /// From the bytes of a register block.
-    #[must_use]
     pub const fn decode(bytes: &[u8; Self::LEN]) -> Self {
         let [a, b, c, d, control, status, activate, pdi] = *bytes;
         Self {
@@ -215,7 +211,6 @@ impl SyncManager {
     }
 
     /// The bytes of the register block.
-    #[must_use]
     pub const fn encode(&self) -> [u8; Self::LEN] {
         let [a, b] = self.start.to_le_bytes();
         let [c, d] = self.len.to_le_bytes();
@@ -232,25 +227,21 @@ impl SyncManager {
     }
 
     /// Whether it is enabled.
-    #[must_use]
     pub const fn is_enabled(&self) -> bool {
         self.activate & 1 != 0 && self.pdi & 1 == 0 && self.len > 0
     }
 
     /// Whether it is a mailbox rather than three buffers.
-    #[must_use]
     pub const fn is_mailbox(&self) -> bool {
         self.control & 3 == 2
     }
 
     /// Whether the master writes it.
-    #[must_use]
-    pub const fn is_written_by_master(&self) -> bool {
+    pub(crate) const fn is_written_by_master(&self) -> bool {
         self.control >> 2 & 3 == 1
     }
 
     /// Whether its mailbox holds a message.
-    #[must_use]
     pub const fn is_full(&self) -> bool {
         self.status & 0x08 != 0
     }

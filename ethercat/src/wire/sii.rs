@@ -23,7 +23,7 @@ pub mod word {
     /// Size of the EEPROM in Kibit, minus one.
     pub const SIZE: Word = 0x3E;
     /// First category.
-    pub const CATEGORIES: Word = 0x40;
+    pub(crate) const CATEGORIES: Word = 0x40;
 }
 
 /// Identity of a slave.
@@ -78,7 +78,6 @@ pub enum Category {
 
 impl Category {
     /// The number in the SII.
-    #[must_use]
     pub const fn raw(self) -> u16 {
         match self {
             Self::Strings => 10,
@@ -93,7 +92,6 @@ impl Category {
     }
 
     /// From the number in the SII.
-    #[must_use]
     pub const fn from_raw(raw: u16) -> Self {
         match raw {
             10 => Self::Strings,
@@ -196,7 +194,6 @@ impl SiiClock {
     }
 
     /// From the SII.
-    #[must_use]
     pub fn encode(&self) -> [u8; Self::LEN] {
         let mut bytes = [0; Self::LEN];
         let doubles = [self.cycle_ns, self.shift_ns, self.shift1_ns];
@@ -266,13 +263,11 @@ fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
 
 impl<'a> Sii<'a> {
     /// A decoder of the bytes of the EEPROM from its start.
-    #[must_use]
     pub const fn new(bytes: &'a [u8]) -> Self {
         Self { bytes }
     }
 
     /// The 16 bits at a word address.
-    #[must_use]
     pub fn word(&self, at: Word) -> Option<u16> {
         u16_at(self.bytes, 2 * usize::from(at))
     }
@@ -283,7 +278,6 @@ impl<'a> Sii<'a> {
     }
 
     /// Vendor, product, revision and serial number.
-    #[must_use]
     pub fn identity(&self) -> Option<Identity> {
         Some(Identity {
             vendor: self.double(word::IDENTITY)?,
@@ -294,7 +288,6 @@ impl<'a> Sii<'a> {
     }
 
     /// Mailbox areas: at [`word::MAILBOX`] or [`word::BOOT_MAILBOX`].
-    #[must_use]
     pub fn mailbox(&self, at: Word) -> Option<MailboxAreas> {
         Some(MailboxAreas {
             receive: self.word(at)?,
@@ -305,13 +298,11 @@ impl<'a> Sii<'a> {
     }
 
     /// Protocols of the mailbox: bit 0 AoE, 1 EoE, 2 CoE, 3 FoE, 4 SoE, 5 VoE.
-    #[must_use]
     pub fn protocols(&self) -> Option<u16> {
         self.word(word::MAILBOX + 4)
     }
 
     /// Whether the checksum over the first seven words is right.
-    #[must_use]
     pub fn is_checked(&self) -> bool {
         let stored = self.bytes.get(14).copied();
         self.bytes.get(..14).map(checksum) == stored
@@ -337,7 +328,6 @@ impl<'a> Sii<'a> {
     }
 
     /// The string with a number, from 1; `None` if there is none or it is not text.
-    #[must_use]
     pub fn string(&self, number: u8) -> Option<&'a str> {
         let (count, mut rest) = self.category(Category::Strings)?.split_first()?;
         if number == 0 || number > *count {
@@ -355,7 +345,6 @@ impl<'a> Sii<'a> {
     }
 
     /// The category General.
-    #[must_use]
     pub fn general(&self) -> Option<General> {
         let data = self.category(Category::General)?;
         let [group, image, order, name, _, coe, foe, eoe, _, _, _, flags] = *data.first_chunk()?;
@@ -383,14 +372,12 @@ impl<'a> Sii<'a> {
     }
 
     /// Size of the EEPROM, bytes, from word 3Eh; `None` if that word was not read or is invalid.
-    #[must_use]
     pub fn size(&self) -> Option<usize> {
         let kibit = usize::from(self.word(word::SIZE)?) + 1;
         (kibit <= 512).then_some(128 * kibit)
     }
 
     /// Length up to and including the end mark of the categories, bytes; `None` if there is none.
-    #[must_use]
     pub fn used(&self) -> Option<usize> {
         let categories = self.categories().map(|(_, data)| 4 + data.len());
         let end = 2 * usize::from(word::CATEGORIES) + categories.sum::<usize>();
@@ -398,7 +385,6 @@ impl<'a> Sii<'a> {
     }
 
     /// The usage of each FMMU: 1 outputs, 2 inputs, 3 state of the mailbox.
-    #[must_use]
     pub fn fmmus(&self) -> &'a [u8] {
         self.category(Category::Fmmu).unwrap_or_default()
     }
@@ -454,14 +440,12 @@ impl SiiPdo<'_> {
     }
 
     /// Length, bits.
-    #[must_use]
     pub fn bits(&self) -> usize {
         self.entries().map(|entry| usize::from(entry.bits)).sum()
     }
 }
 
 /// The checksum of the first seven words: CRC-8 with polynomial 07h, initial value FFh.
-#[must_use]
 pub fn checksum(bytes: &[u8]) -> u8 {
     let bit = |crc: u8| crc << 1 ^ if crc & 0x80 == 0 { 0 } else { 0x07 };
     bytes

@@ -74,7 +74,6 @@ impl<'a> FrameWriter<'a> {
     }
 
     /// Length of the frame in bytes, with its header. The sender adds the padding to Ethernet's minimum.
-    #[must_use]
     pub fn finish(self) -> usize {
         FrameHeader::LEN + usize::from(self.len)
     }

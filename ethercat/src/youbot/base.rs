@@ -33,14 +33,12 @@ impl Default for Mecanum {
 impl Mecanum {
     /// Rates of the wheels (rad/s, in their motors' sense) at a velocity of the base: x forward and y to the left
     /// (m/s), turning to the left (rad/s).
-    #[must_use]
     pub fn rates(&self, [x, y, turn]: [f64; 3]) -> [f64; 4] {
         let turn = self.lever * turn;
         [-x + y + turn, x + y + turn, -x - y + turn, x - y + turn].map(|v| v / self.radius)
     }
 
     /// Velocity of the base at these rates of the wheels, rad/s.
-    #[must_use]
     pub fn velocity(&self, [a, b, c, d]: [f64; 4]) -> [f64; 3] {
         let quarter = self.radius / 4.0;
         [
@@ -51,7 +49,6 @@ impl Mecanum {
     }
 
     /// Motor speeds, rpm. If one would be too fast, all are scaled by the same factor: the path stays the same.
-    #[must_use]
     pub fn rpm(&self, velocity: [f64; 3]) -> [i32; 4] {
         let rpm = self.exact_rpm(velocity);
         let fastest = self.fastest(rpm);
@@ -63,7 +60,6 @@ impl Mecanum {
     }
 
     /// Fraction of a velocity that the motors can reach: 1, or less if one would be too fast.
-    #[must_use]
     pub fn reach(&self, velocity: [f64; 3]) -> f64 {
         self.rpm_max / self.fastest(self.exact_rpm(velocity))
     }
@@ -80,7 +76,6 @@ impl Mecanum {
     }
 
     /// Rate of a wheel at a motor speed, rad/s.
-    #[must_use]
     pub fn rate(&self, rpm: i32) -> f64 {
         f64::from(rpm) * TAU / 60.0 / self.gear
     }
@@ -103,7 +98,6 @@ pub struct Ramp {
 
 impl Ramp {
     /// At rest, with these largest accelerations, m/s² and rad/s².
-    #[must_use]
     pub const fn new(translation: f64, rotation: f64) -> Self {
         Self {
             velocity: [0.0; 3],
@@ -113,7 +107,6 @@ impl Ramp {
     }
 
     /// The present velocity.
-    #[must_use]
     pub const fn velocity(&self) -> [f64; 3] {
         self.velocity
     }
@@ -202,25 +195,21 @@ impl Odometry {
     }
 
     /// x and y (m) and heading (rad).
-    #[must_use]
     pub const fn pose(&self) -> [f64; 3] {
         self.pose
     }
 
     /// Angles of the wheels, rad.
-    #[must_use]
     pub const fn wheels(&self) -> [f64; 4] {
         self.wheels
     }
 
     /// Number of counter jumps.
-    #[must_use]
     pub const fn jumps(&self) -> u64 {
         self.jumps
     }
 
     /// The last of these: by how much a wheel rolled, and how much it could have, m.
-    #[must_use]
     pub fn jump(&self, mecanum: &Mecanum) -> Option<[f64; 2]> {
         let rolled = |ticks: u32| {
             let ticks = i32::try_from(ticks).unwrap_or(i32::MAX);

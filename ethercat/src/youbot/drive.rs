@@ -185,7 +185,6 @@ pub struct Drive {
 
 impl Drive {
     /// The drive of a slave, by its number at the master.
-    #[must_use]
     pub fn new(slave: usize, config: DriveConfig) -> Self {
         Self {
             config,
@@ -203,37 +202,31 @@ impl Drive {
     }
 
     /// Number of its slave.
-    #[must_use]
     pub const fn slave(&self) -> usize {
         self.mailbox.slave()
     }
 
     /// Its state.
-    #[must_use]
     pub const fn state(&self) -> DriveState {
         self.state
     }
 
     /// Its inputs of this cycle.
-    #[must_use]
     pub fn feedback(&self) -> Option<&Feedback> {
         self.feedback.as_ref().map(|(_, feedback)| feedback)
     }
 
     /// Its firmware, once reported.
-    #[must_use]
     pub const fn version(&self) -> Option<Version> {
         self.version
     }
 
     /// Its counters.
-    #[must_use]
     pub const fn counters(&self) -> Counters {
         self.counters
     }
 
     /// Number of repeated mailbox requests.
-    #[must_use]
     pub const fn repeats(&self) -> u64 {
         self.mailbox.repeats()
     }
@@ -259,13 +252,11 @@ impl Drive {
     }
 
     /// Whether it executes commands.
-    #[must_use]
     pub fn follows(&self) -> bool {
         self.drive_fault().is_none()
     }
 
     /// Why it does not execute commands; `None` if it does.
-    #[must_use]
     pub fn drive_fault(&self) -> Option<DriveFault> {
         let blocking = Flags::BLOCKING | Flags::TIMEOUT | Flags::I2T;
         match self.state {

@@ -112,7 +112,6 @@ pub struct Gripper {
 
 impl Gripper {
     /// Not begun.
-    #[must_use]
     pub fn new(config: BarConfig) -> Self {
         Self {
             config,
@@ -124,13 +123,11 @@ impl Gripper {
     }
 
     /// Its state.
-    #[must_use]
     pub const fn state(&self) -> GripperState {
         self.state
     }
 
     /// Whether it accepts orders.
-    #[must_use]
     pub const fn is_ready(&self) -> bool {
         match self.state {
             GripperState::Ready
@@ -150,13 +147,11 @@ impl Gripper {
     }
 
     /// Largest distance between the fingers, m.
-    #[must_use]
     pub fn distance_max(&self) -> f64 {
         2.0 * self.config.stroke
     }
 
     /// Distance between the fingers, m; `None` while it is not known.
-    #[must_use]
     pub fn distance(&self) -> Option<f64> {
         let [one, other] = self.counts;
         let steps = -(f64::from(one?) + f64::from(other?));

@@ -48,7 +48,6 @@ pub struct HomingConfig {
 
 impl HomingConfig {
     /// With this motor speed (rpm), up to this current (mA).
-    #[must_use]
     pub const fn new(rpm: i32, current_ma: i32) -> Self {
         Self { rpm, current_ma }
     }
@@ -114,7 +113,6 @@ pub struct Homing {
 
 impl Homing {
     /// Not begun.
-    #[must_use]
     pub const fn new(config: HomingConfig) -> Self {
         Self {
             config,
@@ -126,19 +124,16 @@ impl Homing {
     }
 
     /// Its state.
-    #[must_use]
     pub const fn state(&self) -> HomingState {
         self.state
     }
 
     /// Whether the position of the joint is known.
-    #[must_use]
     pub const fn is_done(&self) -> bool {
         matches!(self.state, HomingState::Done)
     }
 
     /// Whether it is running.
-    #[must_use]
     pub const fn is_active(&self) -> bool {
         match self.state {
             HomingState::Query

@@ -63,43 +63,36 @@ const fn whole(value: f64) -> i32 {
 
 impl JointGeometry {
     /// Ticks at an angle of the joint, rad.
-    #[must_use]
     pub fn ticks(&self, angle: f64) -> i32 {
         whole(self.sign * (angle - self.offset) * self.gear * TICKS / TAU)
     }
 
     /// Angle of the joint, rad.
-    #[must_use]
     pub fn angle(&self, ticks: i32) -> f64 {
         self.sign * f64::from(ticks) * TAU / (self.gear * TICKS) + self.offset
     }
 
     /// Motor speed at a speed of the joint, rad/s.
-    #[must_use]
     pub fn rpm(&self, speed: f64) -> i32 {
         whole(self.sign * speed * self.gear * 60.0 / TAU)
     }
 
     /// Speed of the joint, rad/s.
-    #[must_use]
     pub fn speed(&self, rpm: i32) -> f64 {
         self.sign * f64::from(rpm) * TAU / (60.0 * self.gear)
     }
 
     /// Motor current for a torque at the joint, N m; gear losses are unknown.
-    #[must_use]
     pub fn current_ma(&self, torque: f64) -> i32 {
         whole(self.sign * torque / (self.gear * self.torque_constant) * 1000.0)
     }
 
     /// Torque at the joint, N m.
-    #[must_use]
     pub fn torque(&self, current_ma: i32) -> f64 {
         self.sign * f64::from(current_ma) / 1000.0 * self.torque_constant * self.gear
     }
 
     /// Inertia of the rotor at the joint, kg m².
-    #[must_use]
     pub fn inertia(&self) -> f64 {
         ROTOR * self.gear * self.gear
     }
@@ -131,7 +124,6 @@ impl Default for Impedance {
 
 impl Impedance {
     /// Torque at the joint for a position error (rad) and a speed error (rad/s), both commanded minus measured.
-    #[must_use]
     pub fn torque(&self, joint: &JointGeometry, deviation: f64, speed: f64) -> f64 {
         let damper = 2.0 * self.damping * (self.stiffness * joint.inertia()).sqrt();
         let torque = self.stiffness * deviation + damper * speed;

@@ -58,7 +58,6 @@ pub struct Mailbox {
 
 impl Mailbox {
     /// The mailbox of a slave, by its number at the master.
-    #[must_use]
     pub fn new(slave: usize) -> Self {
         Self {
             slave,
@@ -71,13 +70,11 @@ impl Mailbox {
     }
 
     /// Number of the slave.
-    #[must_use]
     pub const fn slave(&self) -> usize {
         self.slave
     }
 
     /// Number of repeated requests.
-    #[must_use]
     pub const fn repeats(&self) -> u64 {
         self.repeats
     }

@@ -69,13 +69,11 @@ pub enum RangeError {
 
 impl Parameter {
     /// The parameter with this name.
-    #[must_use]
     pub fn named(name: &str) -> Option<&'static Self> {
         ALL.iter().find(|parameter| parameter.name == name)
     }
 
     /// The request that reads it; `bar` matters to those of the gripper.
-    #[must_use]
     pub const fn get(&self, bar: u8) -> Request {
         match self.group {
             Drive => Request::get(self.number),
@@ -223,17 +221,17 @@ pub const ALL: &[Parameter] = &[
 ];
 
 /// Axis parameter "clear the I2t flag".
-pub const CLEAR_I2T: u8 = 29;
+pub(crate) const CLEAR_I2T: u8 = 29;
 /// Axis parameter "clear the EtherCAT time-out".
-pub const CLEAR_TIMEOUT: u8 = 158;
+pub(crate) const CLEAR_TIMEOUT: u8 = 158;
 /// Axis parameter "largest current", mA.
-pub const MAX_CURRENT: u8 = 6;
+pub(crate) const MAX_CURRENT: u8 = 6;
 /// Axis parameter "actual position"; written, it presets it.
-pub const ACTUAL_POSITION: u8 = 1;
+pub(crate) const ACTUAL_POSITION: u8 = 1;
 /// Bank and number of the global parameter "the joint was homed since power came on".
 pub const CALIBRATED: (u8, u8) = (2, 16);
 /// The same for the gripper. The vendor's driver uses that of the joint for both, which hides one from the other.
-pub const GRIPPER_CALIBRATED: (u8, u8) = (2, 17);
+pub(crate) const GRIPPER_CALIBRATED: (u8, u8) = (2, 17);
 
 #[cfg(test)]
 mod tests {

@@ -54,62 +54,52 @@ impl Request {
     }
 
     /// Requests the firmware name (136).
-    #[must_use]
     pub const fn firmware() -> Self {
         Self::new(DRIVE, FIRMWARE, 0, 0, 0)
     }
 
     /// Reads an axis parameter (GAP).
-    #[must_use]
     pub const fn get(number: u8) -> Self {
         Self::new(DRIVE, GAP, number, 0, 0)
     }
 
     /// Writes an axis parameter (SAP).
-    #[must_use]
     pub const fn set(number: u8, value: i32) -> Self {
         Self::new(DRIVE, SAP, number, 0, value)
     }
 
     /// Stores an axis parameter permanently (STAP).
-    #[must_use]
     pub const fn store(number: u8) -> Self {
         Self::new(DRIVE, STAP, number, 0, 0)
     }
 
     /// Reads a global parameter (GGP).
-    #[must_use]
     pub const fn get_global(bank: u8, number: u8) -> Self {
         Self::new(DRIVE, GGP, number, bank, 0)
     }
 
     /// Writes a global parameter (SGP).
-    #[must_use]
-    pub const fn set_global(bank: u8, number: u8, value: i32) -> Self {
+    pub(crate) const fn set_global(bank: u8, number: u8, value: i32) -> Self {
         Self::new(DRIVE, SGP, number, bank, value)
     }
 
     /// Reads a parameter of a bar of the gripper, 0 or 1.
-    #[must_use]
-    pub const fn get_bar(bar: u8, number: u8) -> Self {
+    pub(crate) const fn get_bar(bar: u8, number: u8) -> Self {
         Self::new(GRIPPER, GAP, number, bar, 0)
     }
 
     /// Writes a parameter of a bar of the gripper.
-    #[must_use]
-    pub const fn set_bar(bar: u8, number: u8, value: i32) -> Self {
+    pub(crate) const fn set_bar(bar: u8, number: u8, value: i32) -> Self {
         Self::new(GRIPPER, SAP, number, bar, value)
     }
 
     /// Moves a bar of the gripper to a position (MVP ABS), steps.
-    #[must_use]
-    pub const fn move_bar(bar: u8, steps: i32) -> Self {
+    pub(crate) const fn move_bar(bar: u8, steps: i32) -> Self {
         Self::new(GRIPPER, MVP, 0, bar, steps)
     }
 
     /// Stops a bar of the gripper (MST).
-    #[must_use]
-    pub const fn stop_bar(bar: u8) -> Self {
+    pub(crate) const fn stop_bar(bar: u8) -> Self {
         Self::new(GRIPPER, MST, 0, bar, 0)
     }
 
@@ -160,7 +150,6 @@ pub enum Answer {
 
 impl Answer {
     /// The value, if it is one.
-    #[must_use]
     pub const fn value(self) -> Option<i32> {
         match self {
             Self::Value(value) => Some(value),
@@ -232,7 +221,6 @@ impl Version {
     }
 
     /// Its process data and commutation; `None` if unknown.
-    #[must_use]
     pub const fn firmware(self) -> Option<Firmware> {
         match self.number {
             148 => Some(Firmware::V148),

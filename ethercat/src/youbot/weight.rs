@@ -16,7 +16,6 @@ const HAND: f64 = 0.769 + 0.687 + 0.119;
 const HOME: [f64; 3] = [-65.0, 146.0, -102.5];
 
 /// Torques at the joints that hold the arm where it is, N m, for angles as [`ARM`](super::ARM) counts them, rad.
-#[must_use]
 pub fn holding(joints: &[f64; 5]) -> [f64; 5] {
     let [_, shoulder, elbow, wrist, _] = joints;
     let mut tilt = 0.0;

@@ -31,7 +31,6 @@ pub enum Mode {
 
 impl Mode {
     /// The number on the wire.
-    #[must_use]
     pub const fn raw(self) -> u8 {
         match self {
             Self::Stop => 0,
@@ -47,7 +46,6 @@ impl Mode {
     }
 
     /// From the number on the wire.
-    #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw {
             0 => Self::Stop,
@@ -84,7 +82,6 @@ impl Command {
     pub const HOLD: Self = Self::velocity(0);
 
     /// Motor speed, rpm.
-    #[must_use]
     pub const fn velocity(rpm: i32) -> Self {
         Self {
             value: rpm,
@@ -93,7 +90,6 @@ impl Command {
     }
 
     /// Target position, ticks.
-    #[must_use]
     pub const fn position(ticks: i32) -> Self {
         Self {
             value: ticks,
@@ -102,7 +98,6 @@ impl Command {
     }
 
     /// Motor current, mA.
-    #[must_use]
     pub const fn current(ma: i32) -> Self {
         Self {
             value: ma,
@@ -118,7 +113,6 @@ impl Command {
     }
 
     /// From its bytes; `None` if too short.
-    #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let [a, b, c, d, mode] = *bytes.first_chunk()?;
         Some(Self {
@@ -136,7 +130,7 @@ impl Flags {
     /// The motor's current is above parameter 6.
     pub const OVER_CURRENT: u32 = 1;
     /// The emergency stop is pressed.
-    pub const EMERGENCY_STOP: u32 = 1 << 12;
+    pub(crate) const EMERGENCY_STOP: u32 = 1 << 12;
     /// The target position is reached.
     pub const POSITION_REACHED: u32 = 1 << 14;
     /// The commutation is known.
@@ -149,7 +143,6 @@ impl Flags {
     pub const BLOCKING: u32 = 0b1110_1110 | Self::EMERGENCY_STOP;
 
     /// Whether any of these is set.
-    #[must_use]
     pub const fn any(self, of: u32) -> bool {
         self.0 & of != 0
     }
@@ -239,7 +232,6 @@ pub struct Feedback {
 
 impl Feedback {
     /// From the inputs of a drive; `None` if too short for its firmware.
-    #[must_use]
     pub fn decode(firmware: Firmware, bytes: &[u8]) -> Option<Self> {
         let word = |at: usize| {
             let four = bytes.get(4 * at..)?.first_chunk()?;

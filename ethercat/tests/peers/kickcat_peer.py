@@ -43,7 +43,7 @@ def command(drive, word, target):
     drive.set_output_bytes(struct.pack("<HbxiiH", word, 8, target, 0, 0))
 
 
-def main(interface):
+def connect(interface):
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
     except PermissionError:
@@ -55,6 +55,16 @@ def main(interface):
     link.set_timeout(ms(20))
     bus = kickcat.Bus(link)
     bus.init(ms(100))
+    return bus
+
+
+def enter(bus, state, timeout, cycle=None):
+    bus.request_state(state)
+    bus.wait_for_state(state, ms(timeout), *([cycle] if cycle else []))
+
+
+def main(interface):
+    bus = connect(interface)
     slaves = bus.slaves()
     expect("slaves", len(slaves), SLAVES)
     drives = slaves[3:]
@@ -75,14 +85,12 @@ def main(interface):
     bus.create_mapping()
     expect("inputs", [s.input_size for s in slaves], [0, 1, 2, 16, 16])
     expect("outputs", [s.output_size for s in slaves], [0, 1, 2, 14, 14])
-    bus.request_state(kickcat.State.SAFE_OP)
-    bus.wait_for_state(kickcat.State.SAFE_OP, ms(2000))
+    enter(bus, kickcat.State.SAFE_OP, 2000)
     slaves[1].set_output_bytes(bytes(1))
     slaves[2].set_output_bytes(bytes(2))
     for drive in drives:
         command(drive, 0, 0)
-    bus.request_state(kickcat.State.OPERATIONAL)
-    bus.wait_for_state(kickcat.State.OPERATIONAL, ms(3000), bus.process_data_no_check)
+    enter(bus, kickcat.State.OPERATIONAL, 3000, bus.process_data_no_check)
     for _ in range(400):
         states = [feedback(drive) for drive in drives]
         for drive, (word, position) in zip(drives, states):

@@ -42,7 +42,6 @@ pub fn fuzz_file(bytes: &[u8]) {
 }
 
 /// Small seed files for [`fuzz_file`]: raw IP as this crate writes it, and Ethernet.
-#[must_use]
 pub fn files() -> Vec<Vec<u8>> {
     let address = |port| SocketAddrV4::new(Ipv4Addr::new(192, 168, 0, 2), port);
     let datagram = Datagram {

@@ -3,6 +3,7 @@
 use super::*;
 use crate::lwr::wire::CmdFlags;
 use crate::sunrise::wire::Dialect;
+use takt_tests::Random;
 
 const KRC: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(192, 168, 0, 20), 49938);
 const PC: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(192, 168, 0, 100), 49938);
@@ -221,20 +222,14 @@ fn capture_hostile_files_do_not_panic() {
         sound.extend(packet);
     }
     fuzz(&sound);
-    let mut state = 1_u64;
-    let mut noise = move || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        usize::try_from(state >> 33).unwrap()
-    };
+    let mut random = Random::new(1);
     for _ in 0..10_000 {
         let mut input = sound.clone();
-        for _ in 0..noise() % 16 {
-            let at = noise() % input.len();
-            input[at] = noise().to_le_bytes()[0];
+        for _ in 0..random.below(16) {
+            let at = random.below(input.len());
+            input[at] = random.byte();
         }
-        input.truncate(noise() % (sound.len() + 1));
+        input.truncate(random.below(sound.len() + 1));
         fuzz(&input);
     }
 }

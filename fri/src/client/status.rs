@@ -1,6 +1,7 @@
 //! A snapshot of a connection, in one type for both generations. It draws no conclusion.
 
 use super::{AXES, Client, DatagramError, Version};
+use crate::counters::Counters;
 use crate::lwr::{self, wire as lwr_wire};
 use crate::sunrise::{self, wire};
 use std::fmt;
@@ -51,25 +52,6 @@ pub struct AnswerStatistics {
     pub missed: u32,
 }
 
-/// Totals since the client was created.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counters {
-    /// Measurements accepted as new.
-    pub received: u64,
-    /// Answers built.
-    pub answered: u64,
-    /// Measurements lost.
-    pub lost: u64,
-    /// Duplicates, and measurements overtaken by newer ones.
-    pub old: u64,
-    /// Restarts of the controller.
-    pub restarts: u64,
-    /// Number of silences of the controller.
-    pub silences: u64,
-    /// Datagrams rejected.
-    pub refused: u64,
-}
-
 /// Snapshot of a connection.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Status {
@@ -103,7 +85,6 @@ pub struct Status {
 
 impl Quality {
     /// Whether it suffices for commands with a margin: OK or PERFECT, GOOD or EXCELLENT.
-    #[must_use]
     pub fn is_sound(self) -> bool {
         match self {
             Self::Lwr(quality) => match quality {
@@ -122,7 +103,6 @@ impl Quality {
 
 impl Client {
     /// Phase of the connection.
-    #[must_use]
     pub fn phase(&self) -> Phase {
         match self.version {
             None => Phase::Offline,
@@ -143,7 +123,6 @@ impl Client {
     }
 
     /// Snapshot of the connection.
-    #[must_use]
     pub fn status(&self) -> Status {
         let reported = match self.version {
             None => None,
@@ -162,15 +141,9 @@ impl Client {
 
     /// Totals of both generations: both may have used the port.
     fn counters(&self) -> Counters {
-        let (lwr, sunrise) = (self.lwr.counters(), self.sunrise.counters());
         Counters {
-            received: lwr.received + sunrise.received,
-            answered: lwr.answered + sunrise.answered,
-            lost: lwr.lost + sunrise.lost,
-            old: lwr.old + sunrise.old,
-            restarts: lwr.restarts + sunrise.restarts,
-            silences: lwr.silences + sunrise.silences,
             refused: self.refused,
+            ..self.lwr.counters() + self.sunrise.counters()
         }
     }
 }

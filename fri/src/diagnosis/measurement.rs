@@ -17,7 +17,6 @@ fn stamp(msr: &Msr, period: Duration) -> Option<Duration> {
 
 impl Measurement {
     /// Converts a measurement of FRI 1.0.
-    #[must_use]
     pub fn lwr(at: Duration, msr: &Msr) -> Self {
         let period = stated_period(msr);
         Self {
@@ -33,7 +32,6 @@ impl Measurement {
     }
 
     /// Converts a message of Sunrise. `is_due` is right for a receiveMultiplier of 1 only; the session knows better.
-    #[must_use]
     pub fn sunrise(at: Duration, message: &Monitoring) -> Self {
         let stamp = message.monitor.and_then(|data| data.stamp);
         let connection = message.connection;

@@ -6,7 +6,6 @@ use crate::capture::{Datagram, Decoded};
 
 impl Observer {
     /// An observer for the generation of the first FRI datagram; `None` if `decoded` is no FRI datagram.
-    #[must_use]
     pub fn of(decoded: &Decoded) -> Option<Self> {
         match decoded {
             Decoded::LwrMeasurement(_) | Decoded::LwrCommand(_) => Some(Self::lwr()),

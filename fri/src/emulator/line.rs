@@ -1,8 +1,8 @@
 //! One direction of an unreliable wire: datagrams with a time of arrival. Fixed memory, and no clock of its own.
 
 use super::LineFaults;
-use super::rng::Rng;
 use std::time::Duration;
+use takt_link::Random;
 
 /// Maximum number of datagrams in flight.
 const CAPACITY: usize = 64;
@@ -44,13 +44,13 @@ impl<const N: usize> Line<N> {
         now: Duration,
         behind: Duration,
         faults: &mut LineFaults,
-        rng: &mut Rng,
+        random: &mut Random,
     ) {
         // Always the same number of draws, so that one fault setting does not change the randomness of the others.
-        let dropped = rng.chance(faults.drop);
-        let twice = rng.chance(faults.duplicate);
-        let held = rng.chance(faults.reorder);
-        let mut due = now + faults.delay + rng.span(faults.jitter);
+        let dropped = random.chance(faults.drop);
+        let twice = random.chance(faults.duplicate);
+        let held = random.chance(faults.reorder);
+        let mut due = now + faults.delay + random.span(faults.jitter);
         if held {
             due += behind;
         }
@@ -115,9 +115,15 @@ mod tests {
     }
 
     fn send(count: u8, mut faults: LineFaults) -> Line<1> {
-        let (mut line, mut rng) = (Line::new(), Rng::new(3));
+        let (mut line, mut random) = (Line::new(), Random::new(3));
         for byte in 0..count {
-            line.push(&[byte], MS * byte.into(), MS * 3 / 2, &mut faults, &mut rng);
+            line.push(
+                &[byte],
+                MS * byte.into(),
+                MS * 3 / 2,
+                &mut faults,
+                &mut random,
+            );
         }
         line
     }

@@ -60,10 +60,6 @@ macro_rules! served {
                 let faults = self.faults_mut();
                 [&mut faults.to_client, &mut faults.$back]
             }
-
-            fn contact(&mut self) -> &mut Option<crate::emulator::Contact> {
-                self.contact_mut()
-            }
         }
     };
 }

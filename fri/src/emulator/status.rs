@@ -1,6 +1,6 @@
 //! State of a served controller for other threads, and its run-time settings. It holds no history.
 
-use super::{AXES, Contact, LineFaults};
+use super::{AXES, LineFaults};
 use std::array;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU32, AtomicU64, Ordering};
@@ -56,8 +56,6 @@ pub trait Served {
     fn switch(&mut self, power: bool);
     #[doc(hidden)]
     fn lines(&mut self) -> [&mut LineFaults; 2];
-    #[doc(hidden)]
-    fn contact(&mut self) -> &mut Option<Contact>;
 }
 
 /// Live state of a controller while it is served, shared by an `Arc`. Each value is consistent; two of them may belong
@@ -80,7 +78,6 @@ pub struct Status<C: Served> {
     reason: Mutex<Option<C::ExitReason>>,
     power_off_wanted: AtomicBool,
     drop_ppm_wanted: AtomicU32,
-    contact_gone_wanted: AtomicBool,
 }
 
 /// No drop probability was set: the configured one stays.
@@ -105,7 +102,6 @@ impl<C: Served> Default for Status<C> {
             reason: Default::default(),
             power_off_wanted: AtomicBool::default(),
             drop_ppm_wanted: AtomicU32::new(UNTOUCHED),
-            contact_gone_wanted: AtomicBool::default(),
         }
     }
 }
@@ -122,91 +118,76 @@ impl<C: Served> fmt::Debug for Status<C> {
 
 impl<C: Served> Status<C> {
     /// A status before the first cycle.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
     /// State as reported; OFF or IDLE before the first cycle.
-    #[must_use]
     pub fn state(&self) -> C::State {
         C::state_of(self.state.load(Ordering::Relaxed))
     }
 
     /// Quality as reported.
-    #[must_use]
     pub fn quality(&self) -> C::Quality {
         C::quality_of(self.quality.load(Ordering::Relaxed))
     }
 
     /// Whether the drives have power.
-    #[must_use]
     pub fn has_power(&self) -> bool {
         self.power.load(Ordering::Relaxed)
     }
 
     /// Measurements sent.
-    #[must_use]
     pub fn sent(&self) -> u64 {
         self.sent.load(Ordering::Relaxed)
     }
 
     /// New answers received.
-    #[must_use]
     pub fn answers(&self) -> u64 {
         self.answers.load(Ordering::Relaxed)
     }
 
     /// Command periods without an answer in time.
-    #[must_use]
     pub fn missed(&self) -> u32 {
         self.missed.load(Ordering::Relaxed)
     }
 
     /// Answers ignored as copies or as older than the newest.
-    #[must_use]
     pub fn old(&self) -> u64 {
         self.old.load(Ordering::Relaxed)
     }
 
     /// Datagrams refused by the decoder.
-    #[must_use]
     pub fn malformed(&self) -> u64 {
         self.malformed.load(Ordering::Relaxed)
     }
 
     /// Measurements not sent because this host was late.
-    #[must_use]
     pub fn stalls(&self) -> u64 {
         self.stalls.load(Ordering::Relaxed)
     }
 
     /// Joint set-point, rad.
-    #[must_use]
     pub fn commanded(&self) -> [f64; AXES] {
         load(&self.commanded)
     }
 
     /// Measured joint positions, rad.
-    #[must_use]
     pub fn measured(&self) -> [f64; AXES] {
         load(&self.measured)
     }
 
     /// Force of the contact on the flange in the base frame, N.
-    #[must_use]
     pub fn force(&self) -> [f64; 3] {
         load(&self.force)
     }
 
     /// Number of exits from command mode, ends of an overlay (on request, too) and timeouts while waiting for quality.
-    #[must_use]
     pub fn exits(&self) -> u64 {
         self.exits.load(Ordering::Acquire)
     }
 
     /// Reason of the last of these.
-    #[must_use]
     pub fn last_exit(&self) -> Option<C::ExitReason> {
         *self.reason.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -224,11 +205,6 @@ impl<C: Served> Status<C> {
         self.drop_ppm_wanted.store(ppm + 1, Ordering::Relaxed);
     }
 
-    /// Removes the contact from the next cycle on.
-    pub fn remove_contact(&self) {
-        self.contact_gone_wanted.store(true, Ordering::Relaxed);
-    }
-
     /// Applies the requested settings to `controller`.
     #[cfg(target_os = "linux")]
     pub(crate) fn apply(&self, controller: &mut C) {
@@ -239,9 +215,6 @@ impl<C: Served> Status<C> {
             for line in controller.lines() {
                 line.drop = probability;
             }
-        }
-        if self.contact_gone_wanted.load(Ordering::Relaxed) {
-            *controller.contact() = None;
         }
     }
 

@@ -1,14 +1,11 @@
 //! A UDP socket as a [`Link`]. It does not allocate after opening, and uses no kernel time stamps: NTP adjusts their clock.
 
-use super::monotonic;
-use crate::link::Link;
-use nix::errno::Errno;
-use nix::poll::{PollFd, PollFlags, ppoll};
-use nix::sys::time::TimeSpec;
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::AsFd;
 use std::time::Duration;
+use takt_link::Link;
+use takt_link::linux::{monotonic, readable};
 
 /// Datagrams of other senders skipped per call.
 const FOREIGN_MAX: usize = 16;
@@ -52,7 +49,6 @@ impl UdpLink {
     }
 
     /// Receiver of the next datagram.
-    #[must_use]
     pub fn peer(&self) -> Option<SocketAddr> {
         self.peer
     }
@@ -65,7 +61,6 @@ impl UdpLink {
     }
 
     /// Datagrams ignored because the fixed peer did not send them.
-    #[must_use]
     pub fn foreign(&self) -> u64 {
         self.foreign
     }
@@ -112,13 +107,8 @@ impl Link for UdpLink {
         timeout: Duration,
     ) -> io::Result<Option<(usize, Duration)>> {
         // Not the socket's own timeout: changing it costs a system call, and the kernel rounds it to scheduler ticks.
-        if !timeout.is_zero() {
-            let mut fds = [PollFd::new(self.socket.as_fd(), PollFlags::POLLIN)];
-            match ppoll(&mut fds, Some(TimeSpec::from_duration(timeout)), None) {
-                Ok(0) | Err(Errno::EINTR) => return Ok(None),
-                Ok(_) => {}
-                Err(error) => return Err(error.into()),
-            }
+        if !timeout.is_zero() && !readable(self.socket.as_fd(), timeout)? {
+            return Ok(None);
         }
         self.take(buf)
     }

@@ -121,7 +121,6 @@ pub struct Dialog {
 
 impl Dialog {
     /// A handshake in a convention; the KRL program must use the same.
-    #[must_use]
     pub fn new(protocol: Protocol) -> Self {
         Self {
             protocol,
@@ -130,7 +129,6 @@ impl Dialog {
     }
 
     /// The convention.
-    #[must_use]
     pub fn protocol(&self) -> Protocol {
         self.protocol
     }

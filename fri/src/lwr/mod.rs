@@ -8,12 +8,13 @@ mod protocol;
 mod session;
 pub mod wire;
 
+pub use crate::counters::Counters;
 pub use crate::error::AnswerError;
 pub use crate::sequence::Order;
 pub use dialog::{Dialog, DialogError, Progress, Request, Settings};
 pub use protocol::{Load, Protocol};
 pub(crate) use session::stated_period;
-pub use session::{ChooseError, Counters, Event, Fields, Phase, Reception, Session, SessionConfig};
+pub use session::{ChooseError, Event, Fields, Phase, Reception, Session, SessionConfig};
 
 /// Number of axes.
 pub const AXES: usize = 7;

@@ -3,6 +3,7 @@
 
 use super::wire::{Cmd, CmdFlags, Header, Krl, Msr, Quality, State};
 use super::{AXES, AnswerError, JOINT_NAMES};
+use crate::counters::Counters;
 use crate::error::DecodeError;
 use crate::generation::Kind;
 use crate::guard::{Guard, Violation};
@@ -91,27 +92,6 @@ pub struct Reception {
     pub event: Option<Event>,
 }
 
-/// Totals since the session was created.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counters {
-    /// Datagrams accepted as new.
-    pub received: u64,
-    /// Answers built.
-    pub answered: u64,
-    /// Measurements lost, by the controller's counter.
-    pub lost: u64,
-    /// Datagrams ignored as duplicates or as older than the newest.
-    pub old: u64,
-    /// Datagrams rejected by the decoder.
-    pub malformed: u64,
-    /// Restarts of the controller, by its counter.
-    pub restarts: u64,
-    /// Number of silences of the controller.
-    pub silences: u64,
-    /// Answers that held the robot, or added nothing, because the guard rejected the command.
-    pub withheld: u64,
-}
-
 /// One FRI connection, client side.
 ///
 /// Per cycle: [`handle_datagram`](Self::handle_datagram), then [`answer`](Self::answer), then send the bytes. If several
@@ -142,7 +122,6 @@ pub struct Session {
 
 impl Session {
     /// A session that has received nothing yet.
-    #[must_use]
     pub fn new(config: SessionConfig) -> Self {
         Self {
             phase: Phase::Offline,
@@ -170,7 +149,7 @@ impl Session {
     ) -> Result<Reception, DecodeError> {
         let msr = Msr::decode(bytes)
             .map_err(|error| Kind::explain(Kind::LwrMeasurement, bytes, error))
-            .inspect_err(|_| self.counters.malformed += 1)?;
+            .inspect_err(|_| self.counters.refused += 1)?;
         self.handle_timeout(now);
         let order = self.tracker.accept(msr.header.sequence);
         let lost = self.count(order);
@@ -301,13 +280,11 @@ impl Session {
     }
 
     /// Why the last answer held the robot or added nothing; `None` if it carried the command.
-    #[must_use]
     pub fn violation(&self) -> Option<Violation> {
         self.violation
     }
 
     /// Time at which the controller becomes offline if no datagram arrives; `None` while it is offline.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.phase == Phase::Offline {
             return None;
@@ -328,44 +305,37 @@ impl Session {
     }
 
     /// The newest measurement; kept while the controller is offline.
-    #[must_use]
     pub fn measurement(&self) -> Option<&Msr> {
         self.msr.as_ref()
     }
 
     /// Time of arrival of the newest measurement.
-    #[must_use]
     pub fn arrival(&self) -> Option<Duration> {
         self.msr.as_ref().map(|_| self.received_at)
     }
 
     /// Period of measurements as the controller states it, 1 ms to 100 ms; `None` before the first one.
-    #[must_use]
     pub fn period(&self) -> Option<Duration> {
         self.msr.as_ref().map(stated_period)
     }
 
     /// Phase of the connection.
-    #[must_use]
     pub fn phase(&self) -> Phase {
         self.phase
     }
 
     /// Whether the robot follows: command mode, drives with power, and measurements flowing.
-    #[must_use]
     pub fn is_commanding(&self) -> bool {
         self.phase == Phase::Command
     }
 
     /// Whether an answer is due.
-    #[must_use]
     pub fn is_pending(&self) -> bool {
         self.pending
     }
 
     /// Joint positions, rad, that the next answer may carry without a jump: the last commanded ones in
     /// [`Phase::Command`], else the controller's set-point. Zeros before the first measurement.
-    #[must_use]
     pub fn mirror(&self) -> [f64; AXES] {
         self.held
     }
@@ -376,13 +346,11 @@ impl Session {
     }
 
     /// Counter of the last answer; before the first one, its predecessor.
-    #[must_use]
     pub fn sent_sequence(&self) -> u16 {
         self.next_sequence.wrapping_sub(1)
     }
 
     /// Totals since the session was created.
-    #[must_use]
     pub fn counters(&self) -> Counters {
         self.counters
     }

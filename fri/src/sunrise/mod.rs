@@ -5,12 +5,13 @@ pub mod emulator;
 mod session;
 pub mod wire;
 
+pub use crate::counters::Counters;
 pub use crate::error::AnswerError;
 pub use crate::sequence::Order;
 pub(crate) use session::PERIOD_MS;
 pub use session::{
-    Answer, Counters, Demand, Event, FrameError, IoError, IoLevel, Phase, Reception, Session,
-    SessionConfig, Withheld,
+    Answer, Demand, Event, FrameError, IoError, IoLevel, Phase, Reception, Session, SessionConfig,
+    Withheld,
 };
 
 /// Number of axes.

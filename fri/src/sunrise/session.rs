@@ -6,6 +6,7 @@ use super::wire::{
     Quality, SessionState, TRANSFORMATIONS_MAX, Transformation, unframe,
 };
 use super::{AXES, JOINT_NAMES};
+use crate::counters::Counters;
 use crate::error::{AnswerError, DecodeError};
 use crate::generation::Kind;
 use crate::guard::Guard;
@@ -80,29 +81,6 @@ pub struct Answer {
     pub withheld: Option<Withheld>,
 }
 
-/// Totals since the session was created.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counters {
-    /// Datagrams accepted as new.
-    pub received: u64,
-    /// Answers built.
-    pub answered: u64,
-    /// Messages lost, by the controller's counter.
-    pub lost: u64,
-    /// Messages that were due for an answer and overtaken by the next one first: this host was late.
-    pub skipped: u64,
-    /// Datagrams ignored as duplicates or as older than the newest.
-    pub old: u64,
-    /// Datagrams rejected by the decoder.
-    pub malformed: u64,
-    /// Restarts of the controller, by its counter.
-    pub restarts: u64,
-    /// Number of silences of the controller.
-    pub silences: u64,
-    /// Demands withheld.
-    pub withheld: u64,
-}
-
 /// One FRI connection to a Sunrise controller, client side.
 ///
 /// Per cycle: [`handle_datagram`](Self::handle_datagram), then, if [`is_pending`](Self::is_pending),
@@ -138,7 +116,6 @@ pub struct Session {
 
 impl Session {
     /// A session that has received nothing yet.
-    #[must_use]
     pub fn new(config: SessionConfig) -> Self {
         Self {
             phase: Phase::Offline,
@@ -167,7 +144,7 @@ impl Session {
     ) -> Result<Reception, DecodeError> {
         let (is_framed, message) = self
             .decode(datagram)
-            .inspect_err(|_| self.counters.malformed += 1)?;
+            .inspect_err(|_| self.counters.refused += 1)?;
         self.handle_timeout(now);
         let order = self.tracker.accept(message.header.sequence);
         let lost = self.count(order);
@@ -394,7 +371,6 @@ impl Session {
     }
 
     /// Time at which the controller becomes offline if no datagram arrives; `None` while it is offline.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.phase == Phase::Offline {
             return None;
@@ -417,20 +393,17 @@ impl Session {
     }
 
     /// The newest message; kept while the controller is offline. `None` before the first one.
-    #[must_use]
     pub fn message(&self) -> Option<&Monitoring> {
         self.received_at.map(|_| &self.message)
     }
 
     /// Time of arrival of the newest message.
-    #[must_use]
     pub fn arrival(&self) -> Option<Duration> {
         self.received_at
     }
 
     /// Period of messages as the controller states it, 1 ms to 100 ms; `None` before the first one. Answers are due every
     /// `receiveMultiplier`-th time.
-    #[must_use]
     pub fn period(&self) -> Option<Duration> {
         self.received_at?;
         let connection = self.message.connection;
@@ -442,50 +415,42 @@ impl Session {
     }
 
     /// Dialect of the controller, once known.
-    #[must_use]
     pub fn dialect(&self) -> Option<Dialect> {
         self.dialect
     }
 
     /// Phase of the connection.
-    #[must_use]
     pub fn phase(&self) -> Phase {
         self.phase
     }
 
     /// Values that the overlay of the robot program expects.
-    #[must_use]
     pub fn command_mode(&self) -> CommandMode {
         self.message.command_mode()
     }
 
     /// Whether the robot follows demands: COMMANDING_ACTIVE and engaged.
-    #[must_use]
     pub fn is_engaged(&self) -> bool {
         self.is_engaged
     }
 
     /// Whether an answer is due.
-    #[must_use]
     pub fn is_pending(&self) -> bool {
         self.is_pending
     }
 
     /// Joint positions, rad, that the next answer may carry without a jump: the last commanded ones when engaged, else the
     /// interpolator's. Zeros before the first message.
-    #[must_use]
     pub fn mirror(&self) -> Joints {
         self.held
     }
 
     /// Counter of the last answer; before the first one, its predecessor.
-    #[must_use]
     pub fn sent_sequence(&self) -> u32 {
         self.next_sequence.wrapping_sub(1)
     }
 
     /// Totals since the session was created.
-    #[must_use]
     pub fn counters(&self) -> Counters {
         self.counters
     }

@@ -32,9 +32,6 @@ pub struct Frames<R> {
 
 impl<R: Read> Frames<R> {
     /// Reads the header of the file.
-    ///
-    /// # Errors
-    /// If it cannot be read or is not a recording.
     pub fn new(from: R) -> Result<Self, CaptureError> {
         Ok(Self {
             reader: Reader::new(from)?,
@@ -44,7 +41,6 @@ impl<R: Read> Frames<R> {
     }
 
     /// Where the recording is cut off; known once reading has ended.
-    #[must_use]
     pub const fn cut(&self) -> Option<Cut> {
         self.reader.cut()
     }

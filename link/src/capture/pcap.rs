@@ -15,24 +15,13 @@ const RECORD: usize = 16;
 /// Reads the header of the file.
 pub(super) fn begin<R: Read>(input: &mut Input<R>) -> Result<PcapParser, CaptureError> {
     let bytes = input.fill(HEADER)?;
-    let magic = bytes.first_chunk().copied().unwrap_or_default();
     let parser = match PcapParser::new(bytes) {
         Ok((_, parser)) => parser,
-        // The library checks the length before the magic number.
-        Err(PcapError::IncompleteBuffer) if is_pcap(magic) => {
-            return Err(CaptureError::Short(bytes.len()));
-        }
-        Err(_) => return Err(CaptureError::Unknown(u32::from_be_bytes(magic))),
+        Err(PcapError::IncompleteBuffer) => return Err(CaptureError::Short(bytes.len())),
+        Err(error) => return Err(damaged(0, &error)),
     };
     input.take(HEADER);
     Ok(parser)
-}
-
-fn is_pcap(magic: [u8; 4]) -> bool {
-    let (big, little) = (u32::from_be_bytes(magic), u32::from_le_bytes(magic));
-    [big, little]
-        .iter()
-        .any(|word| matches!(word, 0xA1B2_C3D4 | 0xA1B2_3C4D))
 }
 
 /// Returns the packet of the next record.
@@ -64,6 +53,8 @@ pub(super) fn next<R: Read>(
         at: time(raw.ts_sec, raw.ts_frac, header.ts_resolution),
         link: LinkType(header.datalink.into()),
         interface: 0,
+        offset,
+        is_big_endian: header.endianness == Endianness::Big,
         original_len: raw.orig_len,
         data: raw.data.into_owned(),
     };

@@ -94,25 +94,24 @@ pub(super) fn next<R: Read>(
         let Some(block) = bytes.get(..len) else {
             return Ok(end(bytes));
         };
-        let mut packet = None;
+        let mut step = Ok(None);
         if matches!(kind, SECTION | INTERFACE | PACKET | SIMPLE | ENHANCED) {
-            let (_, block) = parser
+            step = parser
                 .next_block(block)
-                .map_err(|error| damaged(offset, &error))?;
-            packet = of_block(block, parser.interfaces(), order, last);
+                .map_err(|error| damaged(offset, &error))
+                .and_then(|(_, block)| of_block(block, parser.interfaces(), order, last, offset));
             if parser.interfaces().len() > INTERFACES_MAX {
                 let cause = format!("more than {INTERFACES_MAX} interfaces");
                 return Err(CaptureError::Damaged { offset, cause });
             }
         }
         input.take(len);
-        match packet {
-            Some(Some(packet)) => return Ok(Step::Packet(packet)),
-            Some(None) => {
-                let cause = "a packet of an interface without description".to_owned();
-                return Err(CaptureError::Damaged { offset, cause });
-            }
-            None => {}
+        match step {
+            Ok(Some(packet)) => return Ok(Step::Packet(packet)),
+            Ok(None) => {}
+            // Without its section or interface, later packets would be misread.
+            Err(error) if matches!(kind, SECTION | INTERFACE) => return Err(error),
+            Err(error) => return Ok(Step::Skipped(error)),
         }
     }
 }
@@ -124,34 +123,34 @@ fn end(bytes: &[u8]) -> Step {
     }
 }
 
-/// The packet of a block, if it has one: `Some(None)` if its interface is missing.
+/// The packet of a block, if it has one.
 fn of_block(
     block: Block<'_>,
     interfaces: &[InterfaceDescriptionBlock<'_>],
     order: Endianness,
     last: Duration,
-) -> Option<Option<Packet>> {
-    let of = |number: u32| interfaces.get(usize::try_from(number).ok()?);
+    offset: u64,
+) -> Result<Option<Packet>, CaptureError> {
     let packet = |number: u32, ticks: Option<u64>, original_len, data: &[u8]| {
-        let interface = of(number)?;
-        Some(Packet {
+        let interface = interface(interfaces, number).ok_or_else(|| {
+            let cause = "a packet of an interface without description".to_owned();
+            CaptureError::Damaged { offset, cause }
+        })?;
+        Ok(Some(Packet {
             at: ticks.map_or(last, |ticks| time(ticks, interface)),
             link: LinkType(interface.linktype.into()),
             interface: number,
+            offset,
+            is_big_endian: order == Endianness::Big,
             original_len,
             data: data.to_vec(),
-        })
+        }))
     };
     match block {
         Block::EnhancedPacket(it) => {
             // The library reads the time in the file as nanoseconds, whatever the interface's resolution.
             let ticks = u64::try_from(it.timestamp.as_nanos()).unwrap_or(u64::MAX);
-            Some(packet(
-                it.interface_id,
-                Some(ticks),
-                it.original_len,
-                &it.data,
-            ))
+            packet(it.interface_id, Some(ticks), it.original_len, &it.data)
         }
         Block::Packet(it) => {
             // Two words, the higher first in either byte order; the library reads one number.
@@ -160,21 +159,43 @@ fn of_block(
                 Endianness::Little => it.timestamp.rotate_left(32),
             };
             let interface = it.interface_id.into();
-            Some(packet(interface, Some(ticks), it.original_len, &it.data))
+            packet(interface, Some(ticks), it.original_len, &it.data)
         }
         Block::SimplePacket(it) => {
             // The data are padded to whole words.
             let len = usize::try_from(it.original_len).unwrap_or(usize::MAX);
             let data = it.data.get(..len).unwrap_or(&it.data);
-            Some(packet(0, None, it.original_len, data))
+            packet(0, None, it.original_len, data)
         }
         Block::SectionHeader(_)
         | Block::InterfaceDescription(_)
         | Block::NameResolution(_)
         | Block::InterfaceStatistics(_)
         | Block::SystemdJournalExport(_)
-        | Block::Unknown(_) => None,
+        | Block::Unknown(_) => Ok(None),
     }
+}
+
+fn interface<'a, 'b>(
+    interfaces: &'a [InterfaceDescriptionBlock<'b>],
+    number: u32,
+) -> Option<&'a InterfaceDescriptionBlock<'b>> {
+    interfaces.get(usize::try_from(number).ok()?)
+}
+
+/// Name of an interface.
+pub(super) fn name<'a>(
+    interfaces: &'a [InterfaceDescriptionBlock<'_>],
+    number: u32,
+) -> Option<&'a str> {
+    let options = &interface(interfaces, number)?.options;
+    options.iter().find_map(|option| {
+        if let InterfaceDescriptionOption::IfName(name) = option {
+            Some(name.as_ref())
+        } else {
+            None
+        }
+    })
 }
 
 /// Ticks of an interface as a time: 10^-n s, or 2^-n s with the highest bit set, and its offset in seconds.

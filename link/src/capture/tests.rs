@@ -211,6 +211,34 @@ fn reader_error_ends_reading() {
 }
 
 #[test]
+fn pcapng_damaged_packet_is_skipped() {
+    let good = enhanced(0, 1, &[1; 8]);
+    let mut damaged = good.clone();
+    // Its captured length.
+    damaged[20..24].fill(0xFF);
+    let missing = enhanced(7, 1, &[1; 8]);
+    let named = interface(227, &[(2, b"can7")]);
+    for bad in [damaged, missing] {
+        let file = [section(), named.clone(), good.clone(), bad, good.clone()].concat();
+        let mut reader = Reader::new(file.as_slice()).unwrap();
+        let items: Vec<_> = reader.by_ref().collect();
+        assert!(
+            matches!(
+                items[..],
+                [
+                    Ok(_),
+                    Err(CaptureError::Damaged { offset: 100, .. }),
+                    Ok(Packet { offset: 140, .. })
+                ]
+            ),
+            "{items:?}"
+        );
+        assert_eq!(reader.interface_name(0), Some("can7"));
+        assert_eq!(reader.interface_name(7), None);
+    }
+}
+
+#[test]
 fn reader_io_error_is_returned_once() {
     struct Failing;
     impl Read for Failing {

@@ -22,9 +22,6 @@ pub struct Writer<W> {
 
 impl<W: Write> Writer<W> {
     /// Writes the header of the file.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn new(mut to: W, link: LinkType) -> io::Result<Self> {
         let mut header = [0; HEADER];
         header[..4].copy_from_slice(&NANOSECONDS.to_le_bytes());
@@ -65,9 +62,6 @@ impl<W: Write> Writer<W> {
     }
 
     /// Flushes the buffers of the inner writer.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn flush(&mut self) -> io::Result<()> {
         let flushed = self.to.flush();
         self.has_failed |= flushed.is_err();
@@ -75,7 +69,6 @@ impl<W: Write> Writer<W> {
     }
 
     /// Returns the inner writer.
-    #[must_use]
     pub fn into_inner(self) -> W {
         self.to
     }

@@ -40,7 +40,6 @@ pub struct Range {
 
 impl Range {
     /// From the bounds of a data sheet, in degrees.
-    #[must_use]
     pub const fn degrees(min: f64, max: f64) -> Self {
         let (min, max) = (min.to_radians(), max.to_radians());
         Self { min, max }
@@ -70,7 +69,6 @@ impl From<JointLimits> for Range {
 
 /// The kinematics of an arm by the name of its model, with the joint ranges of its data sheet:
 /// `staubli_tx90`, `kuka_lwr4`, `kuka_iiwa7`, `kuka_iiwa14` or `kuka_youbot`.
-#[must_use]
 pub fn named(model: &str) -> Option<Arc<dyn Kinematics>> {
     Some(match model {
         "staubli_tx90" => Arc::new(Opw::staubli_tx90()),
@@ -84,7 +82,6 @@ pub fn named(model: &str) -> Option<Arc<dyn Kinematics>> {
 
 /// As [`named`], with the joint limits of a particular arm; `None` also if the number of limits is
 /// not the number of joints.
-#[must_use]
 pub fn limited(model: &str, limits: &[JointLimits]) -> Option<Arc<dyn Kinematics>> {
     Some(match model {
         "staubli_tx90" => Arc::new(Opw::staubli_tx90().within(ranges(limits)?)),

@@ -14,7 +14,6 @@ mod shape;
 use takt_net::Definition;
 
 /// All definitions of this crate.
-#[must_use]
 pub fn all() -> Vec<Definition> {
     let tables = [
         shape::table(),

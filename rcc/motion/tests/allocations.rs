@@ -1,9 +1,6 @@
 //! Kinematics and motions in running nets allocate nothing: counted over thousands of cycles in
 //! which goals, overrides and frames change and some inverses have no solution.
-#![expect(unsafe_code, reason = "GlobalAlloc is an unsafe trait")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,36 +9,10 @@ use takt_net::{
     ArmBinding, Devices, Image, JointLimits, Limits, LoadContext, Moment, Nanos, Plan, Registry,
     load,
 };
-
-thread_local! {
-    static CALLS: Cell<u64> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-fn count() {
-    // The counter is not accessible while a thread ends: nothing is counted then.
-    let _gone = CALLS.try_with(|calls| calls.set(calls.get() + 1));
-}
-
-// SAFETY: every request is handed to the system allocator unchanged; the counter is a plain thread-local
-// without a destructor and allocates nothing.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: the caller keeps the contract of `alloc`, which is the same here.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        count();
-        // SAFETY: `pointer` came from `System.alloc` above with this layout.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
+use takt_tests::{Allocations, CountingAllocator};
 
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// Arms named after their models.
 struct Arms;
@@ -105,18 +76,11 @@ fn allocations(children: &str, inputs: &[(&str, &[&str])], cycles: u64) -> u64 {
             wall: time,
             ..Moment::default()
         };
-        let before = CALLS.get();
+        let allocations = Allocations::count();
         plan.evaluate(&image, moment);
-        inside += CALLS.get() - before;
+        inside += allocations.end();
     }
     inside
-}
-
-#[test]
-fn the_counter_counts() {
-    let before = CALLS.get();
-    drop(std::hint::black_box(Box::new(1)));
-    assert_eq!(CALLS.get() - before, 2);
 }
 
 #[test]

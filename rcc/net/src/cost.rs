@@ -99,7 +99,6 @@ impl NetCost {
 
     /// The most expensive types with their percentages, such as
     /// ``20 `KUKA::LWR::InvKin` 83 %, 7 `Motion::Track` 9 %``.
-    #[must_use]
     pub fn heaviest(&self, most: usize) -> String {
         let part = |share: &CostShare| {
             let whole = self.total.as_nanos().max(1);
@@ -122,10 +121,5 @@ fn span(ns: f64) -> Duration {
 }
 
 fn number(count: usize) -> f64 {
-    #[expect(
-        clippy::cast_precision_loss,
-        reason = "Limits bounds it far below 2^53"
-    )]
-    let number = count as f64;
-    number
+    count as f64
 }

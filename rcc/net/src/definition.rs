@@ -90,7 +90,6 @@ pub enum NullRule {
 
 impl NullRule {
     /// The rule as a sentence.
-    #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
             Self::Propagates => "any input null makes all outputs null",
@@ -334,7 +333,6 @@ pub struct Port {
 }
 
 /// An in port; unconnected, it is null.
-#[must_use]
 pub const fn port(name: &'static str, doc: &'static str) -> Port {
     Port {
         name,
@@ -500,7 +498,6 @@ where
 
 impl Build<'_, '_> {
     /// The period, s.
-    #[must_use]
     pub fn period_s(&self) -> f64 {
         self.period().as_secs_f64()
     }
@@ -509,7 +506,7 @@ impl Build<'_, '_> {
     ///
     /// # Errors
     /// If the span is not positive, or longer than a primitive may remember.
-    pub fn cycles_in(&self, parameter: &'static str, seconds: f64) -> Result<usize, Fault> {
+    pub(crate) fn cycles_in(&self, parameter: &'static str, seconds: f64) -> Result<usize, Fault> {
         let most = self.limits().history;
         let cycles = (seconds / self.period_s()).ceil();
         let fits = (0.0..=f64::from(u32::try_from(most).unwrap_or(u32::MAX))).contains(&cycles);

@@ -82,7 +82,6 @@ pub struct JointCommand {
 impl JointCommand {
     /// Whether it is in force in this cycle: it was given in it, or the next one of its net is not
     /// due yet.
-    #[must_use]
     pub const fn is_in_force(&self, cycle: u64) -> bool {
         cycle.saturating_sub(self.cycle) < self.every
     }
@@ -121,7 +120,6 @@ impl StopVote {
     }
 
     /// The vote for `cycle`: whether to stop; `None` without a vote.
-    #[must_use]
     pub const fn at(self, cycle: u64) -> Option<bool> {
         if self.voted_until > cycle {
             Some(self.stop_until > cycle)

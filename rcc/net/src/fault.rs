@@ -193,7 +193,6 @@ fn constant_hint(parameter: &Option<String>) -> String {
 
 impl FaultKind {
     /// The minor number of `errorState` in the HTTP resource of a net, as existing clients know it.
-    #[must_use]
     pub const fn minor(&self) -> u32 {
         match self {
             Self::UnknownPrimitive { .. } => 2,
@@ -218,7 +217,6 @@ impl FaultKind {
 
 impl Fault {
     /// A fault at one location.
-    #[must_use]
     pub const fn new(kind: FaultKind, at: Range<usize>) -> Self {
         Self {
             kind,
@@ -233,7 +231,6 @@ impl Fault {
     }
 
     /// Line and column (both from 1, columns in characters) of the fault in `text`.
-    #[must_use]
     pub fn location(&self, text: &str) -> (usize, usize) {
         let before = &text[..text.floor_char_boundary(self.at.start)];
         let line_start = before.rfind('\n').map_or(0, |i| i + 1);
@@ -253,7 +250,6 @@ pub struct Rejection {
 
 impl Rejection {
     /// The faults with an excerpt of `text` and carets below, without colour.
-    #[must_use]
     pub fn render(&self, file: &str, text: &str) -> String {
         let mut out = String::new();
         for fault in &self.faults {
@@ -269,7 +265,6 @@ impl Rejection {
     }
 
     /// One line for each fault: `line:column: text`.
-    #[must_use]
     pub fn lines(&self, text: &str) -> Vec<String> {
         let line = |fault: &Fault| {
             let (line, column) = fault.location(text);

@@ -128,9 +128,6 @@ impl<'t> Sorted<'t> {
 }
 
 /// Checks a net and builds its plan.
-///
-/// # Errors
-/// All faults of the net, in text order.
 pub fn load(text: &str, context: &LoadContext<'_>) -> Result<Plan, Rejection> {
     let parsed = Parsed::new(text, &context.limits);
     Sorted::new(&parsed, context).build(context.period, context.limits.cost)

@@ -50,19 +50,16 @@ pub enum OutStatus {
 
 impl Directory {
     /// The entries in the order of the first use of their keys.
-    #[must_use]
     pub fn entries(&self) -> &[Entry] {
         &self.entries
     }
 
     /// Length of the box, in words.
-    #[must_use]
     pub const fn words(&self) -> usize {
         self.words
     }
 
     /// The entry with that key.
-    #[must_use]
     pub fn find(&self, key: &str) -> Option<&Entry> {
         self.entries.iter().find(|e| e.key == key)
     }
@@ -84,13 +81,11 @@ impl Directory {
 
 impl Entry {
     /// The entry's first word in its box.
-    #[must_use]
     pub const fn at(&self) -> usize {
         self.at
     }
 
     /// Whether it passes between nets only, invisible to programs.
-    #[must_use]
     pub fn is_hidden(&self) -> bool {
         self.key.starts_with(['<', '>'])
     }
@@ -100,7 +95,6 @@ impl Entry {
     }
 
     /// The state of an out value, read from its box.
-    #[must_use]
     pub fn status(&self, words: &[u64]) -> OutStatus {
         match words.get(self.at) {
             Some(1) => OutStatus::Current,
@@ -110,7 +104,6 @@ impl Entry {
     }
 
     /// The value's words in its box.
-    #[must_use]
     pub fn value<'a>(&self, words: &'a [u64]) -> &'a [u64] {
         words
             .get(self.at + HEAD..self.at + HEAD + self.words)

@@ -163,7 +163,6 @@ impl Plan {
     }
 
     /// Whether an out value changed since the last call.
-    #[must_use]
     pub fn take_changed(&self) -> bool {
         self.outbox.changed.replace(false)
     }
@@ -185,74 +184,62 @@ impl Plan {
 
     /// The Boolean out value whose entry begins at word `at` of the out-box; `None` while it is
     /// null.
-    #[must_use]
     pub fn out_bool(&self, at: usize) -> Option<bool> {
         self.outbox.current_bool(at)
     }
 
     /// Values that programs may write.
-    #[must_use]
     pub fn inbox(&self) -> &Arc<Directory> {
         &self.inbox.directory
     }
 
     /// Values that programs may read.
-    #[must_use]
     pub fn outbox(&self) -> &Arc<Directory> {
         &self.outbox.directory
     }
 
     /// Resources that the net needs exclusively, such as the joints it commands.
-    #[must_use]
     pub fn resources(&self) -> &[String] {
         &self.resources
     }
 
     /// Commands that the net may give.
-    #[must_use]
     pub fn commands(&self) -> &[Target] {
         &self.commands
     }
 
     /// Devices that the net commands.
-    #[must_use]
     pub fn devices(&self) -> &[String] {
         &self.devices
     }
 
     /// Devices that the net reads or commands.
-    #[must_use]
     pub fn uses(&self) -> &[String] {
         &self.uses
     }
 
     /// Time from one cycle to the next.
-    #[must_use]
     pub const fn period(&self) -> Duration {
         self.period
     }
 
     /// Cost bound of one cycle with everything active, by the declared or measured costs of its
     /// primitives.
-    #[must_use]
     pub const fn cost(&self) -> &NetCost {
         &self.cost
     }
 
     /// Number of primitives in the net.
-    #[must_use]
     pub const fn primitives(&self) -> usize {
         self.primitives
     }
 
     /// Out ports of the root fragment.
-    #[must_use]
     pub fn root_ports(&self) -> &[RootPort] {
         &self.root_ports
     }
 
     /// The non-null out ports of the root fragment, by name and text.
-    #[must_use]
     pub fn root_values(&self) -> Vec<(String, String)> {
         let ports = self.root_ports.iter();
         ports
@@ -262,7 +249,6 @@ impl Plan {
 
     /// Upper bound on the net's memory, in bytes: slots, steps, arrays, histories, and one in-box
     /// and out-box.
-    #[must_use]
     pub fn memory(&self) -> usize {
         let words = self.inbox.words.len() + self.outbox.words.len();
         self.bytes() + self.memory + words * size_of::<u64>()
@@ -270,7 +256,6 @@ impl Plan {
 
     /// Memory that a cycle can touch, in bytes: slots, steps with their parameters and state, but
     /// not histories.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         let steps: usize = self
             .steps

@@ -38,7 +38,6 @@ mod world;
 use crate::definition::Definition;
 
 /// All definitions of this crate.
-#[must_use]
 pub fn all() -> Vec<Definition> {
     let tables = [
         control::table(),

@@ -16,7 +16,6 @@ pub struct Registry {
 
 impl Registry {
     /// A registry with the primitives of this crate.
-    #[must_use]
     pub fn core() -> Self {
         let mut registry = Self::default();
         registry.add(crate::primitives::all());
@@ -41,13 +40,11 @@ impl Registry {
     }
 
     /// The definition with that name.
-    #[must_use]
     pub fn find(&self, name: &str) -> Option<&Definition> {
         self.by_name.get(name).map(|i| &self.definitions[*i])
     }
 
     /// All definitions, in the order they were added.
-    #[must_use]
     pub fn definitions(&self) -> &[Definition] {
         &self.definitions
     }
@@ -69,7 +66,6 @@ impl Registry {
     }
 
     /// The known name most similar to `name`.
-    #[must_use]
     pub fn similar(&self, name: &str) -> Option<&str> {
         similar(name, self.definitions.iter().map(|d| d.name.as_str()))
     }

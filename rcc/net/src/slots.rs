@@ -158,13 +158,11 @@ impl<T: Value> ArrayIn<T> {
     }
 
     /// Number of elements that the source of this port carries; known at load time.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.0.len as usize
     }
 
     /// Whether the port carries no elements.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.len == 0
     }
@@ -189,13 +187,11 @@ impl<T: Value> ArrayOut<T> {
     }
 
     /// Number of elements that the port carries.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.0.len as usize
     }
 
     /// Whether the port carries no elements.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.len == 0
     }

@@ -13,10 +13,10 @@ use crate::value::{Nanos, Type};
 pub const TAPS_MAX: usize = 1024;
 
 /// Upper bound on the words of one record.
-pub const RECORD_WORDS_MAX: usize = 4096;
+pub(crate) const RECORD_WORDS_MAX: usize = 4096;
 
 /// Longest time that a tap keeps values, s; longer times in a text are truncated to it.
-pub const TAP_SECONDS_MAX: f64 = 10.0;
+pub(crate) const TAP_SECONDS_MAX: f64 = 10.0;
 
 /// A tapped port.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,7 +34,6 @@ pub struct Tap {
 
 impl Tap {
     /// The text of the port's value in a record; `None` if it was null.
-    #[must_use]
     pub fn text(&self, record: &[u64]) -> Option<String> {
         if record.get(self.at) != Some(&1) {
             return None;
@@ -47,7 +46,6 @@ impl Tap {
 }
 
 /// The logical time of a record.
-#[must_use]
 pub fn record_time(record: &[u64]) -> Nanos {
     Nanos(record.first().map_or(0, |word| word.cast_signed()))
 }
@@ -99,13 +97,11 @@ impl Taps {
 
 impl Plan {
     /// The tapped ports.
-    #[must_use]
     pub const fn taps(&self) -> &Arc<[Tap]> {
         &self.taps.taps
     }
 
     /// Number of words of one record of all taps; 0 without taps.
-    #[must_use]
     pub const fn record_words(&self) -> usize {
         self.taps.words
     }

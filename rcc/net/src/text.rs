@@ -32,7 +32,6 @@ pub struct Name<'a> {
 
 impl Name<'_> {
     /// The bytes of the text that it covers.
-    #[must_use]
     pub const fn span(&self) -> Range<usize> {
         self.start..self.start + self.text.len()
     }
@@ -118,7 +117,6 @@ pub enum SourceOf<'a> {
 
 impl Source<'_> {
     /// Bytes of the text.
-    #[must_use]
     pub fn span(&self) -> Range<usize> {
         let start = match &self.of {
             SourceOf::Child(name) => name.start,

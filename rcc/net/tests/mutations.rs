@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use takt_net::fuzz::{net_text, value_text};
 use takt_net::{Limits, LoadContext, NoDevices, Registry, load};
+use takt_tests::Random;
 
 const ROUNDS: usize = 10_000;
 
@@ -78,51 +79,40 @@ const WORDS: &[&str] = &[
     ":",
 ];
 
-struct Random(u64);
+fn pick<'a, T>(random: &mut Random, of: &'a [T]) -> &'a T {
+    &of[random.below(of.len())]
+}
 
-impl Random {
-    fn below(&mut self, bound: usize) -> usize {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        usize::try_from(self.0 % bound.max(1) as u64).unwrap()
-    }
+fn random_range(random: &mut Random, len: usize) -> std::ops::Range<usize> {
+    let start = random.below(len + 1);
+    start..(start + random.below(24)).min(len)
+}
 
-    fn pick<'a, T>(&mut self, of: &'a [T]) -> &'a T {
-        &of[self.below(of.len())]
-    }
-
-    fn range(&mut self, len: usize) -> std::ops::Range<usize> {
-        let start = self.below(len + 1);
-        start..(start + self.below(24)).min(len)
-    }
-
-    /// Changes `text` at one location.
-    fn mutate(&mut self, text: &mut Vec<u8>, others: &[Vec<u8>]) {
-        let range = self.range(text.len());
-        let new = match self.below(5) {
-            0 => Vec::new(),
-            1 => self.pick(WORDS).as_bytes().to_vec(),
-            2 => {
-                let bits = 1 << self.below(8);
-                text[range.clone()].iter().map(|b| b ^ bits).collect()
-            }
-            3 => text[range.clone()].repeat(2),
-            _ => {
-                let other = self.pick(others);
-                other[self.range(other.len())].to_vec()
-            }
-        };
-        text.splice(range, new);
-    }
-
-    fn mutated(&mut self, texts: &[Vec<u8>]) -> Vec<u8> {
-        let mut text = self.pick(texts).clone();
-        for _ in 0..=self.below(4) {
-            self.mutate(&mut text, texts);
+/// Changes `text` at one location.
+fn mutate(random: &mut Random, text: &mut Vec<u8>, others: &[Vec<u8>]) {
+    let range = random_range(random, text.len());
+    let new = match random.below(5) {
+        0 => Vec::new(),
+        1 => pick(random, WORDS).as_bytes().to_vec(),
+        2 => {
+            let bits = 1 << random.below(8);
+            text[range.clone()].iter().map(|b| b ^ bits).collect()
         }
-        text
+        3 => text[range.clone()].repeat(2),
+        _ => {
+            let other = pick(random, others);
+            other[random_range(random, other.len())].to_vec()
+        }
+    };
+    text.splice(range, new);
+}
+
+fn mutated(random: &mut Random, texts: &[Vec<u8>]) -> Vec<u8> {
+    let mut text = pick(random, texts).clone();
+    for _ in 0..=random.below(4) {
+        mutate(random, &mut text, texts);
     }
+    text
 }
 
 fn bytes(texts: &[&str]) -> Vec<Vec<u8>> {
@@ -141,18 +131,18 @@ fn no_net_text_makes_loading_panic() {
     files.sort();
     nets.extend(files.iter().map(|f| std::fs::read(f).unwrap()));
     nets.iter().for_each(|net| net_text(net));
-    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    let mut random = Random::new(0x9e37_79b9_7f4a_7c15);
     for _ in 0..ROUNDS {
-        net_text(&random.mutated(&nets));
+        net_text(&mutated(&mut random, &nets));
     }
 }
 
 #[test]
 fn no_value_text_makes_reading_panic() {
     let values = bytes(VALUES);
-    let mut random = Random(0x2545_f491_4f6c_dd1d);
+    let mut random = Random::new(0x2545_f491_4f6c_dd1d);
     for round in 0..ROUNDS {
-        let mut text = random.mutated(&values);
+        let mut text = mutated(&mut random, &values);
         text.insert(0, u8::try_from(round % 251).unwrap());
         value_text(&text);
     }

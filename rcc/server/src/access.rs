@@ -21,15 +21,15 @@ use takt_core::Loopback;
 pub const TOKEN_CHARS_MIN: usize = 16;
 
 /// Most characters of a token.
-pub const TOKEN_CHARS_MAX: usize = 256;
+pub(crate) const TOKEN_CHARS_MAX: usize = 256;
 
 /// Wrong tokens per address within [`WRONG_WINDOW`] that are answered at once; further ones are answered after
 /// [`WRONG_DELAY`]. The right token is always admitted: other programs or web pages of the same host must not lock
 /// its holder out.
-pub const WRONG_MAX: u32 = 5;
+pub(crate) const WRONG_MAX: u32 = 5;
 
 /// See [`WRONG_MAX`].
-pub const WRONG_WINDOW: Duration = Duration::from_secs(60);
+pub(crate) const WRONG_WINDOW: Duration = Duration::from_secs(60);
 
 /// Delay of each further answer to an address that sent too many wrong tokens. With tokens of at least
 /// [`TOKEN_CHARS_MIN`] characters and a bounded number of connections, guessing is hopeless.
@@ -77,9 +77,6 @@ pub enum TokenError {
 
 impl Token {
     /// Checks a text; white space around it is removed.
-    ///
-    /// # Errors
-    /// If it is not a token.
     pub fn new(text: &str) -> Result<Self, TokenError> {
         let text = text.trim();
         let known = |b: u8| b.is_ascii_alphanumeric() || b"-_.~".contains(&b);
@@ -143,7 +140,6 @@ impl Token {
     }
 
     /// The text to be sent to a server.
-    #[must_use]
     pub fn text(&self) -> &str {
         &self.0
     }
@@ -204,7 +200,6 @@ struct Wrong {
 impl Gate {
     /// A gate that requires this token, if any. `loopback` selects whether network clients of this host need it too;
     /// by default they do if there is one.
-    #[must_use]
     pub fn new(token: Option<Token>, loopback: Option<Loopback>) -> Self {
         let default = if token.is_some() {
             Loopback::Token
@@ -219,8 +214,7 @@ impl Gate {
     }
 
     /// On which grounds a client is admitted without a token; `None` if it needs one.
-    #[must_use]
-    pub fn without_token(&self, peer: Peer) -> Option<Credential> {
+    pub(crate) fn without_token(&self, peer: Peer) -> Option<Credential> {
         match peer {
             Peer::Local => Some(Credential::Account),
             Peer::Address(address) => (address.to_canonical().is_loopback()

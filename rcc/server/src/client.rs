@@ -29,7 +29,6 @@ pub struct Reply {
 
 impl Reply {
     /// The first value, if it is a text: the identifier returned by `nse` and `nene`.
-    #[must_use]
     pub fn text(&self) -> Option<&str> {
         self.values.first().and_then(Value::as_str)
     }
@@ -108,17 +107,11 @@ impl Client {
     }
 
     /// Connects to `host:port`, or to the Unix socket with an absolute path, and does the handshake.
-    ///
-    /// # Errors
-    /// If the connection is command_error, or the peer is no controller.
     pub fn connect(address: &str) -> Result<Self, Error> {
         Self::connect_with(address, None)
     }
 
     /// The same, but sends the token first.
-    ///
-    /// # Errors
-    /// If the connection is command_error, the peer is no controller, or the token is wrong.
     pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, Error> {
         let stream = open(address).map_err(|e| cannot_connect(address, e))?;
         Self::begin(stream, address.to_owned(), token)
@@ -182,9 +175,6 @@ impl Client {
     }
 
     /// The next push, or `None` after the timeout.
-    ///
-    /// # Errors
-    /// If the connection is lost.
     pub fn next_push(&mut self, timeout: Duration) -> Result<Option<Message>, Error> {
         match self.pushes.pop_front() {
             Some(push) => Ok(Some(push)),

@@ -53,9 +53,6 @@ impl Codec {
     }
 
     /// The next line or control frame.
-    ///
-    /// # Errors
-    /// If the stream cannot be decoded any further; the connection must end.
     pub(crate) fn poll(&mut self) -> Result<Option<Received>, Error> {
         Ok(match self {
             Self::Plain(reader) => reader.poll_message()?.map(Received::Line),

@@ -32,11 +32,11 @@ use rules::RuleWatch;
 use sessions::SessionWatch;
 
 /// Most subscriptions of one connection: nets, sessions, rules and devices together.
-pub const SUBSCRIPTIONS_MAX: usize = 4096;
+pub(crate) const SUBSCRIPTIONS_MAX: usize = 4096;
 
 /// Polling interval for the values of running nets. A client's refresh interval below this one has
 /// no effect.
-pub const VALUES_INTERVAL: Duration = Duration::from_millis(10);
+pub(crate) const VALUES_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Name and type of the device that represents the controller itself.
 const CONTROLLER: &str = "rcc";
@@ -49,7 +49,7 @@ const CONTROLLER: &str = "rcc";
 /// expires. All times count from the same moment, such as the start of the connection. Calls may
 /// block as long as the controller does, which can be long when it loads a net.
 #[derive(Debug)]
-pub struct Connection {
+pub(crate) struct Connection {
     controller: Controller,
     handshake_done: bool,
     nets: BTreeMap<NetId, NetWatch>,
@@ -102,8 +102,7 @@ enum Pushes {
 
 impl Connection {
     /// A new client.
-    #[must_use]
-    pub const fn new(controller: Controller) -> Self {
+    pub(crate) const fn new(controller: Controller) -> Self {
         Self {
             controller,
             handshake_done: false,
@@ -126,7 +125,7 @@ impl Connection {
 
     /// Sets the default for what happens to sessions when the client is lost.
     #[must_use]
-    pub const fn with_on_loss(mut self, on_loss: OnLoss) -> Self {
+    pub(crate) const fn with_on_loss(mut self, on_loss: OnLoss) -> Self {
         self.on_loss = on_loss;
         self
     }
@@ -134,7 +133,7 @@ impl Connection {
     /// Sets the gate that may require a token before anything else; the connection starts at `begin` on the gate's
     /// time line.
     #[must_use]
-    pub fn with_gate(mut self, gate: &Arc<Gate>, peer: Peer, begin: Duration) -> Self {
+    pub(crate) fn with_gate(mut self, gate: &Arc<Gate>, peer: Peer, begin: Duration) -> Self {
         let without = gate.without_token(peer);
         self.credential = without.unwrap_or(Credential::Token);
         // The right token gives its own credential, even where none is required.
@@ -146,14 +145,14 @@ impl Connection {
 
     /// Sets the credential of a client that is already admitted.
     #[must_use]
-    pub const fn admitted_for(mut self, credential: Credential) -> Self {
+    pub(crate) const fn admitted_for(mut self, credential: Credential) -> Self {
         self.credential = credential;
         self
     }
 
     /// Ends the connection after a first line that is neither a right token nor a right handshake.
     #[must_use]
-    pub const fn strict(mut self) -> Self {
+    pub(crate) const fn strict(mut self) -> Self {
         self.strict = true;
         self
     }
@@ -164,39 +163,28 @@ impl Connection {
         self
     }
 
-    /// Whether the client is admitted.
-    #[must_use]
-    pub const fn is_admitted(&self) -> bool {
-        !self.needs_token
-    }
-
     /// Whether the handshake has succeeded.
-    #[must_use]
-    pub const fn is_handshake_done(&self) -> bool {
+    pub(crate) const fn is_handshake_done(&self) -> bool {
         self.handshake_done
     }
 
     /// On which grounds the client was admitted.
-    #[must_use]
-    pub const fn credential(&self) -> Credential {
+    pub(crate) const fn credential(&self) -> Credential {
         self.credential
     }
 
     /// Whether the connection must end after a wrong token or a failed handshake.
-    #[must_use]
-    pub const fn is_rejected(&self) -> bool {
+    pub(crate) const fn is_rejected(&self) -> bool {
         self.rejected
     }
 
     /// Whether the reply must be delayed.
-    #[must_use]
-    pub const fn is_delayed(&self) -> bool {
+    pub(crate) const fn is_delayed(&self) -> bool {
         self.delayed
     }
 
     /// Whether the client has neither subscription nor session, so that its connection may be closed.
-    #[must_use]
-    pub fn is_idle(&self) -> bool {
+    pub(crate) fn is_idle(&self) -> bool {
         self.subscriptions() == 0 && self.opened.is_empty()
     }
 
@@ -206,7 +194,7 @@ impl Connection {
     }
 
     /// Executes a line and returns the lines to send: pushes that it caused, then its reply.
-    pub fn handle_line(&mut self, line: &str, now: Duration) -> Vec<String> {
+    pub(crate) fn handle_line(&mut self, line: &str, now: Duration) -> Vec<String> {
         let message = match Message::decode(line) {
             Ok(message) => message,
             Err(error) => {
@@ -233,12 +221,12 @@ impl Connection {
     }
 
     /// Records that nets, sessions or devices of the controller changed.
-    pub const fn handle_change(&mut self) {
+    pub(crate) const fn handle_change(&mut self) {
         self.changed = true;
     }
 
     /// The pushes of all subscriptions that are due now.
-    pub fn poll_pushes(&mut self, now: Duration) -> Vec<String> {
+    pub(crate) fn poll_pushes(&mut self, now: Duration) -> Vec<String> {
         let changes = if std::mem::take(&mut self.changed) {
             self.due(Pushes::All, now)
         } else {
@@ -253,8 +241,7 @@ impl Connection {
     }
 
     /// When [`poll_pushes`](Self::poll_pushes) must be called next, unless something happens earlier.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Option<Duration> {
+    pub(crate) fn poll_timeout(&self) -> Option<Duration> {
         if self.changed {
             return Some(Duration::ZERO);
         }
@@ -262,8 +249,7 @@ impl Connection {
     }
 
     /// The sessions that this connection has open.
-    #[must_use]
-    pub fn opened_sessions(&self) -> &[SessionId] {
+    pub(crate) fn opened_sessions(&self) -> &[SessionId] {
         &self.opened
     }
 

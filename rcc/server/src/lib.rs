@@ -4,7 +4,7 @@
 pub mod access;
 pub mod client;
 mod codec;
-pub mod dio;
+mod dio;
 pub mod error;
 mod http;
 pub mod log;

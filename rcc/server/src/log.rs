@@ -7,10 +7,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Lines that are kept; beyond that the oldest is dropped.
-pub const LOG_LINES_MAX: usize = 4096;
+pub(crate) const LOG_LINES_MAX: usize = 4096;
 
 /// Most bytes of one line; longer lines are truncated.
-pub const LOG_LINE_BYTES_MAX: usize = 1024;
+pub(crate) const LOG_LINE_BYTES_MAX: usize = 1024;
 
 /// The last lines of the log. Clones share it. As an [`io::Write`] it expects whole lines, as
 /// loggers write them.
@@ -42,7 +42,6 @@ impl LogBook {
 
     /// The lines from number `start` on that contain `filter`, with their numbers, and the number of the
     /// next line to be written.
-    #[must_use]
     pub fn lines(&self, start: u64, filter: &str) -> (Vec<(u64, String)>, u64) {
         let log = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let numbered = (log.first..).zip(&log.lines);

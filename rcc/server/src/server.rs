@@ -1,5 +1,5 @@
 //! Listeners, and one task per connection that moves bytes between a socket and a
-//! [`Connection`](crate::dio::Connection). The meaning of the lines is not known here.
+//! `dio::Connection`. The meaning of the lines is not known here.
 
 mod link;
 pub mod local;
@@ -33,7 +33,7 @@ pub use slots::{
 };
 
 /// Nets evaluated at the same time; further requests wait.
-pub const EVALUATIONS_MAX: usize = 2;
+pub(crate) const EVALUATIONS_MAX: usize = 2;
 
 /// Interval in which orphaned sessions are ended and suppressed log lines are reported.
 const HOUSEKEEPING_INTERVAL: Duration = Duration::from_secs(10);
@@ -170,19 +170,16 @@ impl Server {
     }
 
     /// Path of the Unix socket.
-    #[must_use]
     pub fn local_path(&self) -> Option<&Path> {
         self.local.as_ref().map(Local::path)
     }
 
     /// Address for HTTP and WebSocket.
-    #[must_use]
     pub fn http_address(&self) -> Option<SocketAddr> {
         self.http.as_ref().and_then(|l| l.local_addr().ok())
     }
 
     /// Address for plain TCP.
-    #[must_use]
     pub fn tcp_address(&self) -> Option<SocketAddr> {
         self.tcp.as_ref().and_then(|l| l.local_addr().ok())
     }

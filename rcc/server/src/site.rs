@@ -40,7 +40,6 @@ pub struct StopPort {
 
 impl StopPort {
     /// A stop channel at this port of this host, with this key.
-    #[must_use]
     pub fn new(port: u16, key: &str) -> Self {
         let key = key.to_owned();
         Self { port, key }

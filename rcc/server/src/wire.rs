@@ -16,13 +16,13 @@ pub use decode::DecodeError;
 /// Most bytes of one message, in either direction.
 pub const MESSAGE_BYTES_MAX: usize = 8 << 20;
 /// Longest tag or command, bytes.
-pub const IDENTIFIER_BYTES_MAX: usize = 256;
+pub(crate) const IDENTIFIER_BYTES_MAX: usize = 256;
 
 /// Deepest nesting of lists and maps.
 pub const DEPTH_MAX: usize = 32;
 
 /// Most values in one message, keys of maps not counted.
-pub const VALUES_MAX: usize = 65_536;
+pub(crate) const VALUES_MAX: usize = 65_536;
 
 /// One command, reply or push: `tag=command(value,value)`.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,7 +86,6 @@ impl Value {
     }
 
     /// The text, if it is one.
-    #[must_use]
     pub fn as_str(&self) -> Option<&str> {
         if let Self::String(text) = self {
             Some(text)
@@ -96,8 +95,7 @@ impl Value {
     }
 
     /// The items, if it is a list.
-    #[must_use]
-    pub fn as_list(&self) -> Option<&[Self]> {
+    pub(crate) fn as_list(&self) -> Option<&[Self]> {
         if let Self::List(items) = self {
             Some(items)
         } else {
@@ -106,7 +104,6 @@ impl Value {
     }
 
     /// The map, if it is one.
-    #[must_use]
     pub const fn as_map(&self) -> Option<&BTreeMap<String, Self>> {
         if let Self::Map(map) = self {
             Some(map)

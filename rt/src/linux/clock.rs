@@ -19,7 +19,6 @@ const NANOS_PER_SECOND: i64 = 1_000_000_000;
 ///
 /// # Panics
 /// Never on Linux, where this clock always exists.
-#[must_use]
 #[inline]
 pub fn monotonic() -> Nanos {
     let mut now = libc::timespec {

@@ -99,9 +99,6 @@ impl Ethtool {
     }
 
     /// Interrupt coalescing.
-    ///
-    /// # Errors
-    /// The driver's error.
     pub fn coalescing(&self) -> io::Result<Coalescing> {
         let words = self.ask(command::COALESCING)?;
         Ok(Coalescing {
@@ -114,25 +111,16 @@ impl Ethtool {
     }
 
     /// Generic receive offload: whether the kernel merges frames before a program sees them.
-    ///
-    /// # Errors
-    /// The driver's error.
     pub fn generic_receive_offload(&self) -> io::Result<bool> {
         Ok(self.ask(command::GRO)?[1] != 0)
     }
 
     /// Large receive offload: whether the adapter merges frames.
-    ///
-    /// # Errors
-    /// The driver's error.
     pub fn large_receive_offload(&self) -> io::Result<bool> {
         Ok(self.ask(command::FLAGS)?[1] & FLAG_LRO != 0)
     }
 
     /// Energy-efficient Ethernet.
-    ///
-    /// # Errors
-    /// The driver's error.
     pub fn energy_efficient(&self) -> io::Result<EnergyEfficient> {
         let words = self.ask(command::EEE)?;
         Ok(EnergyEfficient {
@@ -142,9 +130,6 @@ impl Ethtool {
     }
 
     /// Flow control.
-    ///
-    /// # Errors
-    /// The driver's error.
     pub fn pause(&self) -> io::Result<Pause> {
         let words = self.ask(command::PAUSE)?;
         Ok(Pause {
@@ -154,9 +139,6 @@ impl Ethtool {
     }
 
     /// Available time stamps.
-    ///
-    /// # Errors
-    /// The kernel's error.
     pub fn time_stamping(&self) -> io::Result<TimeStamping> {
         Ok(time_stamping(&self.ask(command::TIME_STAMPING)?))
     }

@@ -20,7 +20,6 @@ impl PageFaults {
     const NONE: Self = Self { minor: 0, major: 0 };
 
     /// Sum of both kinds.
-    #[must_use]
     pub const fn all(self) -> u64 {
         self.minor + self.major
     }

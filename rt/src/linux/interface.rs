@@ -49,7 +49,6 @@ pub enum LinkFault {
 
 impl LinkFault {
     /// What an error number of a socket means; of one that says that there is nothing yet, nothing.
-    #[must_use]
     pub const fn of_errno(errno: i32) -> Self {
         match errno {
             libc::ENETDOWN => Self::Down,
@@ -60,7 +59,6 @@ impl LinkFault {
     }
 
     /// The cause, and the remedy on a line of its own.
-    #[must_use]
     pub const fn on(self, interface: &str, medium: Medium) -> LinkFaultText<'_> {
         LinkFaultText {
             fault: self,
@@ -168,7 +166,6 @@ impl Interface {
     }
 
     /// What keeps it from carrying frames.
-    #[must_use]
     pub fn fault(&self) -> Option<LinkFault> {
         match self.flags() {
             Err(Errno::ENODEV | Errno::ENXIO) => Some(LinkFault::Missing),
@@ -223,9 +220,6 @@ pub(super) fn question_socket() -> io::Result<OwnedFd> {
 }
 
 /// The interface that has an address; `None` if none has, as of one that means all.
-///
-/// # Errors
-/// Of the operating system.
 pub fn interface_of(address: IpAddr) -> io::Result<Option<String>> {
     let mut all = nix::ifaddrs::getifaddrs()?;
     let found = all.find(|one| one.address.as_ref().and_then(ip) == Some(address));
@@ -233,7 +227,6 @@ pub fn interface_of(address: IpAddr) -> io::Result<Option<String>> {
 }
 
 /// The address of this host from which datagrams to a peer leave, if there is a way to it.
-#[must_use]
 pub fn local_address_to(peer: IpAddr) -> Option<IpAddr> {
     let any: IpAddr = match peer {
         IpAddr::V4(_) => std::net::Ipv4Addr::UNSPECIFIED.into(),

@@ -20,7 +20,6 @@ pub struct Usage {
 
 impl Usage {
     /// Difference since `earlier`.
-    #[must_use]
     pub fn since(&self, earlier: &Self) -> Self {
         let difference = |count: fn(&Self) -> u64| count(self).saturating_sub(count(earlier));
         Self {
@@ -34,7 +33,6 @@ impl Usage {
 
 /// The counters of the calling thread. A system call; all zero if the kernel rejects it, which only a
 /// system call filter does.
-#[must_use]
 pub fn thread_usage() -> Usage {
     let Ok(usage) = getrusage(UsageWho::RUSAGE_THREAD) else {
         return Usage::default();

@@ -33,7 +33,6 @@ pub(super) struct Fit {
 impl Fit {
     /// Mean deviation of a slope due to noise.
     pub(super) fn slope_deviation(&self) -> f64 {
-        #[expect(clippy::cast_precision_loss, reason = "16")]
         let samples = WINDOW as f64;
         self.deviation * (12.0 / samples).sqrt() / self.span
     }
@@ -96,7 +95,6 @@ mod tests {
         fit.unwrap()
     }
 
-    #[expect(clippy::cast_precision_loss, reason = "small numbers")]
     fn ramp(i: usize) -> f64 {
         50.0 + 100.0 * i as f64
     }

@@ -56,7 +56,6 @@ pub struct StallWriter(Arc<Shared>);
 pub struct StallReader(Arc<Shared>);
 
 /// Both ends for the stalls of one thread.
-#[must_use]
 pub fn stalls() -> (StallWriter, StallReader) {
     let shared = Arc::<Shared>::default();
     (StallWriter(Arc::clone(&shared)), StallReader(shared))
@@ -87,19 +86,16 @@ impl StallWriter {
 
 impl StallReader {
     /// How many there were.
-    #[must_use]
     pub fn count(&self) -> u64 {
         self.0.turns.load(Ordering::Relaxed).div_ceil(2)
     }
 
     /// The longest of all.
-    #[must_use]
     pub fn longest(&self) -> Duration {
         Duration::from_micros(self.0.longest_us.load(Ordering::Relaxed))
     }
 
     /// The longest of those kept that ended at these instants or between them.
-    #[must_use]
     pub fn longest_between(&self, from: Nanos, to: Nanos) -> Option<Stall> {
         let kept = (0..STALLS_KEPT).filter_map(|number| self.read(number));
         kept.filter(|stall| (from..=to).contains(&stall.end))

@@ -7,14 +7,14 @@ use std::time::Duration;
 
 use ethercrab::error::Error;
 use ethercrab::std::ethercat_now;
-use ethercrab::subdevice_group::DcConfiguration;
-use ethercrab::{DcSync, MainDevice, MainDeviceConfig};
+use ethercrab::subdevice_group::{DcConfiguration, HasDc, Op};
+use ethercrab::{DcSync, DefaultLock, MainDevice, MainDeviceConfig, SubDeviceGroup};
 
-const SLAVES: usize = 8;
-const IMAGE: usize = 128;
+pub(super) const SLAVES: usize = 8;
+pub(super) const IMAGE: usize = 128;
 const CYCLE: Duration = Duration::from_millis(4);
 
-/// Outputs of one drive: a controlword and a position.
+/// Writes the command of one drive: controlword and position.
 pub(crate) fn command(outputs: &mut [u8], word: u16, target: i32) {
     outputs.fill(0);
     outputs[..2].copy_from_slice(&word.to_le_bytes());
@@ -36,7 +36,7 @@ pub(crate) const fn follow(word: u16) -> u16 {
     }
 }
 
-/// Outputs of one drive in a cycle, from its inputs.
+/// One drive: its feedback, and where it started.
 #[derive(Clone, Copy)]
 struct Axis {
     start: i32,
@@ -45,7 +45,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// Follows the statusword; `steps` is the target distance from the start.
+    /// Enables the drive by its statusword; `steps` is its target, relative to the start.
     fn cycle(&mut self, inputs: &[u8], outputs: &mut [u8], steps: Option<i32>) {
         (self.word, self.position) = feedback(inputs);
         match steps {
@@ -58,36 +58,24 @@ impl Axis {
     }
 }
 
-pub(crate) fn drive(interface: &str) {
+/// A main device that aligns clocks statically before it starts.
+pub(super) fn start(interface: &str) -> &'static MainDevice<'static> {
     let config = MainDeviceConfig {
         dc_static_sync_iterations: 500,
         ..MainDeviceConfig::default()
     };
-    let main = client::start(interface, config).unwrap();
-    client::block_on(run(main)).unwrap();
+    client::start(interface, config).unwrap()
 }
 
-#[expect(clippy::too_many_lines, reason = "one bring-up, step by step")]
-async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
-    let mut group = main
-        .init_single_group::<SLAVES, IMAGE>(ethercat_now)
-        .await?;
-    let names: Vec<_> = group.iter(main).map(|s| s.name().to_owned()).collect();
-    assert_eq!(names, ["TK1100", "TK0808", "TK0101", "TK4021", "TK4021"]);
-    for mut slave in group.iter_mut(main) {
-        if slave.name() != "TK4021" {
-            continue;
-        }
-        assert_eq!(slave.sdo_read::<u32>(0x1000, 0).await?, 0x0002_0192);
-        slave.sdo_write(0x6083, 0, 54_321_u32).await?;
-        assert_eq!(slave.sdo_read::<u32>(0x6083, 0).await?, 54_321);
-        let refused = slave.sdo_read::<u32>(0x3000, 0).await;
-        assert!(matches!(refused, Err(Error::Mailbox(_))), "{refused:?}");
-        slave.sdo_write(0x10F1, 2, 1000_u16).await?;
-        slave.sdo_write_array(0x1C12, &[0x1600_u16]).await?;
-        slave.sdo_write_array(0x1C13, &[0x1A00_u16]).await?;
-        slave.set_dc_sync(DcSync::Sync0);
-    }
+pub(crate) fn drive(interface: &str) {
+    client::block_on(run(start(interface))).unwrap();
+}
+
+/// Brings a configured group to OP with SYNC0 in half of the cycle.
+pub(super) async fn into_op(
+    main: &MainDevice<'_>,
+    group: SubDeviceGroup<SLAVES, IMAGE>,
+) -> Result<SubDeviceGroup<SLAVES, IMAGE, DefaultLock, Op, HasDc>, Error> {
     let group = group.into_pre_op_pdi(main).await?;
     for _ in 0..300 {
         group.tx_rx_sync_system_time(main).await?;
@@ -109,6 +97,30 @@ async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
         assert!(n < 1000, "{:?}", response.group_state());
         std::thread::sleep(response.extra.next_cycle_wait);
     }
+    Ok(group)
+}
+
+async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
+    let mut group = main
+        .init_single_group::<SLAVES, IMAGE>(ethercat_now)
+        .await?;
+    let names: Vec<_> = group.iter(main).map(|s| s.name().to_owned()).collect();
+    assert_eq!(names, ["TK1100", "TK0808", "TK0101", "TK4021", "TK4021"]);
+    for mut slave in group.iter_mut(main) {
+        if slave.name() != "TK4021" {
+            continue;
+        }
+        assert_eq!(slave.sdo_read::<u32>(0x1000, 0).await?, 0x0002_0192);
+        slave.sdo_write(0x6083, 0, 54_321_u32).await?;
+        assert_eq!(slave.sdo_read::<u32>(0x6083, 0).await?, 54_321);
+        let refused = slave.sdo_read::<u32>(0x3000, 0).await;
+        assert!(matches!(refused, Err(Error::Mailbox(_))), "{refused:?}");
+        slave.sdo_write(0x10F1, 2, 1000_u16).await?;
+        slave.sdo_write_array(0x1C12, &[0x1600_u16]).await?;
+        slave.sdo_write_array(0x1C13, &[0x1A00_u16]).await?;
+        slave.set_dc_sync(DcSync::Sync0);
+    }
+    let group = into_op(main, group).await?;
     let mut axes = [Axis {
         start: 0,
         word: 0,
@@ -137,8 +149,8 @@ async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
     }
     assert_eq!((step, missed), (270, 0));
     for axis in axes {
-        let way = axis.position - axis.start;
-        assert!((4900..=5010).contains(&way), "{way} increments");
+        let distance = axis.position - axis.start;
+        assert!((4900..=5010).contains(&distance), "{distance} increments");
     }
     let digital = group.subdevice(main, 1)?;
     assert_eq!(digital.inputs_raw()[0], 0xA5);

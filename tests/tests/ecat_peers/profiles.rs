@@ -5,8 +5,7 @@ use std::time::{Duration, Instant};
 
 use ethercrab::error::Error;
 use ethercrab::std::ethercat_now;
-use ethercrab::subdevice_group::DcConfiguration;
-use ethercrab::{DcSync, MainDevice, MainDeviceConfig};
+use ethercrab::{DcSync, MainDevice};
 use takt_cia402::dictionary::{Address, Mapped};
 use takt_ethercat::config::{Location, MasterConfig, PdoSpec, SlaveSpec, SyncSpec};
 use takt_ethercat::emulator::Profile;
@@ -14,23 +13,20 @@ use takt_ethercat::link::Port;
 use takt_ethercat::linux::{PacketLink, monotonic};
 use takt_ethercat::master::{Event, Master};
 
-use crate::crab::client;
+use crate::crab::{IMAGE, SLAVES, client, into_op, start};
 
 const CYCLE: Duration = Duration::from_millis(4);
 /// Working counter of the usual line, by LRW: EL1004 1, EL2004 and EL2889 2, EL3004 1, AKD 3.
 const COUNTER: u16 = 9;
 
 pub(crate) fn crab(interface: &str) {
-    let config = MainDeviceConfig {
-        dc_static_sync_iterations: 500,
-        ..MainDeviceConfig::default()
-    };
-    let main = client::start(interface, config).unwrap();
-    client::block_on(run(main)).unwrap();
+    client::block_on(run(start(interface))).unwrap();
 }
 
 async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
-    let mut group = main.init_single_group::<8, 128>(ethercat_now).await?;
+    let mut group = main
+        .init_single_group::<SLAVES, IMAGE>(ethercat_now)
+        .await?;
     let names: Vec<_> = group.iter(main).map(|s| s.name().to_owned()).collect();
     assert_eq!(
         names,
@@ -42,27 +38,7 @@ async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
         slave.sdo_write_array(0x1C13, &[0x1A00_u16, 0x1A01]).await?;
         slave.set_dc_sync(DcSync::Sync0);
     }
-    let group = group.into_pre_op_pdi(main).await?;
-    for _ in 0..300 {
-        group.tx_rx_sync_system_time(main).await?;
-        std::thread::sleep(Duration::from_millis(1));
-    }
-    let configuration = DcConfiguration {
-        start_delay: Duration::from_millis(100),
-        sync0_period: CYCLE,
-        sync0_shift: CYCLE / 2,
-    };
-    let group = group.configure_dc_sync(main, configuration).await?;
-    let group = group.into_safe_op(main).await?;
-    let group = group.request_into_op(main).await?;
-    for n in 0.. {
-        let response = group.tx_rx_dc(main).await?;
-        if response.all_op() {
-            break;
-        }
-        assert!(n < 1000, "{:?}", response.group_state());
-        std::thread::sleep(response.extra.next_cycle_wait);
-    }
+    let group = into_op(main, group).await?;
     let mut right = 0;
     for _ in 0..200 {
         let response = group.tx_rx_dc(main).await?;

@@ -52,8 +52,8 @@ impl Emulated {
 }
 
 impl Link for Emulated {
-    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
-        let mut frame = frame.to_vec();
+    fn send(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut frame = bytes.to_vec();
         self.seen.push((self.now, frame.clone()));
         let now = self.nanos();
         if let Some((_, faults)) = self.later.take_if(|(at, _)| *at <= self.now) {
@@ -64,7 +64,7 @@ impl Link for Emulated {
             self.seen.push((due, frame.clone()));
             self.returned.push_back((due, frame));
         }
-        Ok(())
+        Ok(bytes.len())
     }
 
     fn receive(

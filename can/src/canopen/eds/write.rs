@@ -8,7 +8,6 @@ use super::{Eds, NodeId, value};
 
 impl Eds {
     /// The data sheet of a device with these objects, and the entries required by CiA 306.
-    #[must_use]
     pub fn of_device(objects: Vec<Object>, relative: Vec<Address>, file_name: &str) -> Self {
         let count = |from: u16| {
             let within = |object: &&Object| (from..from + 0x200).contains(&object.index);
@@ -88,7 +87,6 @@ impl Eds {
 
     /// The text of the file: an EDS, or a DCF if it has a node number. [`Eds::parse`] reads it back
     /// unchanged.
-    #[must_use]
     pub fn print(&self) -> String {
         let mut out = String::new();
         for (name, keys) in &self.sections {

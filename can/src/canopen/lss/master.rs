@@ -115,7 +115,6 @@ pub struct Master {
 impl Master {
     /// A master with this response timeout; a scan takes 133 times the timeout, because all slaves may answer each
     /// request.
-    #[must_use]
     pub const fn new(timeout: Duration) -> Self {
         Self {
             timeout,
@@ -129,7 +128,6 @@ impl Master {
     }
 
     /// Whether no job is running.
-    #[must_use]
     pub fn is_idle(&self) -> bool {
         self.state == State::Idle
     }
@@ -193,7 +191,6 @@ impl Master {
     }
 
     /// When [`Self::poll_transmit`] has something to do.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         match self.state {
             State::Idle => None,

@@ -43,7 +43,6 @@ pub struct Slave {
 
 impl Slave {
     /// A slave with this LSS address, and its node number if it has one.
-    #[must_use]
     pub const fn new(identity: Identity, node: Option<NodeId>) -> Self {
         Self {
             identity,
@@ -57,13 +56,11 @@ impl Slave {
     }
 
     /// Its mode.
-    #[must_use]
     pub const fn mode(&self) -> Mode {
         self.mode
     }
 
     /// The node number after the next reset communication.
-    #[must_use]
     pub const fn pending(&self) -> Option<NodeId> {
         self.pending
     }

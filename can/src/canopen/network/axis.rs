@@ -255,7 +255,6 @@ impl Axis {
     }
 
     /// Its plan.
-    #[must_use]
     pub const fn plan(&self) -> &AxisPlan {
         &self.plan
     }
@@ -276,7 +275,6 @@ impl Axis {
     }
 
     /// Its goal.
-    #[must_use]
     pub const fn goal(&self) -> Goal {
         self.goal
     }
@@ -287,7 +285,6 @@ impl Axis {
     }
 
     /// Its last received state.
-    #[must_use]
     pub const fn state(&self) -> &AxisState {
         &self.state
     }
@@ -304,7 +301,6 @@ impl Axis {
     }
 
     /// Whether a set-point handshake is running.
-    #[must_use]
     pub fn is_handing_over(&self) -> bool {
         !self.hand_shake.is_idle()
     }
@@ -326,8 +322,7 @@ impl Axis {
     }
 
     /// Whether a homing run is active.
-    #[must_use]
-    pub const fn is_homing(&self) -> bool {
+    pub(crate) const fn is_homing(&self) -> bool {
         self.homing.is_some()
     }
 
@@ -337,13 +332,11 @@ impl Axis {
     }
 
     /// Why it does not follow its commands.
-    #[must_use]
     pub const fn fault(&self) -> Option<AxisFault> {
         self.fault
     }
 
     /// The proof of its process data.
-    #[must_use]
     pub const fn proof(&self) -> &Proof {
         &self.proof
     }

@@ -22,7 +22,6 @@ use crate::{Frame, Id};
 
 /// Pending events of a node, one flag of each kind.
 #[derive(Clone, Copy, Debug, Default)]
-#[expect(clippy::struct_excessive_bools, reason = "each is a flag of its own")]
 pub(super) struct PendingEvents {
     pub(super) phase: bool,
     pub(super) fault: bool,

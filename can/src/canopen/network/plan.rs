@@ -25,7 +25,6 @@ pub struct Download {
 
 impl Download {
     /// A value that is read back.
-    #[must_use]
     pub fn new(index: u16, sub: u8, data: &[u8]) -> Self {
         Self {
             address: Address::new(index, sub),
@@ -37,7 +36,7 @@ impl Download {
 
     /// Marks the object as optional.
     #[must_use]
-    pub fn where_present(self) -> Self {
+    pub(crate) fn where_present(self) -> Self {
         Self {
             may_lack: true,
             ..self
@@ -53,7 +52,6 @@ impl Download {
 
     /// Whether these bytes, read back, equal the value. For COB-IDs of PDOs and EMCY only the identifier and bit 31 are
     /// compared, for others every byte.
-    #[must_use]
     pub fn is_taken(&self, bytes: &[u8]) -> bool {
         let cob = |bytes: &[u8]| {
             let four = <[u8; 4]>::try_from(bytes).ok()?;
@@ -111,7 +109,6 @@ pub struct AxisPlan {
 
 impl AxisPlan {
     /// Whether 60C2h can represent this period: at most 255 units of 1 us, 10 us, 100 us or 1 ms.
-    #[must_use]
     pub fn supports_period(period: Duration) -> bool {
         time_index(period).is_some()
     }
@@ -214,7 +211,6 @@ pub struct NodePlan {
 
 impl NodePlan {
     /// A node without PDOs that sends a heartbeat every 100 ms.
-    #[must_use]
     pub const fn new(id: NodeId) -> Self {
         Self {
             id,
@@ -237,7 +233,6 @@ impl NodePlan {
     /// | RPDO 2 | 60FFh, 6071h |
     /// | TPDO 1 | 6041h, 6061h, 6064h |
     /// | TPDO 2 | 606Ch, 6077h |
-    #[must_use]
     pub fn drive(id: NodeId, axis: AxisPlan) -> Self {
         let entry = |(index, bits): &(u16, u8)| Mapped {
             address: Address::new(index + Address::AXIS * u16::from(axis.axis), 0),
@@ -270,7 +265,6 @@ impl NodePlan {
     /// The first four axes use the identifiers of the node's PDOs 1 to 4, further axes those of the next node number,
     /// which no other node of the network may then use. `None` without axes, with more than [`Self::AXES_MAX`], or if
     /// there is no next number.
-    #[must_use]
     pub fn drives(id: NodeId, axes: &[AxisPlan]) -> Option<Self> {
         if axes.is_empty() || axes.len() > Self::AXES_MAX {
             return None;
@@ -297,7 +291,6 @@ impl NodePlan {
     pub const AXES_MAX: usize = 8;
 
     /// All values written before it runs: monitoring, PDO configuration, axes, its own values.
-    #[must_use]
     pub fn all_downloads(&self, master: Option<(NodeId, Duration)>) -> Vec<Download> {
         let mut all = Vec::new();
         match self.supervision {

@@ -20,7 +20,7 @@ use crate::canopen::{NmtCommand, NmtState};
 ///                        6 any failure   +--- 7 boot-up in any state -------------------- Running
 /// ```
 ///
-/// 1 and 8 [`Startup::begin`], 2 and 7 [`Startup::handle_boot_up`], 3 and 4 [`Startup::handle_answer`],
+/// 1 and 8 [`Startup::begin`], 2 and 7 `Startup::handle_boot_up`, 3 and 4 [`Startup::handle_answer`],
 /// 5 [`Startup::handle_state`], 6 all of them and [`Startup::poll`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
@@ -87,7 +87,6 @@ pub struct Startup {
 
 impl Startup {
     /// Start procedure of a node with this plan and these configuration values.
-    #[must_use]
     pub fn new(plan: &NodePlan, downloads: Vec<Download>, timing: (Duration, Duration)) -> Self {
         let [a, b, c, d] = plan.identity;
         Self {
@@ -103,19 +102,16 @@ impl Startup {
     }
 
     /// Its current phase.
-    #[must_use]
     pub const fn phase(&self) -> Phase {
         self.phase
     }
 
     /// The fault that keeps it from running, or the last one.
-    #[must_use]
     pub const fn fault(&self) -> Option<NodeFault> {
         self.fault
     }
 
     /// The configuration value with that index.
-    #[must_use]
     pub fn download(&self, at: usize) -> Option<&Download> {
         self.downloads.get(at)
     }
@@ -146,7 +142,7 @@ impl Startup {
     }
 
     /// Handles its boot-up message.
-    pub fn handle_boot_up(&mut self, now: Duration) -> Action {
+    pub(crate) fn handle_boot_up(&mut self, now: Duration) -> Action {
         match self.phase {
             Phase::Off => return Action::None,
             Phase::Running | Phase::Starting | Phase::Configuring { .. } => {
@@ -239,7 +235,6 @@ impl Startup {
     }
 
     /// The pending SDO request, for a repetition: all reads and writes of the procedure may be repeated.
-    #[must_use]
     pub fn pending(&self) -> Action {
         match self.phase {
             Phase::Checking(at) => Action::Read(Self::checked(at)),
@@ -322,7 +317,6 @@ impl Startup {
     }
 
     /// Time of the next poll.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         match self.phase {
             Phase::Resetting => Some(self.since + self.boot_up_max),

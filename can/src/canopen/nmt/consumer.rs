@@ -47,7 +47,6 @@ pub struct Consumer {
 
 impl Consumer {
     /// A consumer with this heartbeat timeout; zero: no timeout.
-    #[must_use]
     pub const fn new(time: Duration) -> Self {
         Self {
             time,
@@ -57,7 +56,6 @@ impl Consumer {
     }
 
     /// Monitoring state of the node.
-    #[must_use]
     pub const fn watch(&self) -> Watch {
         self.watch
     }
@@ -84,7 +82,6 @@ impl Consumer {
     }
 
     /// When the timeout expires.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         match self.watch {
             Watch::Alive(_) if !self.time.is_zero() => Some(self.last_received + self.time),

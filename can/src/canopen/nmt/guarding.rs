@@ -34,7 +34,6 @@ pub struct Guarding {
 impl Guarding {
     /// Sends a request every `period` (100Ch) from `now` on; the node is lost after `factor` (100Dh) unanswered
     /// requests.
-    #[must_use]
     pub fn new(node: NodeId, period: Duration, factor: u8, now: Duration) -> Self {
         Self {
             cob: node.cob(HEARTBEAT),
@@ -76,7 +75,6 @@ impl Guarding {
     }
 
     /// When the next request is due.
-    #[must_use]
     pub const fn poll_timeout(&self) -> Duration {
         self.due
     }

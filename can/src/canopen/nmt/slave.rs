@@ -43,8 +43,7 @@ impl State {
     ];
 
     /// The state as in heartbeats.
-    #[must_use]
-    pub const fn nmt_state(self) -> NmtState {
+    pub(crate) const fn nmt_state(self) -> NmtState {
         match self {
             Self::Initialising => NmtState::BootUp,
             Self::PreOperational => NmtState::PreOperational,
@@ -54,8 +53,7 @@ impl State {
     }
 
     /// Whether SDO, SYNC, TIME and EMCY are active.
-    #[must_use]
-    pub const fn communicates(self) -> bool {
+    pub(crate) const fn communicates(self) -> bool {
         matches!(self, Self::PreOperational | Self::Operational)
     }
 }
@@ -73,7 +71,6 @@ pub enum ErrorBehaviour {
 
 impl ErrorBehaviour {
     /// Decodes the value; unknown values are the default of the standard.
-    #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw {
             1 => Self::Stay,
@@ -104,7 +101,6 @@ pub enum Reset {
 }
 
 /// Next state after an input, and what to reset.
-#[must_use]
 pub const fn step(state: State, input: Input) -> (State, Option<Reset>) {
     match (state, input) {
         (State::Initialising, Input::Initialised) => (State::PreOperational, None),
@@ -144,7 +140,6 @@ pub struct Slave {
 
 impl Slave {
     /// A slave that is initialising.
-    #[must_use]
     pub const fn new(id: NodeId) -> Self {
         Self {
             id,
@@ -159,13 +154,11 @@ impl Slave {
     }
 
     /// Its node number.
-    #[must_use]
     pub const fn id(&self) -> NodeId {
         self.id
     }
 
     /// Its state.
-    #[must_use]
     pub const fn state(&self) -> State {
         self.state
     }
@@ -183,19 +176,19 @@ impl Slave {
     }
 
     /// Sets the producer heartbeat time, 1017h; zero: off. The first heartbeat is sent at once.
-    pub fn set_heartbeat(&mut self, period: Duration, now: Duration) {
+    pub(crate) fn set_heartbeat(&mut self, period: Duration, now: Duration) {
         self.heartbeat = period;
         self.beat_due = (!period.is_zero()).then_some(now);
     }
 
     /// Sets the life time, 100Ch times 100Dh; zero: off.
-    pub const fn set_life_time(&mut self, life_time: Duration) {
+    pub(crate) const fn set_life_time(&mut self, life_time: Duration) {
         self.life_time = life_time;
     }
 
     /// Answers a guarding request. A slave with heartbeat does not, because both use the same
     /// identifier.
-    pub fn handle_guard(&mut self, now: Duration) -> Option<Frame> {
+    pub(crate) fn handle_guard(&mut self, now: Duration) -> Option<Frame> {
         if !self.heartbeat.is_zero() || self.state == State::Initialising {
             return None;
         }
@@ -207,7 +200,7 @@ impl Slave {
     }
 
     /// Whether life guarding has just timed out; returned once.
-    pub fn poll_life(&mut self, now: Duration) -> bool {
+    pub(crate) fn poll_life(&mut self, now: Duration) -> bool {
         let lost = self.life_due().is_some_and(|due| now >= due);
         if lost {
             self.guarded = None;
@@ -246,7 +239,6 @@ impl Slave {
     }
 
     /// Time of the next poll.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.boot_up_due {
             return Some(Duration::ZERO);

@@ -63,7 +63,6 @@ fn groups(all: &'static str, what: &str) -> Vec<Entry> {
 
 impl Communication {
     /// The objects. COB-IDs exclude the node number; see [`Self::relative`].
-    #[must_use]
     #[expect(clippy::too_many_lines, reason = "a table of objects")]
     pub fn objects(&self) -> Vec<Object> {
         let (ro, rw, constant) = (Access::ReadOnly, Access::ReadWrite, Access::Const);
@@ -175,7 +174,6 @@ impl Communication {
     }
 
     /// The entries whose default is relative to the node number.
-    #[must_use]
     pub fn relative(&self) -> Vec<Address> {
         let fixed = [(0x1014, 0), (0x1200, 1), (0x1200, 2)];
         let fixed = fixed.map(|(index, sub)| Address::new(index, sub));

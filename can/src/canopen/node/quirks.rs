@@ -43,7 +43,6 @@ pub struct NodeQuirks {
 
 impl NodeQuirks {
     /// Quirks by name; see [`Self::NAMES`].
-    #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         let (ms, us) = (Duration::from_millis, Duration::from_micros);
         let emergency = |code| Emergency {

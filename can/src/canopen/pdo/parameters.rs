@@ -26,7 +26,6 @@ pub enum Direction {
 
 impl Direction {
     /// Index of the communication parameters of its first PDO.
-    #[must_use]
     pub const fn communication(self) -> u16 {
         match self {
             Self::Receive => 0x1400,
@@ -35,14 +34,12 @@ impl Direction {
     }
 
     /// Index of the mapping parameters of its first PDO.
-    #[must_use]
     pub const fn mapping(self) -> u16 {
         self.communication() + 0x200
     }
 
     /// Direction and number (from 0) of the PDO that an index describes, and whether it is the
     /// mapping parameter.
-    #[must_use]
     pub const fn of(index: u16) -> Option<(Self, u16, bool)> {
         let direction = match index {
             0x1400..=0x17FF => Self::Receive,
@@ -73,7 +70,6 @@ pub struct Parameters {
 
 impl Parameters {
     /// A PDO with that identifier and type, without times.
-    #[must_use]
     pub const fn new(cob: PdoCob, transmission: Transmission, mapping: Vec<Mapped>) -> Self {
         Self {
             cob,
@@ -87,7 +83,6 @@ impl Parameters {
 
     /// The two objects of the PDO with that number (from 0), with this capacity of mapped entries.
     /// [`check_download`] checks writes to them.
-    #[must_use]
     pub fn objects(&self, direction: Direction, number: u16, entries: u8) -> [Object; 2] {
         let number = number.min(PDOS_MAX - 1);
         let rw = Access::ReadWrite;
@@ -140,7 +135,6 @@ impl Parameters {
     }
 
     /// The parameters of a PDO in a dictionary; `None` if it does not exist.
-    #[must_use]
     pub fn read(dictionary: &Dictionary, direction: Direction, number: u16) -> Option<Self> {
         let (entries, count) = mapped(dictionary, direction.mapping() + number, None);
         let mapping = entries.get(..count).unwrap_or_default().to_vec();

@@ -51,9 +51,6 @@ pub struct Rpdo {
 
 impl Rpdo {
     /// The PDO with that number (from 0) in a dictionary; `None` if it does not exist.
-    ///
-    /// # Errors
-    /// If its mapping is invalid.
     pub fn new(dictionary: &Dictionary, number: u16) -> Result<Option<Self>, AbortCode> {
         let direction = Direction::Receive;
         let Some(parameters) = Parameters::communication(dictionary, direction, number) else {
@@ -74,25 +71,21 @@ impl Rpdo {
     }
 
     /// Its identifier, if enabled.
-    #[must_use]
     pub const fn id(&self) -> Option<Id> {
         self.id
     }
 
     /// Its mapping.
-    #[must_use]
     pub const fn mapping(&self) -> &Mapping {
         &self.mapping
     }
 
     /// Whether it missed its deadline and was not received since.
-    #[must_use]
     pub const fn is_late(&self) -> bool {
         self.late
     }
 
     /// Whether it has more bytes than mapped: the excess is dropped and an EMCY is due.
-    #[must_use]
     pub const fn is_long(&self, len: usize) -> bool {
         len > self.mapping.len()
     }
@@ -127,7 +120,7 @@ impl Rpdo {
     }
 
     /// SYNC: writes waiting values to the dictionary. Returns whether there were any.
-    pub fn handle_sync(&mut self, dictionary: &mut Dictionary) -> bool {
+    pub(crate) fn handle_sync(&mut self, dictionary: &mut Dictionary) -> bool {
         let waited = std::mem::take(&mut self.waits);
         if waited {
             self.mapping.unpack(dictionary, &self.data);
@@ -149,7 +142,6 @@ impl Rpdo {
     }
 
     /// Its deadline.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         let watched = self.id.is_some() && !self.deadline.is_zero() && !self.late;
         self.last_received

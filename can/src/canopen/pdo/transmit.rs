@@ -40,9 +40,6 @@ pub struct Tpdo {
 
 impl Tpdo {
     /// The PDO with that number (from 0) in a dictionary; `None` if it does not exist.
-    ///
-    /// # Errors
-    /// If its mapping is invalid.
     pub fn new(dictionary: &Dictionary, number: u16) -> Result<Option<Self>, AbortCode> {
         let direction = Direction::Transmit;
         let Some(parameters) = Parameters::communication(dictionary, direction, number) else {
@@ -68,13 +65,11 @@ impl Tpdo {
     }
 
     /// Its identifier, if enabled.
-    #[must_use]
     pub const fn id(&self) -> Option<Id> {
         self.id
     }
 
     /// Its mapping.
-    #[must_use]
     pub const fn mapping(&self) -> &Mapping {
         &self.mapping
     }
@@ -93,7 +88,7 @@ impl Tpdo {
     }
 
     /// Handles SYNC with its counter; returns the frame to send, if any.
-    pub fn handle_sync(
+    pub(crate) fn handle_sync(
         &mut self,
         counter: Option<u8>,
         dictionary: &Dictionary,
@@ -132,7 +127,11 @@ impl Tpdo {
     }
 
     /// Handles a remote frame.
-    pub fn handle_remote(&mut self, dictionary: &Dictionary, now: Duration) -> Option<Frame> {
+    pub(crate) fn handle_remote(
+        &mut self,
+        dictionary: &Dictionary,
+        now: Duration,
+    ) -> Option<Frame> {
         if !self.remote {
             return None;
         }
@@ -159,7 +158,6 @@ impl Tpdo {
     }
 
     /// Time of the next poll, apart from changes in the dictionary.
-    #[must_use]
     pub fn poll_timeout(&self, dictionary: &Dictionary) -> Option<Duration> {
         if self.id.is_none() || !self.transmission.is_event_driven() {
             return None;

@@ -94,7 +94,6 @@ pub struct Client {
 
 impl Client {
     /// A client with this maximum value length (at most [`super::TRANSFER_MAX`]) and response timeout.
-    #[must_use]
     pub fn new(transfer_max: usize, timeout: Duration) -> Self {
         Self {
             state: State::Idle,
@@ -106,19 +105,16 @@ impl Client {
     }
 
     /// Whether no transfer is running.
-    #[must_use]
     pub fn is_idle(&self) -> bool {
         self.state == State::Idle
     }
 
     /// The object of the current or last transfer.
-    #[must_use]
     pub const fn address(&self) -> Address {
         self.address
     }
 
     /// The value read so far.
-    #[must_use]
     pub fn value(&self) -> &[u8] {
         self.value.as_slice()
     }
@@ -172,7 +168,6 @@ impl Client {
     }
 
     /// Latest time of the next [`Self::poll`].
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.state == State::Idle {
             return None;

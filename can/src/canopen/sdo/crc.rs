@@ -2,7 +2,6 @@
 //! clause 7.2.4.3.16).
 
 /// Updates a checksum with `data`; the initial value is 0.
-#[must_use]
 pub fn crc(before: u16, data: &[u8]) -> u16 {
     let bit = |crc: u16| crc << 1 ^ if crc & 0x8000 == 0 { 0 } else { 0x1021 };
     data.iter().fold(before, |crc, byte| {

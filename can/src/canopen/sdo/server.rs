@@ -69,7 +69,6 @@ pub struct Server {
 impl Server {
     /// A server with this maximum value length (at most [`super::TRANSFER_MAX`]) that aborts when a client is silent
     /// for `timeout`.
-    #[must_use]
     pub fn new(transfer_max: usize, timeout: Duration) -> Self {
         Self {
             state: State::Idle,
@@ -82,7 +81,6 @@ impl Server {
     }
 
     /// Whether no transfer is running.
-    #[must_use]
     pub fn is_idle(&self) -> bool {
         self.state == State::Idle
     }
@@ -93,7 +91,6 @@ impl Server {
     }
 
     /// Latest time of the next [`Self::poll`].
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.state == State::Idle {
             return None;

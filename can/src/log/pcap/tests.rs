@@ -1,12 +1,15 @@
 //! Files made by the crate's writers, and by hand where those cannot.
 
 use std::borrow::Cow;
+use std::time::Duration;
 
-use pcap_file::DataLink;
-use pcap_file::TsResolution;
 use pcap_file::pcap::{PcapHeader, PcapPacket, PcapWriter};
 use pcap_file::pcapng::PcapNgWriter;
 use pcap_file::pcapng::blocks::enhanced_packet::EnhancedPacketBlock;
+use pcap_file::pcapng::blocks::interface_description::{
+    InterfaceDescriptionBlock, InterfaceDescriptionOption,
+};
+use pcap_file::{DataLink, Endianness, TsResolution};
 
 use super::super::Format;
 use super::*;
@@ -123,7 +126,7 @@ fn pcap_of_the_any_device_is_read() {
             packet
         };
         let packets: Vec<_> = frames().into_iter().map(second).collect();
-        let file = pcap(DataLink::from(COOKED_2), order, &packets);
+        let file = pcap(DataLink::from(LinkType::LINUX_SLL2.0), order, &packets);
         assert_eq!(printed(&file, Format::Pcap), expected("if3", " R"));
     }
 }

@@ -24,7 +24,6 @@ pub struct Pair {
 
 impl Pair {
     /// A platform whose power bases send half a cycle apart.
-    #[must_use]
     pub fn new(config: OmniConfig) -> Self {
         let part = |start_ms| {
             Powerbase::new(PowerbaseConfig {
@@ -44,7 +43,6 @@ impl Pair {
     }
 
     /// True pose.
-    #[must_use]
     pub const fn truth(&self) -> Pose {
         self.odometer.pose()
     }

@@ -109,7 +109,6 @@ const TURN: usize = 2;
 
 impl Powerbase {
     /// A power base, switched on and disabled, with a stored velocity scale of 12.
-    #[must_use]
     pub fn new(config: PowerbaseConfig) -> Self {
         Self {
             config,
@@ -157,38 +156,32 @@ impl Powerbase {
     }
 
     /// True pose.
-    #[must_use]
     pub const fn truth(&self) -> Pose {
         self.odometer.pose()
     }
 
     /// True displacement of the left and right wheel, counts.
-    #[must_use]
     pub const fn turned(&self) -> [f64; 2] {
         self.turned
     }
 
     /// Speed of the left and the right wheel, m/s on the wheels of its model.
-    #[must_use]
     pub fn speed(&self) -> [f64; 2] {
         let scale = self.config.model.scales().displacement;
         self.rates.map(|rate| rate / scale)
     }
 
     /// Operational mode.
-    #[must_use]
     pub const fn mode(&self) -> Mode {
         self.mode
     }
 
     /// Stored scales of velocity, acceleration and turn, sixteenths.
-    #[must_use]
     pub const fn scales(&self) -> [u8; 3] {
         self.scales
     }
 
     /// Number of commands that arrived too early.
-    #[must_use]
     pub const fn hurried(&self) -> u64 {
         self.hurried
     }
@@ -308,7 +301,6 @@ impl Powerbase {
     }
 
     /// Next time at which [`Self::poll_transmit`] has work.
-    #[must_use]
     pub const fn poll_timeout(&self) -> Duration {
         self.burst
     }

@@ -4,7 +4,6 @@ use super::Finding;
 
 impl Finding {
     /// The remedy.
-    #[must_use]
     #[expect(clippy::too_many_lines, reason = "a table of texts")]
     pub const fn remedy(&self) -> &'static str {
         match self {

@@ -38,7 +38,6 @@ impl Slave {
     }
 
     /// AL status as a master reads it.
-    #[must_use]
     pub fn al_status(&self) -> u16 {
         self.memory.word(register::AL_STATUS)
     }
@@ -55,12 +54,13 @@ impl Slave {
             };
         }
         let times = self.config.times;
-        let read = times.al_read.map_or(0, |span| self.chance.draw(span));
-        let delay = self.chance.draw(match wanted {
+        let read = times.al_read.map_or(0, |span| span.draw(&mut self.random));
+        let delay = match wanted {
             AlState::SafeOp => times.to_safe_op,
             AlState::Op => times.to_op,
             AlState::Init | AlState::PreOp | AlState::Boot | AlState::Other(_) => times.to_pre_op,
-        });
+        };
+        let delay = delay.draw(&mut self.random);
         let delay = delay.max(read);
         // Firmware polls periodically and takes the present value.
         let due = self.request.filter(|_| times.al_read.is_none());

@@ -106,11 +106,11 @@ impl Slave {
         }
         let times = self.config.times;
         let busy = match command {
-            2 => self.chance.draw(times.sii_write),
-            _ => self.chance.draw(times.sii_read),
+            2 => times.sii_write.draw(&mut self.random),
+            _ => times.sii_read.draw(&mut self.random),
         };
         if command == 2 {
-            self.eeprom.stores = now + busy + self.chance.draw(times.sii_store);
+            self.eeprom.stores = now + busy + times.sii_store.draw(&mut self.random);
         }
         let status = control & 0x0700 | self.sii_kind() | bit::BUSY;
         self.memory

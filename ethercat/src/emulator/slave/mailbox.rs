@@ -73,7 +73,7 @@ impl Slave {
         }
         let post = &mut self.post;
         if post.due.is_none() && self.memory.take_mailbox(0, &mut post.request) {
-            post.due = Some(now + self.chance.draw(self.config.times.mailbox));
+            post.due = Some(now + self.config.times.mailbox.draw(&mut self.random));
         }
         if post.due.is_some_and(|due| now >= due) {
             post.due = None;

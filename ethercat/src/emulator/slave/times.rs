@@ -1,6 +1,8 @@
 //! Processing times of a slave's firmware and EEPROM. Each duration is drawn pseudo-randomly, with the same sequence in
 //! each run: constant times would hide waits that a master must handle.
 
+use takt_link::Random;
+
 /// Range of a duration, ns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Span {
@@ -12,7 +14,6 @@ pub struct Span {
 
 impl Span {
     /// From a range in microseconds.
-    #[must_use]
     pub const fn micros(least: u64, most: u64) -> Self {
         Self {
             least: 1000 * least,
@@ -21,12 +22,17 @@ impl Span {
     }
 
     /// A constant duration, ns.
-    #[must_use]
     pub const fn exactly(ns: u64) -> Self {
         Self {
             least: ns,
             most: ns,
         }
+    }
+
+    /// A duration from the range, ns.
+    pub(super) const fn draw(self, random: &mut Random) -> u64 {
+        let width = self.most.saturating_sub(self.least).saturating_add(1);
+        self.least + random.next() % width
     }
 
     const fn scaled(self, factor: u64) -> Self {
@@ -90,21 +96,5 @@ impl Times {
             sii_write: self.sii_write.scaled(factor),
             sii_store: self.sii_store.scaled(factor),
         }
-    }
-}
-
-/// Pseudo-random numbers, the same in each run.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Chance(pub(super) u64);
-
-impl Chance {
-    /// A duration from a range, ns.
-    pub(super) const fn draw(&mut self, span: Span) -> u64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        let width = span.most.saturating_sub(span.least).saturating_add(1);
-        span.least + (self.0 >> 16) % width
     }
 }

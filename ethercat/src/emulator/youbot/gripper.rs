@@ -34,7 +34,6 @@ impl Bar {
     }
 
     /// Opening, m.
-    #[must_use]
     pub fn opening(&self) -> f64 {
         self.position / OPEN * 0.0115
     }

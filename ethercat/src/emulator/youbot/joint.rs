@@ -78,7 +78,6 @@ const JOINTS: [(f64, f64, f64); 5] = [
 
 impl Axis {
     /// A wheel with its quarter of the base.
-    #[must_use]
     pub fn wheel() -> Self {
         Self {
             motor: MotorConfig {
@@ -97,7 +96,6 @@ impl Axis {
 
     /// A joint of the arm (0 to 4) with its distance from the home stop at power-on (rad of the joint). The home stop
     /// is at the positive end of the motor.
-    #[must_use]
     pub fn joint(number: usize, folded: f64) -> Self {
         let number = number.min(4);
         let (gear, torque_constant, range) = JOINTS[number];
@@ -227,13 +225,11 @@ impl Joint {
     }
 
     /// Distance of the joint from its home stop, or of the wheel from its start, rad; positive away from the stop.
-    #[must_use]
     pub fn angle(&self) -> f64 {
         -self.motor.position / self.axis.gear
     }
 
     /// The bars of the gripper, at the last joint.
-    #[must_use]
     pub const fn bars(&self) -> Option<&[Bar; 2]> {
         self.bars.as_ref()
     }
@@ -280,7 +276,6 @@ impl Joint {
 
     /// Advances by a time in ns; `live` while EtherCAT is in OP, `fresh` with new outputs.
     pub(super) fn step(&mut self, dt: u64, live: bool, fresh: bool) {
-        #[expect(clippy::cast_precision_loss, reason = "below a second or truncated")]
         let mut left = (dt as f64 * 1e-9).min(STEP_MAX);
         self.silent = if fresh || !live {
             0.0
@@ -396,7 +391,6 @@ impl Joint {
     }
 
     /// The flags, as process data and parameter 156 show them.
-    #[must_use]
     pub fn flags(&self) -> u32 {
         let limit = f64::from(self.parameters.value(6)) / 1000.0;
         let halted = f64::from(self.parameters.value(9));

@@ -49,7 +49,6 @@ impl Servo {
         let wanted = period - BEFORE_SYNC0;
         let late = (phase - wanted + period / 2).rem_euclid(period) - period / 2;
         self.figures.add(late - noise);
-        #[expect(clippy::cast_precision_loss, reason = "below a period")]
         let late = late as f64;
         self.integral += 0.002 * late;
         -(0.1 * late + self.integral)

@@ -1,28 +1,9 @@
 //! The master handles any received frame, and recovers when the wire is good again.
 
+use takt_tests::Random;
+
 use super::*;
 use crate::emulator::{ServoConfig, ServoDrive};
-
-/// Pseudo-random numbers, the same in each run.
-struct Chance(u64);
-
-impl Chance {
-    fn next(&mut self) -> u64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        self.0 >> 33
-    }
-
-    fn below(&mut self, most: usize) -> usize {
-        usize::try_from(self.next()).unwrap() % most.max(1)
-    }
-
-    fn byte(&mut self) -> u8 {
-        self.next().to_le_bytes()[0]
-    }
-}
 
 fn segment() -> Segment {
     let (terminal, _) = Io::digital(8, 8);
@@ -32,14 +13,14 @@ fn segment() -> Segment {
 
 impl Rig {
     /// A cycle with a modified answer: one to four bytes behind the frame header.
-    fn broken_cycle(&mut self, chance: &mut Chance) {
+    fn broken_cycle(&mut self, random: &mut Random) {
         let mut frame = [0; 1500];
         if let Some(len) = self.master.poll_transmit(self.now, &mut frame) {
             let ns = u64::try_from(self.now.as_nanos()).unwrap();
             if let Some(returned) = self.segment.process(&mut frame[..len], Entry::First, ns) {
-                for _ in 0..=chance.below(4) {
-                    let at = 2 + chance.below(len - 2);
-                    frame[at] = chance.byte();
+                for _ in 0..=random.below(4) {
+                    let at = 2 + random.below(len - 2);
+                    frame[at] = random.byte();
                 }
                 let at = self.now + Duration::from_nanos(returned.after);
                 self.master.handle_frame(0, &frame[..len], at);
@@ -54,13 +35,13 @@ impl Rig {
 #[test]
 fn random_frames_are_answered() {
     let mut rig = Rig::new(MasterConfig::default(), segment());
-    let mut chance = Chance(1);
+    let mut random = Random::new(1);
     for n in 0..20_000 {
         let mut bytes = [0; 200];
-        let len = chance.below(bytes.len());
-        bytes.iter_mut().for_each(|byte| *byte = chance.byte());
+        let len = random.below(bytes.len());
+        bytes.iter_mut().for_each(|byte| *byte = random.byte());
         rig.master
-            .handle_frame(chance.below(3), &bytes[..len], rig.now);
+            .handle_frame(random.below(3), &bytes[..len], rig.now);
         if n % 4 == 0 {
             rig.cycle();
         }
@@ -74,10 +55,10 @@ fn random_frames_are_answered() {
 fn changed_answers_are_survived_and_left_behind() {
     for seed in 0..3 {
         let mut rig = Rig::new(MasterConfig::default(), segment());
-        let mut chance = Chance(seed);
+        let mut random = Random::new(seed);
         for n in 0..1500 {
             if n % 8 == 0 {
-                rig.broken_cycle(&mut chance);
+                rig.broken_cycle(&mut random);
             } else {
                 rig.cycle();
             }
@@ -85,7 +66,7 @@ fn changed_answers_are_survived_and_left_behind() {
         rig.master.restart();
         rig.until(8000, Master::is_operational);
         for _ in 0..2000 {
-            rig.broken_cycle(&mut chance);
+            rig.broken_cycle(&mut random);
         }
         rig.until(60_000, Master::is_operational);
     }

@@ -54,7 +54,6 @@ pub struct Port {
 
 impl SlaveInfo {
     /// Its ports 0 to 3.
-    #[must_use]
     pub fn ports(&self) -> [Port; 4] {
         std::array::from_fn(|port| Port {
             link: self.dl_status >> (4 + port) & 1 != 0,
@@ -64,33 +63,28 @@ impl SlaveInfo {
     }
 
     /// Whether it announces a distributed clock (0008h bit 2). A disabled unit still latches receive times.
-    #[must_use]
     pub const fn announces_clock(&self) -> bool {
         self.features & 0x0004 != 0
     }
 
     /// Whether it has a distributed clock: announced and answering.
-    #[must_use]
     pub const fn has_clock(&self) -> bool {
         self.announces_clock() && self.system_time
     }
 
     /// Width of its clock: 64 or 32 bits (0008h bit 3).
-    #[must_use]
     pub const fn clock_bits(&self) -> u8 {
         if self.features & 0x0008 == 0 { 32 } else { 64 }
     }
 
     /// Whether its controller copies AL control to AL status by itself (device emulation), including the
     /// acknowledgement.
-    #[must_use]
     pub const fn mirrors(&self) -> bool {
         self.configuration & 0x01 != 0
     }
 
     /// Whether it does not support LRW.
-    #[must_use]
-    pub const fn no_lrw(&self) -> bool {
+    pub(crate) const fn no_lrw(&self) -> bool {
         self.features & 0x0200 != 0 || self.flags & 0x02 != 0
     }
 

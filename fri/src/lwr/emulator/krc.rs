@@ -4,7 +4,9 @@
 use super::config::{Faults, KrcConfig, Script, Stiffness};
 use super::exit::ExitReason;
 use super::krl::{Call, Program};
-use crate::emulator::{Arm, Body, Chain, Contact, Grid, History, Line, Rng, Sent, Window};
+use crate::emulator::{
+    Arm, Body, Chain, Contact, ControllerCounters, Grid, History, Line, Sent, Window,
+};
 use crate::error::DecodeError;
 use crate::generation::Kind;
 use crate::lwr::AXES;
@@ -14,6 +16,7 @@ use crate::sequence::{Order, Tracker};
 use std::collections::VecDeque;
 use std::fmt;
 use std::time::Duration;
+use takt_link::Random;
 
 mod check;
 mod message;
@@ -59,25 +62,6 @@ pub enum StartError {
     /// The robot is braking.
     #[error("the robot still brakes")]
     Moving,
-}
-
-/// Totals since the controller's start.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct KrcCounters {
-    /// Measurements sent, including those lost by the line.
-    pub sent: u64,
-    /// New answers received.
-    pub answers: u64,
-    /// Cycles without an answer in time.
-    pub missed: u32,
-    /// Answers ignored as duplicates or as older than the newest.
-    pub old: u64,
-    /// Datagrams rejected by the decoder.
-    pub malformed: u64,
-    /// Datagrams lost by fault settings, both directions.
-    pub dropped: u64,
-    /// Measurements not sent because the emulator's host stalled; not the client's fault.
-    pub stalls: u64,
 }
 
 struct Received {
@@ -135,7 +119,7 @@ pub struct Krc {
     may_start_at: Option<Duration>,
     to_client: Line<{ Msr::LEN }>,
     to_krc: Line<{ Cmd::LEN }>,
-    rng: Rng,
+    random: Random,
     krl_out: Krl,
     krl_in: Krl,
     program: Option<Program>,
@@ -146,14 +130,13 @@ pub struct Krc {
     added_wrench: [f64; 6],
     tool: [f32; 6],
     load: Load,
-    counters: KrcCounters,
+    counters: ControllerCounters,
     log: VecDeque<Exit>,
     exits: u64,
 }
 
 impl Krc {
     /// A controller in monitor mode that sends its first measurement at `start`. All memory is allocated here.
-    #[must_use]
     pub fn new(config: KrcConfig, start: Duration) -> Self {
         let grid = Grid::new(start, config.period, config.faults.drift_ppm);
         let period_s = grid.period().as_secs_f64();
@@ -184,7 +167,7 @@ impl Krc {
             may_start_at: Some(Duration::ZERO),
             to_client: Line::new(),
             to_krc: Line::new(),
-            rng: Rng::new(config.seed),
+            random: Random::new(config.seed),
             krl_out: Krl::default(),
             krl_in: Krl::default(),
             program: match config.script {
@@ -197,7 +180,7 @@ impl Krc {
             added_wrench: [0.0; 6],
             tool: [0.0; 6],
             load: Load::default(),
-            counters: KrcCounters::default(),
+            counters: ControllerCounters::default(),
             log: VecDeque::with_capacity(LOG_LEN),
             exits: 0,
             config,
@@ -221,13 +204,13 @@ impl Krc {
             .map_err(|error| Kind::explain(Kind::LwrCommand, bytes, error))
             .inspect_err(|_| self.counters.malformed += 1)?;
         let (behind, faults) = (self.behind(), &mut self.config.faults.to_krc);
-        self.to_krc.push(bytes, now, behind, faults, &mut self.rng);
+        self.to_krc
+            .push(bytes, now, behind, faults, &mut self.random);
         self.deliver(now);
         Ok(())
     }
 
     /// Time of the next action.
-    #[must_use]
     pub fn poll_timeout(&self) -> Duration {
         [self.to_client.next_due(), self.to_krc.next_due()]
             .into_iter()
@@ -281,19 +264,16 @@ impl Krc {
     }
 
     /// Active control strategy.
-    #[must_use]
     pub fn control(&self) -> Control {
         self.control
     }
 
     /// `$TOOL` as set by the KRL program: X, Y, Z in mm, A, B, C in degrees. It does not move the emulated arm's end point.
-    #[must_use]
     pub fn tool(&self) -> [f32; 6] {
         self.tool
     }
 
     /// `$LOAD` as set by the KRL program. It has no effect on the emulated arm.
-    #[must_use]
     pub fn load(&self) -> Load {
         self.load
     }
@@ -304,13 +284,11 @@ impl Krc {
     }
 
     /// Flange position in the base frame, m.
-    #[must_use]
     pub fn flange(&self) -> [f64; 3] {
         self.arm.body.pose().position.into()
     }
 
     /// Force of the contact on the flange in the base frame, N.
-    #[must_use]
     pub fn force(&self) -> [f64; 3] {
         self.arm.body.force()
     }
@@ -321,7 +299,6 @@ impl Krc {
     }
 
     /// Whether the drives have power: switched on and not interrupted by a fault setting.
-    #[must_use]
     pub fn has_power(&self) -> bool {
         let off = self.config.faults.power_off;
         self.power && !off.is_some_and(|off| off.covers(self.grid.time()))
@@ -333,31 +310,26 @@ impl Krc {
     }
 
     /// Monitor or command mode.
-    #[must_use]
     pub fn state(&self) -> State {
         self.state
     }
 
     /// Quality as reported.
-    #[must_use]
     pub fn quality(&self) -> Quality {
         self.quality
     }
 
     /// Measured joint positions, rad.
-    #[must_use]
     pub fn joints(&self) -> [f64; AXES] {
         self.arm.body.joints()
     }
 
     /// Joint set-point, rad.
-    #[must_use]
     pub fn set_point(&self) -> [f64; AXES] {
         self.arm.set_point
     }
 
     /// User data of the last answer, `$FRI_FRM_…`.
-    #[must_use]
     pub fn krl(&self) -> &Krl {
         &self.krl_in
     }
@@ -368,9 +340,8 @@ impl Krc {
     }
 
     /// Totals since the start.
-    #[must_use]
-    pub fn counters(&self) -> KrcCounters {
-        KrcCounters {
+    pub fn counters(&self) -> ControllerCounters {
+        ControllerCounters {
             missed: self.window.missed(),
             stalls: self.grid.stalls(),
             dropped: self.to_client.lost() + self.to_krc.lost(),
@@ -384,7 +355,6 @@ impl Krc {
     }
 
     /// Number of exits from command mode since the start, friStop included.
-    #[must_use]
     pub fn exits(&self) -> u64 {
         self.exits
     }

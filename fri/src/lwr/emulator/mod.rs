@@ -15,9 +15,11 @@ mod status;
 
 #[cfg(target_os = "linux")]
 pub use crate::emulator::serve;
-pub use crate::emulator::{Contact, LineFaults, PowerOff, Served, Shape, Status, Timing};
+pub use crate::emulator::{
+    Contact, ControllerCounters, LineFaults, PowerOff, Served, Shape, Status, Timing,
+};
 pub use config::{Faults, KrcConfig, Limits, Script, Stiffness};
 pub use exit::ExitReason;
-pub use krc::{Exit, Krc, KrcCounters, StartError};
+pub use krc::{Exit, Krc, StartError};
 pub use parameter::Parameter;
 pub use status::KrcStatus;

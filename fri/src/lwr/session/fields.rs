@@ -61,7 +61,6 @@ impl Session {
     }
 
     /// The flags of the next answer.
-    #[must_use]
     pub fn flags(&self) -> CmdFlags {
         let control = self.msr.as_ref().map(|msr| msr.robot.control);
         let allowed = control.map_or(CmdFlags::JNTPOS, CmdFlags::allowed);

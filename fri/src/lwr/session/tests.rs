@@ -229,7 +229,7 @@ fn session_malformed_datagram_is_only_counted() {
     let mut session = command();
     assert!(session.handle_datagram(&[0; 12], PERIOD).is_err());
     assert_eq!(
-        (session.counters().malformed, session.phase()),
+        (session.counters().refused, session.phase()),
         (1, Phase::Command)
     );
 }

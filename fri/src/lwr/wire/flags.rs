@@ -28,7 +28,7 @@ impl CmdFlags {
     /// [`super::Cmd::joints`] is valid.
     pub const JNTPOS: Self = Self(0x0001);
     /// Reserved by the layout, supported by no known controller.
-    pub const JNTVEL: Self = Self(0x0002);
+    pub(crate) const JNTVEL: Self = Self(0x0002);
     /// [`super::Cmd::joint_torque`] is valid.
     pub const JNTTRQ: Self = Self(0x0004);
     /// [`super::Cmd::joint_stiffness`] is valid.
@@ -38,7 +38,7 @@ impl CmdFlags {
     /// [`super::Cmd::frame`] is valid.
     pub const CARTPOS: Self = Self(0x0100);
     /// Reserved by the layout, supported by no known controller.
-    pub const CARTVEL: Self = Self(0x0200);
+    pub(crate) const CARTVEL: Self = Self(0x0200);
     /// [`super::Cmd::wrench`] is valid.
     pub const TCPFT: Self = Self(0x0400);
     /// [`super::Cmd::cartesian_stiffness`] is valid.
@@ -47,19 +47,16 @@ impl CmdFlags {
     pub const CARTDAMP: Self = Self(0x2000);
 
     /// Flags from raw bits.
-    #[must_use]
     pub const fn from_bits(bits: u32) -> Self {
         Self(bits)
     }
 
     /// Raw bits as on the wire.
-    #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
     }
 
     /// The fields that a controller accepts under a control strategy; joint positions only under an unknown one.
-    #[must_use]
     pub fn allowed(control: Control) -> Self {
         match control {
             Control::JointImpedance => Self::JNTPOS | Self::JNTSTIFF | Self::JNTDAMP | Self::JNTTRQ,
@@ -77,7 +74,6 @@ impl CmdFlags {
     }
 
     /// Whether every bit of `other` is set.
-    #[must_use]
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }

@@ -23,7 +23,6 @@ pub struct Krl {
 
 impl Krl {
     /// The boolean at `index` 0..=15 (KRL index minus one); `false` beyond.
-    #[must_use]
     pub fn bool(&self, index: u32) -> bool {
         1u16.checked_shl(index)
             .is_some_and(|bit| self.bools & bit != 0)

@@ -130,7 +130,6 @@ impl Msr {
     const PACKET_SIZE: u16 = 916;
 
     /// The joint set-point: KRL's command plus FRI's offset, rad. Clients mirror it.
-    #[must_use]
     pub fn set_point(&self) -> [f64; AXES] {
         let mut sum = self.commanded_joints.map(f64::from);
         for (sum, offset) in sum.iter_mut().zip(self.joint_offset) {
@@ -140,7 +139,6 @@ impl Msr {
     }
 
     /// Whether the robot follows commands: command mode and at least one drive with power.
-    #[must_use]
     pub fn is_commanding(&self) -> bool {
         self.interface.state == State::Cmd && self.robot.power != 0
     }

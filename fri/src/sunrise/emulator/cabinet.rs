@@ -3,7 +3,9 @@
 
 use super::config::{CabinetConfig, Control, Faults, Overlay};
 use super::exit::ExitReason;
-use crate::emulator::{Arm, Body, Contact, Grid, History, Law, Line, Rng, Sent, Window};
+use crate::emulator::{
+    Arm, Body, Contact, ControllerCounters, Grid, History, Law, Line, Sent, Window,
+};
 use crate::error::DecodeError;
 use crate::generation::Kind;
 use crate::sequence::{Order, Tracker};
@@ -15,6 +17,7 @@ use crate::sunrise::{AXES, IoLevel};
 use std::collections::VecDeque;
 use std::fmt;
 use std::time::Duration;
+use takt_link::Random;
 
 mod check;
 mod message;
@@ -67,27 +70,6 @@ pub enum StartError {
     /// A session is open, or the last one was closed too recently.
     #[error("the last session was closed less than 5 s ago, or is still open")]
     NotClosed,
-}
-
-/// Totals since the cabinet's start.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct CabinetCounters {
-    /// Messages sent, including those lost by the line.
-    pub sent: u64,
-    /// New answers received.
-    pub answers: u64,
-    /// Command periods without an answer in time.
-    pub missed: u32,
-    /// Answers ignored as duplicates or as older than the newest.
-    pub old: u64,
-    /// Datagrams rejected by the decoder, or in another framing.
-    pub malformed: u64,
-    /// Datagrams lost by fault settings, both directions.
-    pub dropped: u64,
-    /// Messages not sent because the emulator's host stalled; not the client's fault.
-    pub stalls: u64,
-    /// Outputs written by the client that do not exist.
-    pub refused_ios: u64,
 }
 
 struct Received {
@@ -150,17 +132,16 @@ pub struct Cabinet {
     reports_close: bool,
     to_client: Line<MESSAGE_MAX>,
     to_cabinet: Line<MESSAGE_MAX>,
-    rng: Rng,
+    random: Random,
     ios: List<IoValue, IOS_MAX>,
     frames: List<Transformation, TRANSFORMATIONS_MAX>,
-    counters: CabinetCounters,
+    counters: ControllerCounters,
     log: VecDeque<Exit>,
     exits: u64,
 }
 
 impl Cabinet {
     /// A cabinet in MONITORING_WAIT that sends its first message at `start`. All memory is allocated here.
-    #[must_use]
     pub fn new(config: CabinetConfig, start: Duration) -> Self {
         let grid = Grid::new(start, config.send_period, config.faults.drift_ppm);
         let period_s = grid.period().as_secs_f64();
@@ -193,10 +174,10 @@ impl Cabinet {
             reports_close: false,
             to_client: Line::new(),
             to_cabinet: Line::new(),
-            rng: Rng::new(config.seed),
+            random: Random::new(config.seed),
             ios: message::ios(&config.ios),
             frames: message::frames(&config.requested_frames),
-            counters: CabinetCounters::default(),
+            counters: ControllerCounters::default(),
             log: VecDeque::with_capacity(LOG_LEN),
             exits: 0,
             config,
@@ -219,13 +200,12 @@ impl Cabinet {
         decode(self.config.dialect, bytes).inspect_err(|_| self.counters.malformed += 1)?;
         let (behind, faults) = (self.behind(), &mut self.config.faults.to_cabinet);
         self.to_cabinet
-            .push(bytes, now, behind, faults, &mut self.rng);
+            .push(bytes, now, behind, faults, &mut self.random);
         self.deliver(now);
         Ok(())
     }
 
     /// Time of the next action.
-    #[must_use]
     pub fn poll_timeout(&self) -> Duration {
         [self.to_client.next_due(), self.to_cabinet.next_due()]
             .into_iter()
@@ -321,7 +301,6 @@ impl Cabinet {
     }
 
     /// Whether the drives have power: switched on and not interrupted by a fault setting.
-    #[must_use]
     pub fn has_power(&self) -> bool {
         let off = self.config.faults.power_off;
         self.is_switched_on && !off.is_some_and(|off| off.covers(self.grid.time()))
@@ -342,59 +321,50 @@ impl Cabinet {
     }
 
     /// State of the session.
-    #[must_use]
     pub fn state(&self) -> SessionState {
         self.state
     }
 
     /// Quality as reported.
-    #[must_use]
     pub fn quality(&self) -> Quality {
         self.quality
     }
 
     /// Measured joint positions, rad.
-    #[must_use]
     pub fn joints(&self) -> [f64; AXES] {
         self.arm.body.joints()
     }
 
     /// Joint set-point, rad.
-    #[must_use]
     pub fn set_point(&self) -> [f64; AXES] {
         self.arm.set_point
     }
 
     /// Flange position in the base frame, m.
-    #[must_use]
     pub fn flange(&self) -> [f64; 3] {
         self.arm.body.pose().position.into()
     }
 
     /// Force of the contact on the flange in the base frame, N.
-    #[must_use]
     pub fn force(&self) -> [f64; 3] {
         self.arm.body.force()
     }
 
     /// Value of an input or output.
-    #[must_use]
     pub fn io(&self, name: &str) -> Option<IoLevel> {
         let io = self.ios.iter().find(|io| io.name.is(name))?;
         IoLevel::of(io)
     }
 
     /// Frame that the client sent for a request of the program.
-    #[must_use]
     pub fn frame(&self, name: &str) -> Option<Placement> {
         let frame = self.frames.iter().find(|frame| frame.name.is(name))?;
         frame.placement
     }
 
     /// Totals since the start.
-    #[must_use]
-    pub fn counters(&self) -> CabinetCounters {
-        CabinetCounters {
+    pub fn counters(&self) -> ControllerCounters {
+        ControllerCounters {
             missed: self.window.missed(),
             stalls: self.grid.stalls(),
             dropped: self.to_client.lost() + self.to_cabinet.lost(),
@@ -408,7 +378,6 @@ impl Cabinet {
     }
 
     /// Number of log entries ever made.
-    #[must_use]
     pub fn exits(&self) -> u64 {
         self.exits
     }

@@ -116,7 +116,6 @@ pub struct Limits {
 
 impl Limits {
     /// Limits of an arm.
-    #[must_use]
     pub fn of(robot: Robot) -> Self {
         let degrees = [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0_f64];
         let speeds = match robot {
@@ -154,7 +153,6 @@ pub enum Control {
 
 impl Control {
     /// Its code in messages.
-    #[must_use]
     pub fn mode(&self) -> ControlMode {
         match self {
             Self::Position => ControlMode::Position,

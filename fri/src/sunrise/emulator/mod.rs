@@ -12,8 +12,10 @@ mod status;
 
 #[cfg(target_os = "linux")]
 pub use crate::emulator::serve;
-pub use crate::emulator::{Contact, LineFaults, PowerOff, Served, Shape, Status, Timing};
-pub use cabinet::{Cabinet, CabinetCounters, Exit, StartError};
+pub use crate::emulator::{
+    Contact, ControllerCounters, LineFaults, PowerOff, Served, Shape, Status, Timing,
+};
+pub use cabinet::{Cabinet, Exit, StartError};
 pub use config::{CabinetConfig, Control, Faults, Io, Limits, Overlay, Program, Robot};
 pub use exit::{ExitReason, MissingValue};
 pub use status::CabinetStatus;

@@ -65,7 +65,6 @@ pub enum Withheld {
 
 impl Demand {
     /// The command mode it belongs to; none for [`Demand::Hold`].
-    #[must_use]
     pub fn mode(&self) -> Option<CommandMode> {
         match self {
             Self::Hold => None,

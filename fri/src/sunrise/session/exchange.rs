@@ -67,7 +67,6 @@ impl IoLevel {
     }
 
     /// The level in a message; `None` if the message has no value of the stated type.
-    #[must_use]
     pub fn of(io: &IoValue) -> Option<Self> {
         match io.kind {
             IoType::Boolean => io.digital.map(|value| Self::Boolean(value != 0)),
@@ -100,7 +99,6 @@ impl Session {
     }
 
     /// Value of an input or output in the newest message.
-    #[must_use]
     pub fn read(&self, name: &str) -> Option<IoLevel> {
         self.listed(name.as_bytes()).and_then(IoLevel::of)
     }

@@ -62,7 +62,6 @@ impl Phase {
     ];
 
     /// Whether the motion has an overlay, active or about to be.
-    #[must_use]
     pub fn is_commanding(self) -> bool {
         match self {
             Self::CommandingWait | Self::CommandingActive => true,

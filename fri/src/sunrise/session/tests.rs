@@ -634,7 +634,7 @@ fn session_foreign_datagram_or_dialect_is_named() {
         take(b"hello"),
         "datagram of 5 bytes is no message of Sunrise FRI, bare or framed"
     );
-    assert_eq!(bench.session.counters().malformed, 3);
+    assert_eq!(bench.session.counters().refused, 3);
     let expected = SessionConfig {
         dialect: Some(Dialect::V1),
         ..SessionConfig::default()

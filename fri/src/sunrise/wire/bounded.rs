@@ -13,7 +13,6 @@ pub struct List<T, const N: usize> {
 
 impl<T: Copy + Default, const N: usize> List<T, N> {
     /// An empty list.
-    #[must_use]
     pub fn new() -> Self {
         Self {
             items: [T::default(); N],
@@ -80,7 +79,6 @@ impl Name {
     pub const LEN_MAX: usize = 63;
 
     /// `None` when the name is longer than [`Name::LEN_MAX`] bytes.
-    #[must_use]
     pub fn new(name: &str) -> Option<Self> {
         Self::from_bytes(name.as_bytes())
     }
@@ -100,13 +98,11 @@ impl Name {
     }
 
     /// The bytes as received.
-    #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         self.bytes.get(..usize::from(self.len)).unwrap_or_default()
     }
 
     /// Whether it is `name`.
-    #[must_use]
     pub fn is(&self, name: &str) -> bool {
         self.as_bytes() == name.as_bytes()
     }

@@ -63,7 +63,6 @@ fn bare(datagram: &[u8]) -> Result<(bool, &[u8]), DecodeError> {
 
 impl Dialect {
     /// Dialect of the sender of a monitoring message; `None` if it fits more than one.
-    #[must_use]
     pub fn of(is_framed: bool, message: &Monitoring) -> Option<Self> {
         if is_framed {
             return Some(Self::V3);
@@ -76,8 +75,7 @@ impl Dialect {
     }
 
     /// Whether datagrams have a frame.
-    #[must_use]
-    pub fn is_framed(self) -> bool {
+    pub(crate) fn is_framed(self) -> bool {
         self == Self::V3
     }
 

@@ -29,7 +29,7 @@ use std::fmt;
 pub const MESSAGE_MAX: usize = 1500;
 
 /// Maximum number of frames in one message.
-pub const TRANSFORMATIONS_MAX: usize = 5;
+pub(crate) const TRANSFORMATIONS_MAX: usize = 5;
 
 /// Maximum number of inputs and outputs in one message.
 pub const IOS_MAX: usize = 10;

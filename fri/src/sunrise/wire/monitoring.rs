@@ -213,21 +213,18 @@ impl Monitoring {
     }
 
     /// State of the session; IDLE if the message has no connection information.
-    #[must_use]
     pub fn state(&self) -> SessionState {
         self.connection
             .map_or(SessionState::Idle, |connection| connection.state)
     }
 
     /// Quality; POOR if the message has no connection information.
-    #[must_use]
     pub fn quality(&self) -> Quality {
         self.connection
             .map_or(Quality::Poor, |connection| connection.quality)
     }
 
     /// Values that the client has to command.
-    #[must_use]
     pub fn command_mode(&self) -> CommandMode {
         self.ipo
             .and_then(|ipo| ipo.command_mode)
@@ -235,7 +232,6 @@ impl Monitoring {
     }
 
     /// Measured joint positions, rad.
-    #[must_use]
     pub fn measured(&self) -> Option<Joints> {
         self.monitor.and_then(|monitor| monitor.measured)
     }

@@ -30,7 +30,7 @@ struct Delayed<L> {
 }
 
 impl<L: Link> Link for Delayed<L> {
-    fn send(&mut self, frame: &[u8]) -> std::io::Result<()> {
+    fn send(&mut self, frame: &[u8]) -> std::io::Result<usize> {
         self.link.send(frame)
     }
 

@@ -57,13 +57,11 @@ pub struct Opw {
 
 impl Opw {
     /// An arm with that geometry and these joint ranges.
-    #[must_use]
     pub const fn new(geometry: OpwGeometry, ranges: [Range; 6]) -> Self {
         Self { geometry, ranges }
     }
 
     /// The Stäubli TX90.
-    #[must_use]
     pub const fn staubli_tx90() -> Self {
         let ranges = [
             Range::degrees(-180.0, 180.0),
@@ -83,7 +81,6 @@ impl Opw {
     }
 
     /// The joint ranges of its solutions.
-    #[must_use]
     pub const fn ranges(&self) -> [Range; 6] {
         self.ranges
     }

@@ -138,13 +138,11 @@ impl Sweep {
 
 impl Srs {
     /// An arm with that geometry and these joint ranges.
-    #[must_use]
     pub const fn new(geometry: SrsGeometry, ranges: [Range; 7]) -> Self {
         Self { geometry, ranges }
     }
 
     /// The KUKA LWR 4 and 4+, with the joint ranges of the data sheet.
-    #[must_use]
     pub const fn kuka_lwr4() -> Self {
         let geometry = SrsGeometry {
             base: 0.3105,
@@ -157,13 +155,11 @@ impl Srs {
     }
 
     /// The KUKA LBR iiwa 7 R800 with its basic media flange.
-    #[must_use]
     pub const fn kuka_iiwa7() -> Self {
         Self::iiwa(0.340, 0.400, 0.400)
     }
 
     /// The KUKA LBR iiwa 14 R820 with its basic media flange.
-    #[must_use]
     pub const fn kuka_iiwa14() -> Self {
         Self::iiwa(0.360, 0.420, 0.400)
     }
@@ -187,7 +183,6 @@ impl Srs {
     }
 
     /// The joint ranges of its solutions.
-    #[must_use]
     pub const fn ranges(&self) -> [Range; 7] {
         self.ranges
     }
@@ -204,7 +199,6 @@ impl Srs {
     }
 
     /// The flange frame (m) and the arm angle (rad) at these joint positions (rad).
-    #[must_use]
     pub fn forward_alpha(&self, joints: &[f64; 7]) -> (Frame, f64) {
         let g = &self.geometry;
         let [a1, a2, a3, a4, a5, a6, a7] = self.signed(*joints);
@@ -322,7 +316,6 @@ impl Srs {
     /// Velocity of the flange in the base (m/s, rad/s) and of the arm angle (rad/s) at these joint
     /// positions (rad) and velocities (rad/s). The latter is `None` where the arm is stretched or
     /// the wrist is on axis 1: there the arm angle has no derivative.
-    #[must_use]
     pub fn velocity(&self, joints: &[f64; 7], velocities: &[f64; 7]) -> (Twist, Option<f64>) {
         let g = &self.geometry;
         let angles = self.signed(*joints);

@@ -3,27 +3,12 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use takt_tests::Random;
 
 use super::*;
 
-/// A generator of uniform numbers in 0..1: the same series in each run.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        f64::from(u32::try_from(self.0 >> 32).expect("32 bits")) / f64::from(u32::MAX)
-    }
-
-    fn between(&mut self, min: f64, max: f64) -> f64 {
-        min + (max - min) * self.unit()
-    }
-
-    fn joints<const N: usize>(&mut self, ranges: &[Range; N]) -> [f64; N] {
-        std::array::from_fn(|i| self.between(ranges[i].min, ranges[i].max))
-    }
+fn random_joints<const N: usize>(random: &mut Random, ranges: &[Range; N]) -> [f64; N] {
+    std::array::from_fn(|i| random.between(ranges[i].min, ranges[i].max))
 }
 
 fn error(a: &Frame, b: &Frame) -> f64 {
@@ -42,14 +27,14 @@ fn difference<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
 /// The properties of every arm: 10,000 random joint positions, with hints near and far.
 fn round_trips<const N: usize>(arm: &dyn Kinematics, ranges: &[Range; N], is_redundant: bool) {
     assert_eq!(arm.joints(), N);
-    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    let mut random = Random::new(0x9e37_79b9_7f4a_7c15);
     for number in 0..10_000 {
-        let joints = random.joints(ranges);
+        let joints = random_joints(&mut random, ranges);
         let flange = arm.forward(&joints);
         let hint = match number % 3 {
             0 => joints,
             1 => joints.map(|j| j + random.between(-0.01, 0.01)),
-            _ => random.joints(ranges),
+            _ => random_joints(&mut random, ranges),
         };
         let mut solved = [f64::NAN; N];
         let result = arm.inverse(&flange, &hint, &mut solved);
@@ -185,7 +170,7 @@ fn forward_matches_robot_description_chain() {
         ("kuka_iiwa14", &iiwa),
         ("kuka_youbot", &youbot),
     ];
-    let mut random = Random(42);
+    let mut random = Random::new(42);
     for (name, links) in arms {
         let arm = named(name).expect("a known arm");
         for _ in 0..1000 {
@@ -298,10 +283,10 @@ fn youbot_frame_beyond_five_axes_is_rejected() {
 #[test]
 fn arm_angle_within_limits_is_kept() {
     let arm = Srs::kuka_lwr4();
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let mut kept = 0;
     for _ in 0..2000 {
-        let joints = random.joints(&arm.ranges());
+        let joints = random_joints(&mut random, &arm.ranges());
         let (flange, alpha) = arm.forward_alpha(&joints);
         let wanted = alpha + random.between(-0.2, 0.2);
         let solved = arm
@@ -338,10 +323,10 @@ fn elbow_position_matches_arm_angle() {
 
 #[test]
 fn velocities_match_derivatives() {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     for arm in [Srs::kuka_lwr4(), Srs::kuka_iiwa14()] {
         for _ in 0..500 {
-            let joints = random.joints(&arm.ranges());
+            let joints = random_joints(&mut random, &arm.ranges());
             let speeds: [f64; 7] = std::array::from_fn(|_| random.between(-1.0, 1.0));
             let h = 1e-5;
             let at =

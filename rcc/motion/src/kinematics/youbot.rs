@@ -61,13 +61,11 @@ fn positions(angles: [f64; 5]) -> [f64; 5] {
 
 impl YouBot {
     /// An arm with these joint ranges.
-    #[must_use]
     pub const fn new(ranges: [Range; 5]) -> Self {
         Self { ranges }
     }
 
     /// The joint ranges of its solutions.
-    #[must_use]
     pub const fn ranges(&self) -> [Range; 5] {
         self.ranges
     }

@@ -69,9 +69,6 @@ pub(super) fn with_ports(definition: Definition) -> Definition {
 impl Runner {
     /// A runner on a path of that length (in the unit of the bounds, at most the largest of the
     /// lengths from which the bounds are derived).
-    ///
-    /// # Errors
-    /// If no profile keeps the bounds.
     pub(super) fn new(b: &mut Build<'_, '_>, length: f64, bounds: Bounds) -> Result<Self, Fault> {
         let mut profile = Profile::new(0.0, bounds, b.period_s()).forward_only();
         if !profile.go_to(length, 1.0) {

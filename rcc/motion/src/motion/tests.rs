@@ -4,6 +4,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use takt_net::value::text::{TextValue, format_array, parse_array};
 use takt_net::{Frame, Twist};
+use takt_tests::Random;
 
 use super::profile::Bounds;
 use crate::fixture::{Arm, Fixture, PERIOD_S};
@@ -11,21 +12,8 @@ use crate::fixture::{Arm, Fixture, PERIOD_S};
 /// Longest run of a test, cycles.
 const MOST: usize = 20_000;
 
-/// A generator of uniform numbers: the same series in each run.
-struct Random(u64);
-
-impl Random {
-    fn between(&mut self, min: f64, max: f64) -> f64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        let unit = f64::from(u32::try_from(self.0 >> 32).expect("32 bits")) / f64::from(u32::MAX);
-        min + (max - min) * unit
-    }
-
-    fn some(&mut self, count: usize, min: f64, max: f64) -> Vec<f64> {
-        (0..count).map(|_| self.between(min, max)).collect()
-    }
+fn some(random: &mut Random, count: usize, min: f64, max: f64) -> Vec<f64> {
+    (0..count).map(|_| random.between(min, max)).collect()
 }
 
 fn text<T: TextValue>(value: T) -> String {
@@ -167,11 +155,11 @@ struct RandomPtp {
 }
 
 fn random_ptp(random: &mut Random, joints: usize) -> RandomPtp {
-    let from = random.some(joints, -2.0, 2.0);
-    let to = random.some(joints, -2.0, 2.0);
-    let velocity = random.some(joints, 0.5, 2.0);
-    let acceleration = random.some(joints, 1.0, 10.0);
-    let jerk = random.some(joints, 5.0, 100.0);
+    let from = some(random, joints, -2.0, 2.0);
+    let to = some(random, joints, -2.0, 2.0);
+    let velocity = some(random, joints, 0.5, 2.0);
+    let acceleration = some(random, joints, 1.0, 10.0);
+    let jerk = some(random, joints, 5.0, 100.0);
     let parameters = format!(
         "From='{}',To='{}',Velocity='{}',Acceleration='{}',Jerk='{}'",
         list(&from),
@@ -215,7 +203,7 @@ impl RandomPtp {
 
 #[test]
 fn ptp_keeps_and_uses_joint_limits() {
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     for joints in [1, 2, 6, 7, 1, 3, 7] {
         let ptp = random_ptp(&mut random, joints);
         let run = Run::new(&ptp.net).finish();
@@ -239,7 +227,7 @@ fn ptp_takes_shortest_time() {
 
 #[test]
 fn velocity_output_matches_positions() {
-    let ptp = random_ptp(&mut Random(5), 3);
+    let ptp = random_ptp(&mut Random::new(5), 3);
     let run = Run::new(&ptp.net).finish();
     for joint in 0..3 {
         let differences = rates(&run.series(joint));
@@ -256,7 +244,7 @@ fn velocity_output_matches_positions() {
 
 #[test]
 fn ptp_under_any_override_keeps_limits_and_line() {
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     for number in 0..12 {
         let ptp = random_ptp(&mut random, 2);
         let mut run = Run::new(&ptp.net);
@@ -294,7 +282,7 @@ fn lower_override_lowers_speed() {
 #[test]
 fn motion_without_override_holds_and_resumes() {
     for nothing in ["0", "nan", "-1", "0.0009"] {
-        let ptp = random_ptp(&mut Random(3), 2);
+        let ptp = random_ptp(&mut Random::new(3), 2);
         let mut run = Run::new(&ptp.net);
         (0..100).for_each(|_| run.step());
         run.fixture.write("o", nothing);
@@ -311,7 +299,7 @@ fn motion_without_override_holds_and_resumes() {
 
 #[test]
 fn stop_brakes_on_path_within_limits() {
-    let mut random = Random(4);
+    let mut random = Random::new(4);
     for stop_at in [0, 1, 3, 40, 200, 500, 900, 1300] {
         let ptp = random_ptp(&mut random, 3);
         let mut run = Run::new(&ptp.net);
@@ -387,8 +375,8 @@ fn cartesian(motion: &str, frames: &[(&str, Frame)]) -> String {
 }
 
 fn random_frame(random: &mut Random, reach: f64) -> Frame {
-    let position = Vector3::from_vec(random.some(3, -reach, reach));
-    let turn = Vector3::from_vec(random.some(3, -1.5, 1.5));
+    let position = Vector3::from_vec(some(random, 3, -reach, reach));
+    let turn = Vector3::from_vec(some(random, 3, -1.5, 1.5));
     Frame::from_parts(position.into(), UnitQuaternion::from_scaled_axis(turn))
 }
 
@@ -409,7 +397,7 @@ fn assert_cartesian(run: &Run, context: &str) -> [[f64; 3]; 2] {
 
 #[test]
 fn lin_is_straight_and_keeps_limits() {
-    let mut random = Random(6);
+    let mut random = Random::new(6);
     for reach in [0.5, 0.5, 0.01, 0.0] {
         let (from, to) = (
             random_frame(&mut random, reach),
@@ -442,7 +430,7 @@ fn lin_is_straight_and_keeps_limits() {
 
 #[test]
 fn circ_stays_on_circle_and_keeps_limits() {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     for (radius, via, to) in [
         (0.3, 0.5, 1.0),
         (0.1, 2.0, 5.5),
@@ -532,14 +520,14 @@ fn assert_tracked(run: &Run) {
 
 #[test]
 fn track_reaches_goals_within_limits() {
-    let mut random = Random(8);
+    let mut random = Random::new(8);
     for every in [1, 2, 13, 100, 700] {
         let mut run = Run::new(&tracking(TRACK));
         run.step();
         assert_eq!(run.joints[0], [0.0, 1.0]);
         for cycle in 0..2000 {
             if cycle % every == 0 {
-                let goals = random.some(2, -1.0, 1.0);
+                let goals = some(&mut random, 2, -1.0, 1.0);
                 run.fixture.write("g", &list(&goals));
             }
             run.step();

@@ -19,10 +19,5 @@ pub(crate) fn median(values: &[f64]) -> f64 {
 
 /// A count or a duration in ns as a number; exact below 2^53.
 pub(crate) fn as_f64(value: impl TryInto<i64>) -> f64 {
-    #[expect(
-        clippy::cast_precision_loss,
-        reason = "measured values are far smaller"
-    )]
-    let number = value.try_into().unwrap_or(i64::MAX) as f64;
-    number
+    value.try_into().unwrap_or(i64::MAX) as f64
 }

@@ -90,7 +90,6 @@ pub struct Wheel {
 
 impl Base {
     /// A base with that number of wheels.
-    #[must_use]
     pub fn new(layout: &mut Layout, wheels: usize, velocity_max: f64, rotation_max: f64) -> Self {
         let wheel = |layout: &mut Layout| Wheel {
             position: layout.signal(),
@@ -134,7 +133,6 @@ pub struct Io {
 impl Io {
     /// Interfaces with that number of digital inputs, digital outputs, analogue inputs and analogue
     /// outputs.
-    #[must_use]
     pub fn new(layout: &mut Layout, counts: [usize; 4]) -> Self {
         let [bool_in, bool_out, real_in, real_out] = counts;
         fn output<T: super::Words>(layout: &mut Layout) -> Output<T> {
@@ -171,7 +169,6 @@ pub struct CartesianPosition {
 
 impl CartesianPosition {
     /// A device with this interface.
-    #[must_use]
     pub fn new(layout: &mut Layout) -> Self {
         Self {
             error: layout.signal(),
@@ -196,7 +193,6 @@ pub struct Order<T> {
 
 impl<T: super::Words> Order<T> {
     /// An order of that type.
-    #[must_use]
     pub fn new(layout: &mut Layout) -> Self {
         Self {
             command: layout.command(),
@@ -218,7 +214,6 @@ pub struct Gripper {
 
 impl Gripper {
     /// A gripper that opens up to that distance, m.
-    #[must_use]
     pub fn new(layout: &mut Layout, distance_max: f64) -> Self {
         Self {
             distance: layout.signal(),

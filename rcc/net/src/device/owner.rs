@@ -109,7 +109,6 @@ impl Image {
     }
 
     /// Whether a running net owns a command that begins at that word.
-    #[must_use]
     pub fn is_owned(&self, at: usize) -> bool {
         self.owners
             .get(at)

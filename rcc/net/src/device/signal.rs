@@ -108,13 +108,11 @@ pub struct Signal<T>(usize, PhantomData<fn() -> T>);
 
 impl<T: Words> Signal<T> {
     /// The value as nets see it in this cycle.
-    #[must_use]
     pub fn get(self, image: &Image) -> Option<T> {
         Option::take_words(|i| image.signals[self.0 + i].get())
     }
 
     /// The value in words with the same layout.
-    #[must_use]
     pub fn read(self, words: &[u64]) -> Option<T> {
         Option::take_words(|i| words.get(self.0 + i).copied().unwrap_or(0))
     }
@@ -154,21 +152,18 @@ pub struct Given<T> {
 impl<T> Given<T> {
     /// Whether its net still commands it in this cycle: for commands that a net repeats as long as
     /// they hold.
-    #[must_use]
     pub const fn is_in_force(&self, cycle: u64) -> bool {
         cycle.saturating_sub(self.cycle) < self.every
     }
 
     /// Whether its net has ended: for orders, which are given once. A motion that one started
     /// stops; one that has not begun does not begin.
-    #[must_use]
     pub const fn is_withdrawn(&self) -> bool {
         self.every == 0
     }
 }
 
 /// Whether the command with first word `at` in copied words is in force in `cycle`.
-#[must_use]
 pub fn is_in_force(words: &[u64], at: usize, cycle: u64) -> bool {
     let word = |i: usize| words.get(at + i).copied().unwrap_or(0);
     cycle.saturating_sub(word(1)) < word(EVERY)
@@ -183,7 +178,6 @@ pub fn withhold(words: &mut [u64], at: usize) {
 
 impl<T: Words> Command<T> {
     /// Whether another primitive gives or holds it in this cycle.
-    #[must_use]
     pub fn is_taken(self, cycle: &Cycle<'_>) -> bool {
         cycle.image.commands[self.0].get() == cycle.moment.cycle
     }
@@ -204,13 +198,11 @@ impl<T: Words> Command<T> {
     }
 
     /// Its address, for [`crate::Build::commands`].
-    #[must_use]
     pub const fn target(self) -> Target {
         Target::Words(self.0)
     }
 
     /// The command in words with the same layout; `None` if it was never given.
-    #[must_use]
     pub fn read(self, words: &[u64]) -> Option<Given<T>> {
         let word = |i: usize| words.get(self.0 + i).copied().unwrap_or(0);
         (word(1) != 0).then(|| Given {

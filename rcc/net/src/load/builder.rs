@@ -34,27 +34,21 @@ impl std::fmt::Debug for Build<'_, '_> {
 
 impl Build<'_, '_> {
     /// Time from one cycle to the next.
-    #[must_use]
     pub fn period(&self) -> Duration {
         self.context.period
     }
 
     /// Bounds on the net.
-    #[must_use]
     pub fn limits(&self) -> &Limits {
         &self.context.limits
     }
 
     /// The available devices.
-    #[must_use]
     pub fn devices(&self) -> &dyn Devices {
         self.context.devices
     }
 
     /// The robot arm named by parameter `parameter`.
-    ///
-    /// # Errors
-    /// If there is no such arm.
     pub fn arm(&mut self, parameter: &'static str) -> Result<ArmBinding, Fault> {
         self.device(parameter, "robot arm", |devices, name| devices.arm(name))
     }
@@ -122,7 +116,6 @@ impl Build<'_, '_> {
     }
 
     /// Whether an in port is connected.
-    #[must_use]
     pub fn is_linked(&self, port: &str) -> bool {
         self.node
             .definition
@@ -193,10 +186,7 @@ impl Build<'_, '_> {
     }
 
     /// Adds `bytes` to the net's memory.
-    ///
-    /// # Errors
-    /// If that exceeds the net's memory.
-    pub fn take_memory(&mut self, bytes: usize) -> Result<(), Fault> {
+    pub(crate) fn take_memory(&mut self, bytes: usize) -> Result<(), Fault> {
         let bound = self.limits().memory_bytes;
         let found = self.parts.memory.saturating_add(bytes);
         if found > bound {
@@ -310,7 +300,6 @@ impl Build<'_, '_> {
     ///
     /// # Panics
     /// If the definition has no such parameter.
-    #[must_use]
     pub fn text(&self, parameter: &'static str) -> &str {
         self.parameter(parameter).0
     }
@@ -392,7 +381,6 @@ impl Build<'_, '_> {
     }
 
     /// A fault of a parameter's value.
-    #[must_use]
     pub fn parameter_fault(&self, parameter: &'static str, why: String) -> Fault {
         let kind = FaultKind::Parameter {
             parameter: parameter.to_owned(),
@@ -425,7 +413,6 @@ impl Build<'_, '_> {
     }
 
     /// A fault of this primitive.
-    #[must_use]
     pub fn fault(&self, kind: FaultKind) -> Fault {
         Fault::new(kind, self.node.at.clone())
     }
@@ -434,7 +421,7 @@ impl Build<'_, '_> {
     ///
     /// # Errors
     /// If the key is in use or the bound on netcomm values is reached.
-    pub fn netcomm_out<T: Value>(
+    pub(crate) fn netcomm_out<T: Value>(
         &mut self,
         key: &str,
         array: Option<usize>,
@@ -458,7 +445,7 @@ impl Build<'_, '_> {
     ///
     /// # Errors
     /// If the key is in use with another type or size, or the bound on netcomm values is reached.
-    pub fn netcomm_in<T: Value>(
+    pub(crate) fn netcomm_in<T: Value>(
         &mut self,
         key: &str,
         array: bool,

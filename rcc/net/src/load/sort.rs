@@ -22,9 +22,6 @@ pub(super) struct Unordered {
 }
 
 /// Orders the units.
-///
-/// # Errors
-/// If links form a cycle.
 pub(super) fn order(graph: &Graph) -> Result<Vec<u32>, Unordered> {
     let mut sorter = Sorter::new(graph);
     sorter.run();

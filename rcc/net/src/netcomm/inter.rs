@@ -87,13 +87,11 @@ impl Mailbox {
 
 impl Plan {
     /// Values that the net reads from other nets.
-    #[must_use]
     pub fn inter_ins(&self) -> &[Inter] {
         &self.inter_ins
     }
 
     /// Values that the net writes to other nets.
-    #[must_use]
     pub fn inter_outs(&self) -> &[Inter] {
         &self.inter_outs
     }

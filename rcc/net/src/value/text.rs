@@ -29,16 +29,10 @@ pub trait TextValue: Value {
     fn format(self, out: &mut String);
 
     /// Reads the value from a syntax tree.
-    ///
-    /// # Errors
-    /// If the tree does not have this type's structure.
     #[doc(hidden)]
     fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError>;
 
     /// Reads the value from text.
-    ///
-    /// # Errors
-    /// If the text is not a value of this type, with the location.
     fn parse(text: &str) -> Result<Self, ValueError> {
         Self::from_tree(&Tree::parse(text)?)
     }
@@ -74,7 +68,7 @@ pub fn format_array<T: TextValue>(values: impl IntoIterator<Item = T>, out: &mut
 }
 
 /// Formats the value in `words`, laid out as by [`Value::put`].
-pub fn format_words(ty: Type, words: &[u64], out: &mut String) {
+pub(crate) fn format_words(ty: Type, words: &[u64], out: &mut String) {
     fn one<T: TextValue>(words: &[u64]) -> T {
         T::take(|i| words.get(i).copied().unwrap_or(0))
     }
@@ -86,10 +80,7 @@ pub fn format_words(ty: Type, words: &[u64], out: &mut String) {
 }
 
 /// Parses a value of `ty` into `words`; an array must have exactly the length that fills them.
-///
-/// # Errors
-/// If the text is not such a value.
-pub fn parse_words(ty: Type, text: &str, words: &mut [u64]) -> Result<(), ValueError> {
+pub(crate) fn parse_words(ty: Type, text: &str, words: &mut [u64]) -> Result<(), ValueError> {
     crate::slots::for_element!(ty.element, T => {
         let values = if ty.array {
             parse_array::<T>(text, words.len())?

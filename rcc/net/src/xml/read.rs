@@ -14,9 +14,6 @@ const ATTRIBUTES_MAX: usize = 16;
 type Read<T> = Result<T, XmlFaultKind>;
 
 /// Converts the XML form of a net to net text.
-///
-/// # Errors
-/// If the text is not the XML form of a net, or exceeds the bounds.
 pub fn from_xml(xml: &str, limits: &Limits) -> Result<String, XmlFault> {
     if xml.len() > limits.text_bytes {
         let (item, found, bound) = ("bytes of XML", xml.len(), limits.text_bytes);

@@ -10,9 +10,6 @@ use crate::limits::Limits;
 use crate::text::{self, Arg, ArgValue, Body, Fragment, Node, SourceOf};
 
 /// Converts a net text to its XML form.
-///
-/// # Errors
-/// If the text does not follow the grammar.
 pub fn to_xml(text: &str, limits: &Limits) -> Result<String, Rejection> {
     let mut faults = Vec::new();
     let root = text::parse(text, limits, &mut faults);

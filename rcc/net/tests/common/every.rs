@@ -19,6 +19,7 @@ use takt_net::{
     Definition, Element, Image, Limits, LoadContext, Moment, Nanos, NoDevices, NullRule, Plan,
     Registry, load,
 };
+use takt_tests::Random;
 
 /// Number of elements of all arrays here, enough for a word of 32 bits.
 const SIZE: usize = 32;
@@ -293,13 +294,7 @@ pub fn with_anything(
     cycles: usize,
     mut around: impl FnMut(&str, &mut dyn FnMut()),
 ) {
-    let mut seed = 0x9e37_79b9_7f4a_7c15_u64;
-    let mut random = |bound: usize| {
-        seed ^= seed << 13;
-        seed ^= seed >> 7;
-        seed ^= seed << 17;
-        usize::try_from(seed % bound as u64).unwrap()
-    };
+    let mut random = Random::new(1);
     for definition in definitions(registry) {
         let mut run = Run::new(registry, &net(definition, |_| Some(Feed::Driven)));
         let inbox = run.plan.inbox().clone();
@@ -307,13 +302,17 @@ pub fn with_anything(
             let mut words: Vec<u64> = run.plan.inbox_words().collect();
             for (i, port) in definition.inputs.iter().enumerate() {
                 let values = nasty(port.ty.element);
-                let value = values[random(values.len())];
+                let value = values[random.below(values.len())];
                 let value = if port.ty.array {
                     list(value)
                 } else {
                     value.to_owned()
                 };
-                let null = if random(8) == 0 { "true" } else { "false" };
+                let null = if random.below(8) == 0 {
+                    "true"
+                } else {
+                    "false"
+                };
                 for (key, text) in [
                     (format!("ini{i}"), value.as_str()),
                     (format!("inn{i}"), null),

@@ -4,7 +4,6 @@
 #![allow(
     dead_code,
     unreachable_pub,
-    clippy::expect_used,
     reason = "shared by test files of more than one crate"
 )]
 

@@ -11,7 +11,6 @@ pub(super) fn value(figures: &NetFigures) -> Value {
     let counts = &figures.counts;
     let time = |time: Duration| Value::Float(time.as_secs_f64() * 1e3);
     // Integers of the protocol have 31 bits, i.e. 25 days at 1 kHz.
-    #[expect(clippy::cast_precision_loss, reason = "exact below 2^53")]
     let number = |n: u64| Value::Float(n as f64);
     Value::map_of([
         ("period", time(figures.period)),

@@ -29,7 +29,6 @@ pub struct LocalSocket {
 
 /// Default path for a controller of this process's account: in the runtime directory of the service manager, else
 /// in that of the account's session, else in `/run/takt`.
-#[must_use]
 pub fn default_path() -> PathBuf {
     let named = |name| std::env::var_os(name).filter(|value| !value.is_empty());
     if let Some(directory) = named("RUNTIME_DIRECTORY") {
@@ -42,8 +41,7 @@ pub fn default_path() -> PathBuf {
 }
 
 /// Paths at which tools search for a controller: first of the same account's session, then of the service.
-#[must_use]
-pub fn client_paths() -> Vec<PathBuf> {
+pub(crate) fn client_paths() -> Vec<PathBuf> {
     let session = std::env::var_os("XDG_RUNTIME_DIR").filter(|value| !value.is_empty());
     let session = session.map(|directory| Path::new(&directory).join("takt").join(NAME));
     let service = Path::new(SERVICE_DIRECTORY).join(NAME);

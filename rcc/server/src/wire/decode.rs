@@ -41,9 +41,6 @@ pub enum DecodeError {
 
 impl Message {
     /// Decodes one message.
-    ///
-    /// # Errors
-    /// If `text` is not exactly one message, or exceeds a bound.
     pub fn decode(text: &str) -> Result<Self, DecodeError> {
         if text.len() > MESSAGE_BYTES_MAX {
             return Err(DecodeError::TooLong { bytes: text.len() });

@@ -41,8 +41,7 @@ pub struct LineTooLong {
 
 /// Whether the bytes can be the beginning of a first line, `tag=ver(…` or `tag=tok(…`. Other protocols, such as HTTP
 /// of a browser or TLS, are recognised by their first bytes, before a whole line is received.
-#[must_use]
-pub fn may_be_first_line(bytes: &[u8]) -> bool {
+pub(crate) fn may_be_first_line(bytes: &[u8]) -> bool {
     let skip_blanks = |bytes: &[u8]| bytes.iter().take_while(|b| **b == b' ').count();
     let after_blanks = |at: usize| bytes.get(at..).map_or(at, |rest| at + skip_blanks(rest));
     let is_name = |b: &u8| b.is_ascii_alphanumeric() || *b == b'_';
@@ -78,13 +77,11 @@ const FIRST_COMMAND_BYTES: usize = 3;
 
 impl LineReader {
     /// The bytes of the message in progress.
-    #[must_use]
     pub fn pending(&self) -> &[u8] {
         self.bytes.get(self.start..).unwrap_or_default()
     }
 
     /// A reader for messages of at most `bound` bytes.
-    #[must_use]
     pub fn bounded(bound: usize) -> Self {
         Self {
             bytes: Vec::new(),
@@ -96,7 +93,7 @@ impl LineReader {
     }
 
     /// Raises the bound to [`MESSAGE_BYTES_MAX`].
-    pub const fn raise_bound(&mut self) {
+    pub(crate) const fn raise_bound(&mut self) {
         self.bound = MESSAGE_BYTES_MAX;
     }
 
@@ -110,10 +107,7 @@ impl LineReader {
 
     /// The next complete message without its newline. Empty lines are skipped, and a carriage return before the
     /// newline is removed.
-    ///
-    /// # Errors
-    /// If the message in progress is too long.
-    pub fn poll_message(&mut self) -> Result<Option<String>, LineTooLong> {
+    pub(crate) fn poll_message(&mut self) -> Result<Option<String>, LineTooLong> {
         while let Some(end) = self.find_end() {
             let line = self.bytes.get(self.start..end).unwrap_or_default();
             let line = line.strip_suffix(b"\r").unwrap_or(line);

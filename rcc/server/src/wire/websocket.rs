@@ -63,7 +63,6 @@ impl Default for FrameReader {
 
 impl FrameReader {
     /// A reader for messages of at most `bound` bytes.
-    #[must_use]
     pub fn bounded(bound: usize) -> Self {
         Self {
             bound: bound.min(MESSAGE_BYTES_MAX),
@@ -74,7 +73,7 @@ impl FrameReader {
     }
 
     /// Raises the bound to [`MESSAGE_BYTES_MAX`].
-    pub const fn raise_bound(&mut self) {
+    pub(crate) const fn raise_bound(&mut self) {
         self.bound = MESSAGE_BYTES_MAX;
     }
 
@@ -86,9 +85,6 @@ impl FrameReader {
     }
 
     /// The next event. Must not be called again after an error or [`Event::Close`].
-    ///
-    /// # Errors
-    /// If the bytes are not valid frames.
     pub fn poll_event(&mut self) -> Result<Option<Event>, FrameError> {
         while let Some((header, payload)) = self.next_frame()? {
             let event = match header.opcode {
@@ -166,7 +162,7 @@ fn unmask(payload: &[u8], mask: Option<[u8; 4]>) -> Vec<u8> {
 }
 
 /// Appends a server frame to `out`.
-pub fn write_frame(opcode: OpCode, payload: &[u8], out: &mut Vec<u8>) {
+pub(crate) fn write_frame(opcode: OpCode, payload: &[u8], out: &mut Vec<u8>) {
     let header = FrameHeader {
         opcode,
         ..FrameHeader::default()

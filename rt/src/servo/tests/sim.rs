@@ -16,7 +16,6 @@ impl Random {
     }
 
     /// In (0, 1).
-    #[expect(clippy::cast_precision_loss, reason = "52 bits")]
     pub(super) fn uniform(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;

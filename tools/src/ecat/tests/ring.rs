@@ -18,16 +18,16 @@ struct Ring {
 struct RingPort(Rc<RefCell<Ring>>, Entry);
 
 impl Link for RingPort {
-    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+    fn send(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let mut ring = self.0.borrow_mut();
-        let mut frame = frame.to_vec();
+        let mut frame = bytes.to_vec();
         let now = ring.now;
         let ns = u64::try_from(now.as_nanos()).unwrap();
         if let Some(back) = ring.segment.process_ethernet(&mut frame, self.1, ns) {
             let due = now + Duration::from_nanos(back.after);
             ring.returned[usize::from(back.by == Entry::Last)].push_back((due, frame));
         }
-        Ok(())
+        Ok(bytes.len())
     }
 
     fn receive(

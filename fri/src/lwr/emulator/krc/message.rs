@@ -26,7 +26,7 @@ impl Krc {
         if self.measurement().encode(&mut bytes).is_ok() {
             let (behind, faults) = (self.behind(), &mut self.config.faults.to_client);
             self.to_client
-                .push(&bytes, now, behind, faults, &mut self.rng);
+                .push(&bytes, now, behind, faults, &mut self.random);
         }
     }
 

@@ -33,7 +33,7 @@ impl Cabinet {
         if let Ok(len) = dialect.frame(&mut bytes, |buf| message.encode(buf)) {
             let (behind, faults) = (self.behind(), &mut self.config.faults.to_client);
             self.to_client
-                .push(&bytes[..len], now, behind, faults, &mut self.rng);
+                .push(&bytes[..len], now, behind, faults, &mut self.random);
         }
     }
 

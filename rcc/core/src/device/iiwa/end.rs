@@ -422,7 +422,7 @@ impl Protocol for End {
         Totals {
             received: counters.received,
             lost: counters.lost,
-            malformed: counters.malformed,
+            malformed: counters.refused,
         }
     }
 }

@@ -1,23 +1,20 @@
-//! Plays back a recording as a link. `takt-link` reads recordings; nothing is captured or checked here.
+//! Plays back a recording as a link. Nothing is captured or checked here.
 
 use std::io;
 use std::time::Duration;
 
-use takt_link::capture::{CaptureError, Frames};
+use super::{CaptureError, Frames};
+use crate::Link;
 
-use super::{FRAME_MAX, Link};
-
-/// Plays a recording: each frame is received at its recorded time, sent frames are discarded.
+/// Plays a recording of Ethernet: each frame is received at its recorded time, sent frames are discarded.
 #[derive(Debug)]
 pub struct Replay {
     frames: std::vec::IntoIter<(Duration, Vec<u8>)>,
 }
 
 impl Replay {
-    /// Reads the whole recording and starts before its first frame.
-    ///
-    /// # Errors
-    /// If it is not a recording, or damaged; a truncated one is played up to its end.
+    /// Reads the whole recording and starts before its first frame. A truncated recording is played up to its end; a
+    /// damaged one is an error.
     pub fn new(bytes: &[u8]) -> Result<Self, CaptureError> {
         let frames = Frames::new(bytes)?.map(|frame| frame.map(|frame| (frame.at, frame.bytes)));
         let frames = frames.collect::<Result<Vec<_>, _>>()?.into_iter();
@@ -26,8 +23,8 @@ impl Replay {
 }
 
 impl Link for Replay {
-    fn send(&mut self, _frame: &[u8]) -> io::Result<()> {
-        Ok(())
+    fn send(&mut self, frame: &[u8]) -> io::Result<usize> {
+        Ok(frame.len())
     }
 
     fn receive(
@@ -38,7 +35,7 @@ impl Link for Replay {
         let Some((at, frame)) = self.frames.next() else {
             return Ok(None);
         };
-        let len = frame.len().min(buf.len()).min(FRAME_MAX);
+        let len = frame.len().min(buf.len());
         buf[..len].copy_from_slice(&frame[..len]);
         Ok(Some((len, at)))
     }
@@ -46,8 +43,7 @@ impl Link for Replay {
 
 #[cfg(test)]
 mod tests {
-    use takt_link::capture::{LinkType, Writer};
-
+    use super::super::{LinkType, Writer};
     use super::*;
 
     #[test]
@@ -59,7 +55,7 @@ mod tests {
         // Cut off in the second frame, only the first is played.
         for (len, expected) in [(bytes.len(), 2), (bytes.len() - 1, 1)] {
             let mut replay = Replay::new(&bytes[..len]).unwrap();
-            let mut buf = [0; FRAME_MAX];
+            let mut buf = [0; 1514];
             replay.send(&[1]).unwrap();
             let mut times = vec![];
             while let Some((len, at)) = replay.receive(&mut buf, Duration::ZERO).unwrap() {
