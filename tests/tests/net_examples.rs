@@ -1,5 +1,5 @@
-//! The nets of `tests/nets`: each loads, or has the faults that its README lists. Their behaviour
-//! is tested where they run.
+//! The nets of `tests/nets`: each loads, and has the faults or findings that its README lists. Their
+//! behaviour is tested where they run.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use takt_core::device::{DeviceTable, lwr};
-use takt_net::{Limits, LoadContext, Plan, Rejection, load};
+use takt_net::{Finding, Limits, LoadContext, Plan, Rejection, check};
 
 fn folders() -> Vec<PathBuf> {
     let nets = Path::new(env!("CARGO_MANIFEST_DIR")).join("nets");
@@ -23,13 +23,13 @@ fn text(folder: &Path) -> String {
 }
 
 /// Loads a net for a cell with the arms of the demo.
-fn try_load(text: &str) -> Result<Plan, Rejection> {
+fn try_load(text: &str) -> Result<(Plan, Vec<Finding>), Rejection> {
     let mut devices = DeviceTable::default();
     for name in ["left", "right"] {
         devices.add_arm(lwr::describe(name)).unwrap();
     }
     let registry = Arc::new(takt_core::registry());
-    load(
+    check(
         text,
         &LoadContext {
             registry: &registry,
@@ -40,30 +40,35 @@ fn try_load(text: &str) -> Result<Plan, Rejection> {
     )
 }
 
-/// The faults listed in a README: the lines of its `text` block that begin with a location.
-fn listed_faults(folder: &Path) -> Vec<String> {
+/// The faults and findings listed in a README: the lines of its `text` block that begin with a location.
+fn listed(folder: &Path) -> Vec<String> {
     let readme = std::fs::read_to_string(folder.join("README.md")).unwrap();
     let location = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit());
     readme.lines().filter(location).map(str::to_owned).collect()
 }
 
 #[test]
-fn example_nets_load_or_match_readme_faults() {
+fn example_nets_match_faults_and_findings_of_readme() {
     let folders = folders();
     assert!(folders.len() >= 3, "{folders:?}");
     for folder in folders {
         let text = text(&folder);
-        let faults = try_load(&text)
-            .err()
-            .map_or_else(Vec::new, |r| r.lines(&text));
-        assert_eq!(faults, listed_faults(&folder), "{}", folder.display());
+        let line = |finding: &Finding| {
+            let (line, column) = finding.location(&text);
+            format!("{line}:{column}: {}", finding.text)
+        };
+        let found = match try_load(&text) {
+            Ok((_, findings)) => findings.iter().map(line).collect(),
+            Err(rejection) => rejection.lines(&text),
+        };
+        assert_eq!(found, listed(&folder), "{}", folder.display());
     }
 }
 
 #[test]
 fn demo_net_holds_all_joints() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("nets/demo");
-    let plan = try_load(&text(&folder)).unwrap();
+    let (plan, _) = try_load(&text(&folder)).unwrap();
     assert_eq!(plan.devices(), ["left", "right"]);
     let joints = |arm: &str| {
         let of_arm = |r: &&String| r.starts_with(&format!("{arm}_Joint_"));

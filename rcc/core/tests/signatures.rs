@@ -30,3 +30,16 @@ fn every_primitive_has_its_known_signature() {
 fn primitive_signatures_have_descriptions() {
     signatures::are_explained(&takt_core::registry());
 }
+
+#[test]
+fn robot_parameters_declare_their_quantity() {
+    let families = [
+        "RobotArm::",
+        "RobotBase::",
+        "KUKA::",
+        "Motion::",
+        "CartesianPosition::",
+        "ArmKinematics::",
+    ];
+    signatures::have_quantities(&takt_core::registry(), &families, &[]);
+}

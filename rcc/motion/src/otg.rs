@@ -189,13 +189,25 @@ fn with_ports(definition: Definition) -> Definition {
         ))
         .input::<f64>(port(
             "inCurVel",
-            "present velocity, 1/s; if not connected, the last output",
+            "present velocity, per second; if not connected, the last output",
         ))
-        .input::<f64>(port("inMaxVel", "velocity limit, 1/s").or("maxVel", "0"))
-        .input::<f64>(port("inMaxAcc", "acceleration limit, 1/s²").or("maxAcc", "0"))
+        .input::<f64>(
+            port(
+                "inMaxVel",
+                "velocity limit, in the unit of the position per second",
+            )
+            .or("maxVel", "0"),
+        )
+        .input::<f64>(
+            port(
+                "inMaxAcc",
+                "acceleration limit, in the unit of the position per second squared",
+            )
+            .or("maxAcc", "0"),
+        )
         .output::<f64>("outPos", "position of this cycle")
-        .output::<f64>("outVel", "velocity at its end, 1/s")
-        .output::<f64>("outAcc", "acceleration during it, 1/s²")
+        .output::<f64>("outVel", "velocity at its end, per second")
+        .output::<f64>("outAcc", "acceleration during it, per second squared")
         .null(NullRule::Own(
             "Null if a connected input is null or not finite, or a bound is negative; the state \
              then stays.",
@@ -228,7 +240,7 @@ pub(crate) fn table() -> Vec<Definition> {
         .input::<f64>(port("inDestPos", "the goal").required())
         .input::<f64>(port(
             "inDestVel",
-            "velocity of the goal, 1/s; 0 if not connected",
+            "velocity of the goal, per second; 0 if not connected",
         )),
         with_ports(Definition::new(
             "Core::OTG2",

@@ -122,11 +122,7 @@ impl Primitive for Rampify {
 
 fn rampify_definition() -> Definition {
     let build = |b: &mut Build<'_, '_>| -> Result<Rampify, Fault> {
-        let constant: f64 = b.value("Constant")?;
-        if !(0.0..=1.0).contains(&constant) {
-            let why = format!("{constant} is not between 0 and 1");
-            return Err(b.parameter_fault("Constant", why));
-        }
+        let constant = b.double("Constant", 0.0..=1.0)?;
         Ok(Rampify {
             value: b.input("inValue")?,
             out: b.output("outValue"),

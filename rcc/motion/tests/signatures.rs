@@ -46,3 +46,15 @@ fn every_primitive_has_its_known_signature() {
 fn primitive_signatures_have_descriptions() {
     signatures::are_explained(&registry());
 }
+
+#[test]
+fn motion_and_geometry_parameters_declare_their_quantity() {
+    let families = [
+        "Motion::",
+        "World::Frame",
+        "World::Rotation",
+        "World::Twist",
+        "World::Wrench",
+    ];
+    signatures::have_quantities(&registry(), &families, &[]);
+}

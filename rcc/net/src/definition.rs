@@ -10,6 +10,7 @@ use crate::cost::Cost;
 use crate::fault::Fault;
 use crate::plan::Cycle;
 use crate::slots::{In, Out};
+use crate::value::unit::Quantity;
 use crate::value::{Element, Type, Value};
 
 pub use crate::load::Build;
@@ -38,6 +39,8 @@ pub struct InPort {
     pub doc: &'static str,
     /// Type of its values.
     pub ty: Type,
+    /// What its numbers measure, as the doc says.
+    pub quantity: Quantity,
     /// Whether a net without a link here is rejected.
     pub required: bool,
     /// Parameter whose value is used when the port is not connected.
@@ -53,6 +56,8 @@ pub struct OutPort {
     pub doc: &'static str,
     /// Type of its values.
     pub ty: Type,
+    /// What its numbers measure, as the doc says.
+    pub quantity: Quantity,
 }
 
 /// Type of a parameter.
@@ -73,6 +78,8 @@ pub struct Parameter {
     pub doc: &'static str,
     /// Type of its value.
     pub ty: ParameterType,
+    /// What its numbers measure, as the doc says; a text that sets it may have such a unit.
+    pub quantity: Quantity,
     /// Text of the default value.
     pub default: &'static str,
 }
@@ -84,6 +91,8 @@ pub enum NullRule {
     Propagates,
     /// Three-valued logic after Kleene: null is "unknown".
     Kleene,
+    /// As this sentence states; while a required in port is null, so are all outputs.
+    Requires(&'static str),
     /// As this sentence states.
     Own(&'static str),
 }
@@ -94,7 +103,7 @@ impl NullRule {
         match self {
             Self::Propagates => "any input null makes all outputs null",
             Self::Kleene => "null is unknown, as in three-valued logic",
-            Self::Own(sentence) => sentence,
+            Self::Requires(sentence) | Self::Own(sentence) => sentence,
         }
     }
 }
@@ -188,6 +197,7 @@ impl Definition {
             name,
             doc,
             ty,
+            quantity: quantity(ty, doc),
             required,
             parameter,
         });
@@ -196,22 +206,22 @@ impl Definition {
 
     /// Adds an out port.
     #[must_use]
-    pub fn output<T: Value>(mut self, name: &'static str, doc: &'static str) -> Self {
-        self.outputs.push(OutPort {
-            name,
-            doc,
-            ty: Type::scalar(T::ELEMENT),
-        });
-        self
+    pub fn output<T: Value>(self, name: &'static str, doc: &'static str) -> Self {
+        self.port_out(name, doc, Type::scalar(T::ELEMENT))
     }
 
     /// Adds an out port that carries a fixed array.
     #[must_use]
-    pub fn array_output<T: Value>(mut self, name: &'static str, doc: &'static str) -> Self {
+    pub fn array_output<T: Value>(self, name: &'static str, doc: &'static str) -> Self {
+        self.port_out(name, doc, Type::array(T::ELEMENT))
+    }
+
+    fn port_out(mut self, name: &'static str, doc: &'static str, ty: Type) -> Self {
         self.outputs.push(OutPort {
             name,
             doc,
-            ty: Type::array(T::ELEMENT),
+            ty,
+            quantity: quantity(ty, doc),
         });
         self
     }
@@ -261,10 +271,15 @@ impl Definition {
         ty: ParameterType,
         default: &'static str,
     ) -> Self {
+        let quantity = match ty {
+            ParameterType::Text => Quantity::Number,
+            ParameterType::Value(ty) => quantity(ty, doc),
+        };
         self.parameters.push(Parameter {
             name,
             doc,
             ty,
+            quantity,
             default,
         });
         self
@@ -323,6 +338,16 @@ impl Definition {
     }
 }
 
+/// The quantity of a port or parameter. The types of rotations, frames and twists define those of
+/// their components.
+fn quantity(ty: Type, doc: &str) -> Quantity {
+    match ty.element {
+        Element::Double | Element::Vector => Quantity::of_doc(doc),
+        Element::Bool | Element::Int | Element::Nanos => Quantity::Number,
+        Element::Rotation | Element::Frame | Element::Twist | Element::Wrench => Quantity::Any,
+    }
+}
+
 /// An in port in a table row, before its type is known.
 #[derive(Clone, Copy, Debug)]
 pub struct Port {
@@ -343,6 +368,12 @@ pub const fn port(name: &'static str, doc: &'static str) -> Port {
 }
 
 impl Port {
+    /// Its name.
+    #[must_use]
+    pub const fn name(&self) -> &'static str {
+        self.name
+    }
+
     /// The port must be connected.
     #[must_use]
     pub const fn required(mut self) -> Self {
@@ -487,11 +518,7 @@ where
         definition = definition.port_in(*port, Type::scalar(element));
     }
     for ((name, doc), element) in outputs.iter().zip(gives) {
-        definition.outputs.push(OutPort {
-            name,
-            doc,
-            ty: Type::scalar(element),
-        });
+        definition = definition.port_out(name, doc, Type::scalar(element));
     }
     definition
 }

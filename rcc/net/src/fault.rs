@@ -1,13 +1,14 @@
 //! Faults of a net text, with their locations, and how they are rendered. Faults of a running net
 //! are values in its ports, never these.
 
-mod excerpt;
+pub(crate) mod excerpt;
 
 use std::fmt;
 use std::ops::Range;
 use std::time::Duration;
 
 use crate::cost::NetCost;
+use crate::finding::{Finding, Severity};
 
 /// Upper bound on the faults that one load reports. Beyond it the search ends, or else a text of
 /// faults alone would take memory and time without bound.
@@ -96,6 +97,9 @@ pub enum FaultKind {
     /// A parameter's text is not a value of its type, or not an allowed one.
     #[error("parameter `{parameter}`: {why}")]
     Parameter { parameter: String, why: String },
+    /// An arm is not as the primitive needs it, such as one without known kinematics.
+    #[error("parameter `{parameter}`: {why}")]
+    Arm { parameter: String, why: String },
     /// A link joins ports of different types.
     #[error(
         "in port `{port}` takes {expected}, but this source gives {found}{}",
@@ -200,6 +204,7 @@ impl FaultKind {
             Self::NoTerminate => 4,
             Self::UnknownParameter { .. } | Self::LinkForParameter { .. } => 5,
             Self::Parameter { .. }
+            | Self::Arm { .. }
             | Self::NotConnected { .. }
             | Self::ArraySize(_)
             | Self::Netcomm { .. }
@@ -232,12 +237,7 @@ impl Fault {
 
     /// Line and column (both from 1, columns in characters) of the fault in `text`.
     pub fn location(&self, text: &str) -> (usize, usize) {
-        let before = &text[..text.floor_char_boundary(self.at.start)];
-        let line_start = before.rfind('\n').map_or(0, |i| i + 1);
-        (
-            before.matches('\n').count() + 1,
-            before[line_start..].chars().count() + 1,
-        )
+        excerpt::location(text, self.at.start)
     }
 }
 
@@ -271,6 +271,25 @@ impl Rejection {
             format!("{line}:{column}: {}", fault.kind)
         };
         self.faults.iter().map(line).collect()
+    }
+}
+
+impl Rejection {
+    /// What the cell has to decide, if only robot arms are not as the net needs them: then the faults may
+    /// be those of arms that stand in for the ones of a cell.
+    #[must_use]
+    pub fn as_notes(&self) -> Option<Vec<Finding>> {
+        let note = |fault: &Fault| {
+            matches!(fault.kind, FaultKind::Arm { .. }).then(|| Finding {
+                severity: Severity::Note,
+                at: fault.at.clone(),
+                text: "only its cell knows the joints, the limits and the geometry of this robot"
+                    .to_owned(),
+                hint: "check the net with the cell that has the robot: `--config cell.toml`"
+                    .to_owned(),
+            })
+        };
+        self.faults.iter().map(note).collect()
     }
 }
 

@@ -4,6 +4,7 @@
 mod activation;
 mod build;
 mod builder;
+mod findings;
 mod graph;
 mod inter;
 mod resolve;
@@ -14,6 +15,7 @@ use std::time::Duration;
 
 use crate::device::Devices;
 use crate::fault::{FAULTS_MAX, Fault, FaultKind, Rejection};
+use crate::finding::Finding;
 use crate::limits::Limits;
 use crate::plan::Plan;
 use crate::registry::Registry;
@@ -102,6 +104,16 @@ impl<'t> Sorted<'t> {
     /// # Errors
     /// All faults of the net, in text order.
     pub fn build(&self, period: Duration, cost: Option<Duration>) -> Result<Plan, Rejection> {
+        self.build_with(period, cost, |_, _| ()).map(|(plan, ())| plan)
+    }
+
+    /// Builds the plan, and analyses the net if it has no faults.
+    fn build_with<T>(
+        &self,
+        period: Duration,
+        cost: Option<Duration>,
+        analyse: impl Fn(&Resolved<'_>, &[build::Effects]) -> T,
+    ) -> Result<(Plan, T), Rejection> {
         let limits = Limits {
             cost,
             ..self.context.limits
@@ -116,7 +128,9 @@ impl<'t> Sorted<'t> {
         let plan = order.and_then(|it| build::build(&self.resolved, it, &context, &mut faults));
         faults.retain(|f| f.kind != build::inherited());
         match plan {
-            Some(plan) if faults.is_empty() => Ok(plan),
+            Some((plan, effects)) if faults.is_empty() => {
+                Ok((plan, analyse(&self.resolved, &effects)))
+            }
             _ => {
                 faults.sort_by_key(|f| f.at.start);
                 faults.dedup();
@@ -131,6 +145,15 @@ impl<'t> Sorted<'t> {
 pub fn load(text: &str, context: &LoadContext<'_>) -> Result<Plan, Rejection> {
     let parsed = Parsed::new(text, &context.limits);
     Sorted::new(&parsed, context).build(context.period, context.limits.cost)
+}
+
+/// As [`load`], and looks for what is probably not meant in a net without faults.
+///
+/// # Errors
+/// All faults of the net, in text order.
+pub fn check(text: &str, context: &LoadContext<'_>) -> Result<(Plan, Vec<Finding>), Rejection> {
+    let parsed = Parsed::new(text, &context.limits);
+    Sorted::new(&parsed, context).build_with(context.period, context.limits.cost, findings::find)
 }
 
 /// Whether a fault may be only a consequence of a part that could not be parsed.

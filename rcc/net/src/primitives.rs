@@ -24,14 +24,20 @@ mod compare;
 mod control;
 mod event;
 mod exchange;
+mod filter;
 mod generic;
 mod history;
 mod inter;
+mod limit;
+mod linear;
 mod logic;
+mod lookup;
 mod math;
+mod pid;
 mod range;
 mod ring;
 mod time;
+mod wave;
 mod window;
 mod world;
 
@@ -44,6 +50,11 @@ pub fn all() -> Vec<Definition> {
         logic::table(),
         math::table(),
         compare::table(),
+        limit::table(),
+        filter::table(),
+        pid::table(),
+        lookup::table(),
+        wave::table(),
         bits::table(),
         event::table(),
         time::table(),

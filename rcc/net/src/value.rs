@@ -2,6 +2,7 @@
 //! text form is in [`text`]; null is not a value but the `None` of a slot.
 
 pub mod text;
+pub mod unit;
 
 use std::fmt;
 

@@ -9,54 +9,7 @@
 
 mod common;
 
-use common::Bench;
-
-/// Whether two texts of values are equal up to rounding.
-fn close(a: &str, b: &str) -> bool {
-    let parts = |text: &str| -> Vec<String> {
-        let separators = ['{', '}', '[', ']', ',', ':'];
-        text.split(separators).map(str::to_owned).collect()
-    };
-    let (a, b) = (parts(a), parts(b));
-    a.len() == b.len()
-        && a.iter()
-            .zip(&b)
-            .all(|(a, b)| match (a.parse::<f64>(), b.parse::<f64>()) {
-                (Ok(a), Ok(b)) => {
-                    (a - b).abs() <= 1e-12 * a.abs().max(1.0) || a.total_cmp(&b).is_eq()
-                }
-                _ => a == b,
-            })
-}
-
-/// Rows of `primitive | type of the out port, port | value`, evaluated once.
-fn check(rows: &[(&str, &str, &str)]) {
-    for (primitive, out, expected) in rows {
-        let (ty, port) = out.split_once(' ').unwrap();
-        let mut net = Bench::watching(ty, &format!("p={primitive}"), &format!("p.{port}"));
-        let found = net.series(1).remove(0);
-        assert!(
-            close(&found, expected),
-            "{primitive}.{port} is {found}, not {expected}"
-        );
-    }
-}
-
-const B: &str = "Core::Boolean outValue";
-const I: &str = "Core::Int outValue";
-const D: &str = "Core::Double outValue";
-const V: &str = "World::Vector outValue";
-const R: &str = "World::Rotation outValue";
-const F: &str = "World::Frame outValue";
-const T: &str = "World::Twist outValue";
-
-/// A source of null of type `ty`.
-fn null(ty: &str) -> String {
-    format!(
-        "{ty}SetNull(inValue={ty}Value().outValue,\
-         inNull=Core::BooleanValue(Value='true').outValue).outValue"
-    )
-}
+use common::{B, Bench, D, F, I, R, T, V, check, close, null, over_time};
 
 #[test]
 fn double_arithmetic() {
@@ -338,35 +291,6 @@ fn array_is_exported_when_an_element_changes() {
     let mut words: Vec<u64> = net.plan.inbox_words().collect();
     let error = entry.write("[1,2,3]", &mut words).unwrap_err();
     assert_eq!(error.message, "has 3 elements; at most 2 are allowed");
-}
-
-/// Runs a primitive whose ports are fed by `x` of type `ty`, and by the Booleans `r`, `s` and `a`;
-/// a row is the value of `x`, the ones of `r`, `s`, `-a` that are set in this cycle, and the
-/// expected output.
-fn over_time(ty: &str, primitive: &str, out: &str, rows: &[(&str, &str, &str)]) {
-    let (out_ty, port) = out.split_once(' ').unwrap();
-    let children = format!(
-        "v=Core::BooleanNetcommIn(Key='null'),x={ty}SetNull(inValue=y.outValue,inNull=v.outValue),\
-         y={ty}NetcommIn(Key='x'),r=Core::BooleanNetcommIn(Key='r'),\
-         s=Core::BooleanNetcommIn(Key='s'),a=Core::BooleanNetcommIn(Key='a',Value='true'),\
-         p={primitive}"
-    );
-    let mut net = Bench::watching(out_ty, &children, &format!("p.{port}"));
-    for (i, (x, set, expected)) in rows.iter().enumerate() {
-        let bool = |on: bool| if on { "true" } else { "false" };
-        net.write("null", bool(*x == "null"));
-        if *x != "null" {
-            net.write("x", x);
-        }
-        net.write("r", bool(set.contains('r')));
-        net.write("s", bool(set.contains('s')));
-        net.write("a", bool(!set.contains("-a")));
-        let found = net.series(1).remove(0);
-        assert!(
-            close(&found, expected),
-            "{primitive}.{port}, row {i}: {found}, not {expected}"
-        );
-    }
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use clap::Args;
 use serde_json::json;
 use takt_net::definition::{InPort, Parameter, ParameterType};
-use takt_net::{Definition, Registry};
+use takt_net::{Definition, Element, Quantity, Registry, Type};
 
 use crate::Verdict;
 use crate::output::{complain, say};
@@ -67,20 +67,42 @@ fn type_name(ty: ParameterType) -> String {
     }
 }
 
+/// The unit of the numbers of a port or parameter: `1` has none, `any` takes what the net says.
+fn unit(ty: Type, quantity: Quantity) -> Option<String> {
+    match ty.element {
+        Element::Double | Element::Vector => Some(quantity.to_string()),
+        Element::Rotation => Some("rad".to_owned()),
+        Element::Frame => Some("m, rad".to_owned()),
+        Element::Twist => Some("m/s, rad/s".to_owned()),
+        Element::Wrench => Some("any".to_owned()),
+        Element::Bool | Element::Int | Element::Nanos => None,
+    }
+}
+
+fn parameter_unit(parameter: &Parameter) -> Option<String> {
+    match parameter.ty {
+        ParameterType::Text => None,
+        ParameterType::Value(ty) => unit(ty, parameter.quantity),
+    }
+}
+
 fn as_json(definition: &Definition) -> serde_json::Value {
     let inputs = definition.inputs.iter().map(|port| {
         json!({
-            "name": port.name, "type": port.ty.to_string(), "doc": port.doc,
-            "required": port.required, "parameter": port.parameter,
+            "name": port.name, "type": port.ty.to_string(), "unit": unit(port.ty, port.quantity),
+            "doc": port.doc, "required": port.required, "parameter": port.parameter,
         })
     });
-    let outputs = definition
-        .outputs
-        .iter()
-        .map(|port| json!({"name": port.name, "type": port.ty.to_string(), "doc": port.doc}));
+    let outputs = definition.outputs.iter().map(|port| {
+        json!({
+            "name": port.name, "type": port.ty.to_string(), "unit": unit(port.ty, port.quantity),
+            "doc": port.doc,
+        })
+    });
     let parameters = definition.parameters.iter().map(|parameter| {
         json!({
             "name": parameter.name, "type": type_name(parameter.ty),
+            "unit": parameter_unit(parameter),
             "default": parameter.default, "doc": parameter.doc,
         })
     });
@@ -138,13 +160,17 @@ fn text(definition: &Definition) -> String {
     });
     section("parameters", parameters.map(parameter_row).collect());
     let outputs = definition.outputs.iter();
-    let outputs = outputs.map(|port| row(port.name, &port.ty.to_string(), port.doc));
+    let outputs = outputs.map(|port| {
+        let unit = unit(port.ty, port.quantity);
+        row(port.name, &port.ty.to_string(), unit, port.doc)
+    });
     section("out ports", outputs.collect());
     text
 }
 
-fn row(name: &str, ty: &str, doc: &str) -> String {
-    format!("  {name:<24} {ty:<15} {doc}\n")
+fn row(name: &str, ty: &str, unit: Option<String>, doc: &str) -> String {
+    let unit = unit.unwrap_or_default();
+    format!("  {name:<24} {ty:<15} {unit:<10} {doc}\n")
 }
 
 fn in_row(definition: &Definition, port: &InPort) -> String {
@@ -160,10 +186,12 @@ fn in_row(definition: &Definition, port: &InPort) -> String {
         None if port.required => format!("{}; must be connected", port.doc),
         None => port.doc.to_owned(),
     };
-    row(port.name, &port.ty.to_string(), &doc)
+    let unit = unit(port.ty, port.quantity);
+    row(port.name, &port.ty.to_string(), unit, &doc)
 }
 
 fn parameter_row(parameter: &Parameter) -> String {
     let doc = format!("{} (default '{}')", parameter.doc, parameter.default);
-    row(parameter.name, &type_name(parameter.ty), &doc)
+    let unit = parameter_unit(parameter);
+    row(parameter.name, &type_name(parameter.ty), unit, &doc)
 }

@@ -67,10 +67,12 @@ fn joint_position(b: &mut Build<'_, '_>) -> Result<JointPosition, Fault> {
     b.claim(&robot, format!("{robot}_Joint_{axis}"));
     b.claim(&robot, format!("{robot}_ToolParam_{axis}"));
     b.commands(Target::Joint(arm.first_joint + axis));
+    let limits = arm.limits[axis];
+    b.expects("inPosition", limits.position_min..=limits.position_max);
     Ok(JointPosition {
         position: b.input("inPosition")?,
         joint: arm.first_joint + axis,
-        limits: arm.limits[axis],
+        limits,
         error: b.output("outError"),
         concurrent: b.output("outErrorConcurrentAccess"),
         failed: b.output("outErrorJointFailed"),

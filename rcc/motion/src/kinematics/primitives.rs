@@ -205,7 +205,7 @@ fn lwr(b: &mut Build<'_, '_>) -> Result<Srs, Fault> {
     let limits = b.arm("Robot")?.limits;
     let ranges = ranges(&limits).ok_or_else(|| {
         let why = format!("an LWR has 7 joints, this arm has {}", limits.len());
-        b.parameter_fault("Robot", why)
+        b.arm_fault("Robot", why)
     })?;
     Ok(Srs::kuka_lwr4().within(ranges))
 }

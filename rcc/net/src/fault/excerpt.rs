@@ -9,8 +9,18 @@ const BEFORE: usize = 60;
 /// Characters shown from the location on.
 const BEHIND: usize = 60;
 
+/// Line and column (both from 1, columns in characters) of a byte of `text`.
+pub(crate) fn location(text: &str, start: usize) -> (usize, usize) {
+    let before = &text[..text.floor_char_boundary(start)];
+    let line_start = before.rfind('\n').map_or(0, |i| i + 1);
+    (
+        before.matches('\n').count() + 1,
+        before[line_start..].chars().count() + 1,
+    )
+}
+
 /// Appends the line of `text` that contains the start of `at`, and carets with `note` below.
-pub(super) fn append(text: &str, at: &Range<usize>, note: &str, out: &mut String) {
+pub(crate) fn append(text: &str, at: &Range<usize>, note: &str, out: &mut String) {
     let start = text.floor_char_boundary(at.start);
     let end = text.floor_char_boundary(at.end).max(start);
     let (before, behind) = text.split_at(start);

@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 use std::marker::PhantomData;
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use crate::cost::NetCost;
@@ -25,36 +26,26 @@ pub(super) const fn inherited() -> FaultKind {
     FaultKind::ArraySize(String::new())
 }
 
-/// Builds the plan of an ordered net; `None` if that adds faults.
+/// What a primitive does beyond its out ports, and what it expects at its in ports.
+#[derive(Debug, Default)]
+pub(super) struct Effects {
+    /// Its commands, and the device that it named last.
+    pub(super) commands: Vec<Target>,
+    pub(super) device: Option<String>,
+    /// Whether it has an effect outside its net.
+    pub(super) acts: bool,
+    /// By in port, the values that can be meant.
+    pub(super) expected: Vec<(usize, RangeInclusive<f64>)>,
+}
+
+/// Builds the plan of an ordered net, with the effects of its primitives; `None` if that adds faults.
 pub(super) fn build(
     resolved: &Resolved<'_>,
     order: &[u32],
     context: &LoadContext<'_>,
     faults: &mut Vec<Fault>,
-) -> Option<Plan> {
-    let mut slots_before = Vec::with_capacity(resolved.nodes.len() + 1);
-    let mut ports = 0;
-    for node in &resolved.nodes {
-        slots_before.push(ports);
-        ports += node.definition.outputs.len();
-    }
-    let mut parts = Parts {
-        slots: SlotsBuilder::default(),
-        outputs: vec![None; ports],
-        slots_before,
-        states: HashMap::new(),
-        resources: Vec::new(),
-        commands: Vec::new(),
-        devices: Vec::new(),
-        uses: Vec::new(),
-        inbox: Directory::default(),
-        inbox_words: Vec::new(),
-        outbox: Directory::default(),
-        inter_ins: Vec::new(),
-        inter_outs: Vec::new(),
-        memory: 0,
-        elements: 0,
-    };
+) -> Option<(Plan, Vec<Effects>)> {
+    let mut parts = Parts::new(resolved);
     let mut elements = vec![0; resolved.nodes.len()];
     let mut walk = Walk::new(resolved);
     let known = faults.len();
@@ -100,7 +91,9 @@ pub(super) fn build(
         faults.push(Fault::new(kind, 0..0));
         return None;
     }
-    parts.finish(walk, resolved, context.period, cost)
+    let effects = std::mem::take(&mut parts.effects);
+    let plan = parts.finish(walk, resolved, context.period, cost)?;
+    Some((plan, effects))
 }
 
 /// The cost of the longest activation; `elements` are those of the arrays at the ports of each
@@ -142,9 +135,38 @@ pub(super) struct Parts {
     pub(super) memory: usize,
     /// Array elements at the ports of the primitive that is being built.
     pub(super) elements: usize,
+    /// By node.
+    pub(super) effects: Vec<Effects>,
 }
 
 impl Parts {
+    fn new(resolved: &Resolved<'_>) -> Self {
+        let mut slots_before = Vec::with_capacity(resolved.nodes.len() + 1);
+        let mut ports = 0;
+        for node in &resolved.nodes {
+            slots_before.push(ports);
+            ports += node.definition.outputs.len();
+        }
+        Self {
+            slots: SlotsBuilder::default(),
+            outputs: vec![None; ports],
+            slots_before,
+            states: HashMap::new(),
+            resources: Vec::new(),
+            commands: Vec::new(),
+            devices: Vec::new(),
+            uses: Vec::new(),
+            inbox: Directory::default(),
+            inbox_words: Vec::new(),
+            outbox: Directory::default(),
+            inter_ins: Vec::new(),
+            inter_outs: Vec::new(),
+            memory: 0,
+            elements: 0,
+            effects: resolved.nodes.iter().map(|_| Effects::default()).collect(),
+        }
+    }
+
     pub(super) fn output(&mut self, origin: Origin) -> &mut Option<SlotRef> {
         let before = self.slots_before[origin.node as usize];
         &mut self.outputs[before + origin.port as usize]
@@ -285,7 +307,7 @@ const fn boolean(slot: SlotRef) -> Option<In<bool>> {
     }
 }
 
-fn is_inside(resolved: &Resolved<'_>, mut inner: u32, outer: u32) -> bool {
+pub(super) fn is_inside(resolved: &Resolved<'_>, mut inner: u32, outer: u32) -> bool {
     while inner != outer && inner != 0 {
         inner = resolved.guards[inner as usize].parent;
     }

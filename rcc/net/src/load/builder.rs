@@ -2,6 +2,7 @@
 //! locations, and claims on resources that nets share. The order of primitives is not known here.
 
 use std::marker::PhantomData;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,10 +11,11 @@ use crate::device::{ArmBinding, Devices, Interfaces, Kinematics, Target};
 use crate::fault::{Fault, FaultKind};
 use crate::limits::Limits;
 use crate::load::LoadContext;
-use crate::load::build::{Parts, count, inherited};
+use crate::load::build::{Effects, Parts, count, inherited};
 use crate::load::resolve::{Node, Origin};
 use crate::slots::{ArrayIn, ArrayOut, In, Out, SlotRef, SlotsBuilder};
-use crate::value::text::{TextValue, ValueError, parse_array};
+use crate::value::text::{TextValue, ValueError, parse_array_as};
+use crate::value::unit::Quantity;
 use crate::value::{Type, Value};
 
 /// The context of a primitive's build function.
@@ -77,6 +79,7 @@ impl Build<'_, '_> {
     ) -> Result<T, Fault> {
         let name = self.text(parameter).to_owned();
         self.parts.uses.push(name.clone());
+        self.effects().device = Some(name.clone());
         let devices = self.context.devices;
         find(devices, &name).ok_or_else(|| {
             let mut known = devices.names();
@@ -92,8 +95,17 @@ impl Build<'_, '_> {
     pub fn kinematics(&mut self, parameter: &'static str) -> Result<Arc<dyn Kinematics>, Fault> {
         let why = format!("the kinematics of `{}` are not known", self.text(parameter));
         let arm = self.arm(parameter)?;
-        arm.kinematics
-            .ok_or_else(|| self.parameter_fault(parameter, why))
+        arm.kinematics.ok_or_else(|| self.arm_fault(parameter, why))
+    }
+
+    /// A fault of the arm named by parameter `parameter`: it is not as the primitive needs it.
+    #[must_use]
+    pub fn arm_fault(&self, parameter: &'static str, why: String) -> Fault {
+        let kind = FaultKind::Arm {
+            parameter: parameter.to_owned(),
+            why,
+        };
+        self.at_parameter(parameter, kind, None)
     }
 
     /// Claims a device resource for this net alone; if the device fails, the net ends.
@@ -105,6 +117,7 @@ impl Build<'_, '_> {
     /// Claims a resource for this net alone that it may use even if the device does not follow
     /// commands.
     pub fn hold(&mut self, resource: String) {
+        self.effects().acts = true;
         self.parts.resources.push(resource);
     }
 
@@ -113,6 +126,21 @@ impl Build<'_, '_> {
     /// declared here end with the previous net.
     pub fn commands(&mut self, target: Target) {
         self.parts.commands.push(target);
+        let effects = self.effects();
+        effects.commands.push(target);
+        effects.acts = true;
+    }
+
+    /// Declares which values of an in port can be meant; a check warns of a constant beyond.
+    pub fn expects(&mut self, port: &str, range: RangeInclusive<f64>) {
+        if let Some(number) = self.node.definition.input_named(port) {
+            self.effects().expected.push((number, range));
+        }
+    }
+
+    /// What is known of the effects of this primitive.
+    pub(super) fn effects(&mut self) -> &mut Effects {
+        &mut self.parts.effects[self.number as usize]
     }
 
     /// Whether an in port is connected.
@@ -324,8 +352,9 @@ impl Build<'_, '_> {
     /// # Panics
     /// If the definition has no such parameter, or with another type.
     pub fn value<T: TextValue>(&self, parameter: &'static str) -> Result<T, Fault> {
-        self.check_type(parameter, Type::scalar(T::ELEMENT));
-        T::parse(self.text(parameter)).map_err(|e| self.value_fault(parameter, e))
+        let quantity = self.quantity(parameter, Type::scalar(T::ELEMENT));
+        let value = T::parse_as(self.text(parameter), quantity);
+        value.map_err(|e| self.value_fault(parameter, e))
     }
 
     /// The elements of a parameter that is a fixed array.
@@ -336,9 +365,9 @@ impl Build<'_, '_> {
     /// # Panics
     /// If the definition has no such parameter, or with another type.
     pub fn array<T: TextValue>(&self, parameter: &'static str) -> Result<Vec<T>, Fault> {
-        self.check_type(parameter, Type::array(T::ELEMENT));
-        parse_array(self.text(parameter), self.limits().array_size)
-            .map_err(|e| self.value_fault(parameter, e))
+        let quantity = self.quantity(parameter, Type::array(T::ELEMENT));
+        let values = parse_array_as(self.text(parameter), self.limits().array_size, quantity);
+        values.map_err(|e| self.value_fault(parameter, e))
     }
 
     /// The value of a counting parameter: a whole number in a range.
@@ -351,7 +380,7 @@ impl Build<'_, '_> {
     pub fn number(
         &self,
         parameter: &'static str,
-        range: std::ops::RangeInclusive<usize>,
+        range: RangeInclusive<usize>,
     ) -> Result<usize, Fault> {
         let value: i32 = self.value(parameter)?;
         usize::try_from(value)
@@ -367,17 +396,39 @@ impl Build<'_, '_> {
             })
     }
 
-    fn check_type(&self, parameter: &str, ty: Type) {
+    /// The value of a parameter: a number in a range.
+    ///
+    /// # Errors
+    /// If it is not such a number.
+    ///
+    /// # Panics
+    /// If the definition has no such parameter, or with another type.
+    pub fn double(
+        &self,
+        parameter: &'static str,
+        range: RangeInclusive<f64>,
+    ) -> Result<f64, Fault> {
+        let value: f64 = self.value(parameter)?;
+        if range.contains(&value) {
+            return Ok(value);
+        }
+        let (least, most) = range.into_inner();
+        let why = format!("{value} is not between {least} and {most}");
+        Err(self.parameter_fault(parameter, why))
+    }
+
+    /// The quantity of a parameter of that type.
+    fn quantity(&self, parameter: &str, ty: Type) -> Quantity {
         let definition = self.node.definition;
-        let declared = definition
-            .parameter_named(parameter)
-            .map(|i| definition.parameters[i].ty);
+        let declared = definition.parameter_named(parameter);
+        let declared = declared.map(|i| &definition.parameters[i]);
         assert_eq!(
-            declared,
+            declared.map(|declared| declared.ty),
             Some(ParameterType::Value(ty)),
             "parameter {parameter} of {}",
             definition.name
         );
+        declared.map_or(Quantity::Number, |declared| declared.quantity)
     }
 
     /// A fault of a parameter's value.
@@ -438,6 +489,7 @@ impl Build<'_, '_> {
             array: array.is_some(),
         };
         let words = array.unwrap_or(1) * T::WORDS;
+        self.effects().acts = true;
         Ok(self.parts.outbox.add(key, ty, words, report))
     }
 

@@ -56,6 +56,7 @@ impl Build<'_, '_> {
         let from = self.parts.outbox.entries().last().cloned();
         let net = self.text(NET).to_owned();
         let inter = from.map(|from| Inter { net, from, to });
+        self.effects().acts = true;
         self.parts.inter_outs.extend(inter);
         Ok(at)
     }

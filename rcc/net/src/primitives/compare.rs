@@ -40,24 +40,47 @@ fn equals<T: TextValue>(within: fn(T, T, T) -> bool) -> Definition {
         .output::<bool>("outValue", "whether they are equal")
 }
 
-fn greater<T: TextValue + PartialOrd>() -> Definition {
+fn comparison<T: TextValue>(
+    name: &str,
+    doc: &'static str,
+    holds: impl Fn(&T, &T) -> bool + Copy + Send + Sync + 'static,
+) -> Definition {
     function(
-        format!("{}Greater", T::PREFIX),
-        "Whether first is greater than second.",
+        format!("{}{name}", T::PREFIX),
+        doc,
         &[
             port("inFirst", "first operand").or("First", "0"),
             port("inSecond", "second operand").or("Second", "0"),
         ],
         &[("outValue", "whether it is")],
-        |(a, b): (T, T)| Some((a > b,)),
+        move |(a, b): (T, T)| Some((holds(&a, &b),)),
     )
 }
 
+/// The orders of two numbers. None holds if one of them is not a number.
+fn orders<T: TextValue + PartialOrd>() -> [Definition; 4] {
+    [
+        comparison("Greater", "Whether first is greater than second.", T::gt),
+        comparison(
+            "GreaterEqual",
+            "Whether first is greater than second or equal to it.",
+            T::ge,
+        ),
+        comparison("Less", "Whether first is less than second.", T::lt),
+        comparison(
+            "LessEqual",
+            "Whether first is less than second or equal to it.",
+            T::le,
+        ),
+    ]
+}
+
 pub(super) fn table() -> Vec<Definition> {
-    vec![
+    let mut table = vec![
         equals::<f64>(|a, b, epsilon| (a - b).abs() <= epsilon),
         equals::<i32>(|a, b, epsilon| i64::from(a.abs_diff(b)) <= i64::from(epsilon)),
-        greater::<f64>(),
-        greater::<i32>(),
-    ]
+    ];
+    table.extend(orders::<f64>());
+    table.extend(orders::<i32>());
+    table
 }

@@ -34,6 +34,16 @@ fn double2(
     })
 }
 
+fn int1(
+    name: &str,
+    doc: &'static str,
+    f: impl Fn(i32) -> Option<i32> + Copy + Send + Sync + 'static,
+) -> Definition {
+    function(name, doc, &[number("0")], VALUE, move |(a,): (i32,)| {
+        Some((f(a)?,))
+    })
+}
+
 fn int2(
     name: &str,
     doc: &'static str,
@@ -53,8 +63,52 @@ const fn number(default: &'static str) -> Port {
 }
 
 pub(super) fn table() -> Vec<Definition> {
-    let tables = [doubles(), angles(), whole_numbers()];
+    let tables = [doubles(), signs(), angles(), whole_numbers()];
     tables.into_iter().flatten().collect()
+}
+
+/// The smaller of two numbers, not a number if one of them is not: a broken value must not vanish.
+fn least(a: f64, b: f64) -> f64 {
+    if a.is_nan() || a < b { a } else { b }
+}
+
+fn greatest(a: f64, b: f64) -> f64 {
+    -least(-a, -b)
+}
+
+fn signs() -> Vec<Definition> {
+    vec![
+        double1(
+            "Core::DoubleNegate",
+            "Minus the number.",
+            number("0"),
+            |a| -a,
+        ),
+        double1(
+            "Core::DoubleAbs",
+            "The number without its sign.",
+            number("0"),
+            f64::abs,
+        ),
+        double1(
+            "Core::DoubleSign",
+            "-1, 0 or 1: the sign of the number; not a number of such.",
+            number("0"),
+            |a| if a == 0.0 { 0.0 } else { a.signum() },
+        ),
+        double2(
+            "Core::DoubleMin",
+            "The smaller of two numbers; not a number if one of them is not.",
+            operands("0"),
+            least,
+        ),
+        double2(
+            "Core::DoubleMax",
+            "The greater of two numbers; not a number if one of them is not.",
+            operands("0"),
+            greatest,
+        ),
+    ]
 }
 
 fn doubles() -> Vec<Definition> {
@@ -64,6 +118,12 @@ fn doubles() -> Vec<Definition> {
             "First plus second.",
             operands("0"),
             |a, b| a + b,
+        ),
+        double2(
+            "Core::DoubleSubtract",
+            "First minus second.",
+            operands("0"),
+            |a, b| a - b,
         ),
         double2(
             "Core::DoubleMultiply",
@@ -137,6 +197,32 @@ fn whole_numbers() -> Vec<Definition> {
             "First plus second; null on overflow.",
             i32::checked_add,
         ),
+        int2(
+            "Core::IntSubtract",
+            "First minus second; null on overflow.",
+            i32::checked_sub,
+        ),
+        int1(
+            "Core::IntNegate",
+            "Minus the number; null on overflow.",
+            i32::checked_neg,
+        ),
+        int1(
+            "Core::IntAbs",
+            "The number without its sign; null on overflow.",
+            i32::checked_abs,
+        ),
+        int1(
+            "Core::IntSign",
+            "-1, 0 or 1: the sign of the number.",
+            |a| Some(a.signum()),
+        ),
+        int2("Core::IntMin", "The smaller of two numbers.", |a, b| {
+            Some(a.min(b))
+        }),
+        int2("Core::IntMax", "The greater of two numbers.", |a, b| {
+            Some(a.max(b))
+        }),
         int2(
             "Core::IntMultiply",
             "First times second; null on overflow.",

@@ -3,6 +3,7 @@
 //! Motions between poses are trajectories and not defined here.
 
 mod frame;
+mod linear;
 mod rotation;
 mod twist;
 mod vector;
@@ -93,6 +94,7 @@ fn vector_of(xyz: [f64; 3]) -> Vector {
 pub(super) fn table() -> Vec<Definition> {
     let tables = [
         vector::table(),
+        linear::table(),
         rotation::table(),
         frame::table(),
         twist::table(),

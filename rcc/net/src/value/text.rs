@@ -8,6 +8,7 @@
 use std::fmt::Write as _;
 use std::ops::Range;
 
+use crate::value::unit::{self, Dimension, Quantity};
 use crate::value::{Frame, Nanos, Rotation, Twist, Type, Value, Vector, Wrench};
 
 /// Why a text is not a value of the expected type, and where in the text.
@@ -28,13 +29,27 @@ pub trait TextValue: Value {
     /// Appends the text form.
     fn format(self, out: &mut String);
 
-    /// Reads the value from a syntax tree.
+    /// Reads the value from a syntax tree. Units are those of the quantity.
+    ///
+    /// # Errors
+    /// If the tree does not have this type's structure.
     #[doc(hidden)]
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError>;
+    fn from_tree(tree: &Tree<'_>, quantity: Quantity) -> Result<Self, ValueError>;
 
-    /// Reads the value from text.
+    /// Reads the value from text without units.
+    ///
+    /// # Errors
+    /// If the text is not a value of this type, with the location.
     fn parse(text: &str) -> Result<Self, ValueError> {
-        Self::from_tree(&Tree::parse(text)?)
+        Self::parse_as(text, Quantity::Number)
+    }
+
+    /// Reads the value from text whose numbers may have units of the quantity.
+    ///
+    /// # Errors
+    /// If the text is not a value of this type and quantity, with the location.
+    fn parse_as(text: &str, quantity: Quantity) -> Result<Self, ValueError> {
+        Self::from_tree(&Tree::parse(text)?, quantity)
     }
 }
 
@@ -43,6 +58,18 @@ pub trait TextValue: Value {
 /// # Errors
 /// If the text is not a list of values of this type, or has more than `most` elements.
 pub fn parse_array<T: TextValue>(text: &str, most: usize) -> Result<Vec<T>, ValueError> {
+    parse_array_as(text, most, Quantity::Number)
+}
+
+/// Reads a fixed array whose numbers may have units of the quantity, such as `[30deg,1]`.
+///
+/// # Errors
+/// If the text is not a list of such values, or has more than `most` elements.
+pub fn parse_array_as<T: TextValue>(
+    text: &str,
+    most: usize,
+    quantity: Quantity,
+) -> Result<Vec<T>, ValueError> {
     let tree = Tree::parse(text)?;
     let TreeKind::List(items) = &tree.kind else {
         return Err(tree.mismatch(&format!("a list of {}", T::ELEMENT.name())));
@@ -52,7 +79,8 @@ pub fn parse_array<T: TextValue>(text: &str, most: usize) -> Result<Vec<T>, Valu
         let at = tree.at;
         return Err(ValueError { message, at });
     }
-    items.iter().map(T::from_tree).collect()
+    let item = |tree| T::from_tree(tree, quantity);
+    items.iter().map(item).collect()
 }
 
 /// Writes values as `[a,b,c]`.
@@ -269,7 +297,7 @@ impl TextValue for bool {
         out.push_str(if self { "true" } else { "false" });
     }
 
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
+    fn from_tree(tree: &Tree<'_>, _: Quantity) -> Result<Self, ValueError> {
         match tree.atom("`true` or `false`")? {
             "true" => Ok(true),
             "false" => Ok(false),
@@ -283,7 +311,7 @@ impl TextValue for i32 {
         write!(out, "{self}").expect("writing to a String cannot fail");
     }
 
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
+    fn from_tree(tree: &Tree<'_>, _: Quantity) -> Result<Self, ValueError> {
         let wanted = "a whole number of 32 bits";
         tree.atom(wanted)?
             .parse()
@@ -296,7 +324,7 @@ impl TextValue for Nanos {
         write!(out, "{}", self.0).expect("writing to a String cannot fail");
     }
 
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
+    fn from_tree(tree: &Tree<'_>, _: Quantity) -> Result<Self, ValueError> {
         let wanted = "a whole number of nanoseconds";
         tree.atom(wanted)?
             .parse()
@@ -322,23 +350,36 @@ impl TextValue for f64 {
         written.expect("writing to a String cannot fail");
     }
 
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
+    fn from_tree(tree: &Tree<'_>, quantity: Quantity) -> Result<Self, ValueError> {
         match tree.atom("a number")? {
             "nan" => Ok(Self::NAN),
             "inf" | "+inf" => Ok(Self::INFINITY),
             "-inf" => Ok(Self::NEG_INFINITY),
-            // `f64::from_str` also accepts words such as `infinity`, which are not part of this
-            // text form.
-            text if text.ends_with(|c: char| c.is_ascii_digit() || c == '.') => {
-                text.parse().map_err(|_| tree.mismatch("a number"))
-            }
-            _ => Err(tree.mismatch("a number")),
+            text => number(text)
+                .map_or_else(|| unit::parse(text, quantity), Ok)
+                .map_err(|message| match message {
+                    Some(message) => ValueError {
+                        message,
+                        at: tree.at.clone(),
+                    },
+                    None => tree.mismatch("a number"),
+                }),
         }
     }
 }
 
-fn member_or_zero<T: TextValue>(tree: Option<&Tree<'_>>) -> Result<T, ValueError> {
-    tree.map_or_else(|| Ok(T::default()), T::from_tree)
+/// A number without unit. `f64::from_str` also accepts words such as `infinity`, which are not part of
+/// this text form.
+fn number(text: &str) -> Option<f64> {
+    let is_number = text.ends_with(|c: char| c.is_ascii_digit() || c == '.');
+    text.parse().ok().filter(|_| is_number)
+}
+
+fn member_or_zero<T: TextValue>(
+    tree: Option<&Tree<'_>>,
+    quantity: Quantity,
+) -> Result<T, ValueError> {
+    tree.map_or_else(|| Ok(T::default()), |tree| T::from_tree(tree, quantity))
 }
 
 fn format_map<T: TextValue>(members: &[(&str, T)], out: &mut String) {
@@ -359,12 +400,12 @@ impl TextValue for Vector {
         format_map(&[("x", self.x), ("y", self.y), ("z", self.z)], out);
     }
 
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
+    fn from_tree(tree: &Tree<'_>, quantity: Quantity) -> Result<Self, ValueError> {
         let [x, y, z] = tree.members(["x", "y", "z"], "a Vector")?;
         Ok(Self::new(
-            member_or_zero(x)?,
-            member_or_zero(y)?,
-            member_or_zero(z)?,
+            member_or_zero(x, quantity)?,
+            member_or_zero(y, quantity)?,
+            member_or_zero(z, quantity)?,
         ))
     }
 }
@@ -375,10 +416,10 @@ impl TextValue for Rotation {
         format_map(&[("a", a), ("b", b), ("c", c)], out);
     }
 
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
+    fn from_tree(tree: &Tree<'_>, quantity: Quantity) -> Result<Self, ValueError> {
         let [a, b, c] = tree.members(["a", "b", "c"], "a Rotation")?;
-        let (a, b, c) = (member_or_zero(a)?, member_or_zero(b)?, member_or_zero(c)?);
-        Ok(Self::from_euler_angles(c, b, a))
+        let angle = |tree| member_or_zero(tree, quantity.part(Dimension::ANGLE));
+        Ok(Self::from_euler_angles(angle(c)?, angle(b)?, angle(a)?))
     }
 }
 
@@ -391,10 +432,10 @@ impl TextValue for Frame {
         out.push('}');
     }
 
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
+    fn from_tree(tree: &Tree<'_>, quantity: Quantity) -> Result<Self, ValueError> {
         let [pos, rot] = tree.members(["pos", "rot"], "a Frame")?;
-        let pos: Vector = member_or_zero(pos)?;
-        Ok(Self::from_parts(pos.into(), member_or_zero(rot)?))
+        let pos: Vector = member_or_zero(pos, quantity.part(Dimension::LENGTH))?;
+        Ok(Self::from_parts(pos.into(), member_or_zero(rot, quantity)?))
     }
 }
 
@@ -403,11 +444,11 @@ impl TextValue for Twist {
         format_map(&[("vel", self.vel), ("rot", self.rot)], out);
     }
 
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
+    fn from_tree(tree: &Tree<'_>, quantity: Quantity) -> Result<Self, ValueError> {
         let [vel, rot] = tree.members(["vel", "rot"], "a Twist")?;
         Ok(Self {
-            vel: member_or_zero(vel)?,
-            rot: member_or_zero(rot)?,
+            vel: member_or_zero(vel, quantity.part(Dimension::VELOCITY))?,
+            rot: member_or_zero(rot, quantity.part(Dimension::ROTATION))?,
         })
     }
 }
@@ -417,11 +458,12 @@ impl TextValue for Wrench {
         format_map(&[("force", self.force), ("torque", self.torque)], out);
     }
 
-    fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
+    fn from_tree(tree: &Tree<'_>, quantity: Quantity) -> Result<Self, ValueError> {
         let [force, torque] = tree.members(["force", "torque"], "a Wrench")?;
         Ok(Self {
-            force: member_or_zero(force)?,
-            torque: member_or_zero(torque)?,
+            // Wrenches are also stiffness and damping.
+            force: member_or_zero(force, quantity)?,
+            torque: member_or_zero(torque, quantity)?,
         })
     }
 }

@@ -10,9 +10,72 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use takt_net::definition::ParameterType;
-use takt_net::{Definition, Registry};
+use takt_net::{Definition, Element, Quantity, Registry};
 
 const SIGNATURES: &str = include_str!("../signatures.txt");
+
+/// The primitives of this crate that clients of the original do not know.
+const TAKT: &[&str] = &[
+    "Core::BooleanDebounce",
+    "Core::DoubleAbs",
+    "Core::DoubleClamp",
+    "Core::DoubleDeadBand",
+    "Core::DoubleDerivative",
+    "Core::DoubleGreaterEqual",
+    "Core::DoubleIntegrator",
+    "Core::DoubleLess",
+    "Core::DoubleLessEqual",
+    "Core::DoubleLowPass",
+    "Core::DoubleLowPass2",
+    "Core::DoubleMax",
+    "Core::DoubleMin",
+    "Core::DoubleNegate",
+    "Core::DoublePID",
+    "Core::DoubleRateLimiter",
+    "Core::DoubleSign",
+    "Core::DoubleSubtract",
+    "Core::DoubleTable",
+    "Core::IntAbs",
+    "Core::IntClamp",
+    "Core::IntGreaterEqual",
+    "Core::IntLess",
+    "Core::IntLessEqual",
+    "Core::IntMax",
+    "Core::IntMin",
+    "Core::IntNegate",
+    "Core::IntSign",
+    "Core::IntSubtract",
+    "Core::Ramp",
+    "Core::SawtoothWave",
+    "Core::SquareWave",
+    "Core::TriangleWave",
+    "World::FrameLowPass",
+    "World::FrameRateLimiter",
+    "World::RotationLowPass",
+    "World::RotationRateLimiter",
+    "World::TwistLowPass",
+    "World::TwistLowPass2",
+    "World::TwistNegate",
+    "World::TwistRateLimiter",
+    "World::TwistScale",
+    "World::TwistSubtract",
+    "World::VectorClamp",
+    "World::VectorDeadBand",
+    "World::VectorDerivative",
+    "World::VectorIntegrator",
+    "World::VectorLength",
+    "World::VectorLowPass",
+    "World::VectorLowPass2",
+    "World::VectorNegate",
+    "World::VectorRateLimiter",
+    "World::VectorSubtract",
+    "World::WrenchAdd",
+    "World::WrenchLowPass",
+    "World::WrenchLowPass2",
+    "World::WrenchNegate",
+    "World::WrenchScale",
+    "World::WrenchSubtract",
+];
 
 /// Prefix of a generic family's names, and the type's name in the list.
 const TYPES: &[(&str, &str)] = &[
@@ -150,13 +213,16 @@ pub fn are_known(
             }
         }
     }
-    let is_own = |name: &str| own.iter().any(|prefix| name.starts_with(prefix));
+    let has_prefix = |name: &str| own.iter().any(|prefix| name.starts_with(prefix));
+    let is_own = |name: &str| has_prefix(name) || TAKT.contains(&name);
     for definition in registry.definitions() {
         let name = definition.name.as_str();
         if !expected.contains_key(name) && !is_own(name) {
             wrong.push(format!("{name} is not in the list"));
         }
     }
+    let missing = TAKT.iter().filter(|name| registry.find(name).is_none());
+    wrong.extend(missing.map(|name| format!("{name} is missing")));
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
@@ -176,4 +242,33 @@ pub fn are_explained(registry: &Registry) {
             assert!(doc.len() > 3, "{name}: a port or parameter without doc");
         }
     }
+}
+
+/// Checks that each double parameter of a family of primitives declares what it measures. Those named
+/// in `any` measure what their net makes of them.
+pub fn have_quantities(registry: &Registry, families: &[&str], any: &[&str]) {
+    let mut checked = 0;
+    let mut wrong = Vec::new();
+    for definition in registry.definitions() {
+        if !families
+            .iter()
+            .any(|family| definition.name.starts_with(family))
+        {
+            continue;
+        }
+        for parameter in &definition.parameters {
+            let is_number = matches!(
+                parameter.ty,
+                ParameterType::Value(ty) if [Element::Double, Element::Vector].contains(&ty.element)
+            );
+            let name = format!("{}.{}", definition.name, parameter.name);
+            let is_any = parameter.quantity == Quantity::Any;
+            if is_number && is_any != any.contains(&name.as_str()) {
+                wrong.push(format!("{name}: {}: {}", parameter.quantity, parameter.doc));
+            }
+            checked += usize::from(is_number);
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(checked > 10, "only {checked} parameters");
 }

@@ -83,7 +83,11 @@ fn from_axis_angle() -> Definition {
     with_three(
         definition,
         AXIS,
-        ["X of the axis", "Y of the axis", "Z of the axis"],
+        [
+            "X of the axis, no unit",
+            "Y of the axis, no unit",
+            "Z of the axis, no unit",
+        ],
     )
 }
 
@@ -101,10 +105,10 @@ fn quaternion() -> [Definition; 2] {
             "World::RotationFromQuaternion",
             "The rotation of a quaternion of any length; null for one of length zero.",
             &[
-                port("inX", "factor of i").or("X", "1"),
-                port("inY", "factor of j").or("Y", "0"),
-                port("inZ", "factor of k").or("Z", "0"),
-                port("inW", "real part").or("W", "0"),
+                port("inX", "factor of i, no unit").or("X", "1"),
+                port("inY", "factor of j, no unit").or("Y", "0"),
+                port("inZ", "factor of k, no unit").or("Z", "0"),
+                port("inW", "real part, no unit").or("W", "0"),
             ],
             VALUE,
             |(x, y, z, w): (f64, f64, f64, f64)| {
