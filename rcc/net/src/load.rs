@@ -104,7 +104,8 @@ impl<'t> Sorted<'t> {
     /// # Errors
     /// All faults of the net, in text order.
     pub fn build(&self, period: Duration, cost: Option<Duration>) -> Result<Plan, Rejection> {
-        self.build_with(period, cost, |_, _| ()).map(|(plan, ())| plan)
+        self.build_with(period, cost, |_, _| ())
+            .map(|(plan, ())| plan)
     }
 
     /// Builds the plan, and analyses the net if it has no faults.
