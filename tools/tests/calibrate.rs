@@ -7,7 +7,7 @@ use common::{Folder, complaint, expect_status, run};
 
 const NET: &str =
     "{a=Core::DoubleValue(Value='1'),b=Core::DoubleAdd(inFirst=a.outValue,Second='1'),
-    never=Core::BooleanValue(),outTerminate=never.outValue}";
+    out=Core::DoubleNetcommOut(inValue=b.outValue,Key='b'),never=Core::BooleanValue(),outTerminate=never.outValue}";
 
 /// A table as written by hand: what it does not name costs what it declares.
 fn table(cpu: &str, rows: &str) -> String {

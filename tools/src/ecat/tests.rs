@@ -163,7 +163,10 @@ fn scan_of_silent_segment_fails_with_hint() {
     let mut session = session(segment, AlState::PreOp);
     let error = session.bring_up(Duration::from_secs(10)).unwrap_err();
     let error = format!("{error:#}");
-    assert!(error.contains("none came back; see the link"), "{error}");
+    assert!(
+        error.contains("none returned\nhint: check the link"),
+        "{error}"
+    );
     assert!(error.contains("IN port"), "{error}");
 }
 

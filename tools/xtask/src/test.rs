@@ -200,7 +200,7 @@ mod tests {
         let part = parts::find("net").unwrap();
         let line = cross_crate(&root, &[part]).unwrap().to_string();
         assert!(
-            line.ends_with("--test net_examples --test net_fuzz"),
+            line.ends_with("--test net_examples --test net_findings --test net_fuzz"),
             "{line}"
         );
     }

@@ -1,5 +1,5 @@
 //! The analysis of an accepted net for what is probably not meant: commands given twice or never, values
-//! that are always null, results that nobody reads, constants and units that do not fit. It looks at
+//! that are always null, results without a reader, constants and units that do not fit. It looks at
 //! links, parameters and at what the build functions declared; it evaluates nothing.
 
 use std::collections::{BTreeMap, HashSet};

@@ -185,7 +185,7 @@ fn successor_costs_nothing_beside_predecessor() {
 #[test]
 fn rule_exceeding_budget_fails_when_firing() {
     let mut executor = loaded();
-    // The desk would refuse it: it does not end net 1.
+    // The registry rejects it: it does not end net 1.
     executor.schedule(costing(2, 400)).unwrap();
     let asked = Literal {
         net: 1,

@@ -1,4 +1,4 @@
-//! A net thread's cycle without its thread and clock: what is told in which order, what is counted, and
+//! A net thread's cycle without its thread and clock: which events are reported in which order, what is counted, and
 //! what is recorded of that.
 
 use std::cell::Cell;
@@ -97,7 +97,7 @@ impl Bench {
         self.command(Command::AddRule(rule));
     }
 
-    /// Runs a cycle that begins on time; returns what it told.
+    /// Runs a cycle that begins on time; returns the events it reported.
     fn run(&mut self) -> Vec<String> {
         self.number += 1;
         let time = takt_rt::Nanos(PERIOD.0 * self.number.cast_signed());
@@ -114,7 +114,7 @@ impl Bench {
         ))
     }
 
-    /// Runs a cycle; returns what it told.
+    /// Runs a cycle; returns the events it reported.
     fn run_slot(&mut self, slot: &Slot) -> Vec<String> {
         self.cycle.run(slot);
         let reported = std::iter::from_fn(|| self.events.pop());
@@ -134,7 +134,7 @@ impl Bench {
     }
 }
 
-// The order of what is told.
+// The order of events.
 
 #[test]
 fn successor_start_is_reported_after_predecessor_end() {
@@ -367,7 +367,7 @@ fn cycles_keep_phase_with_a_robot_whose_clock_drifts() {
         if clock.state == State::Stable {
             locked += 1;
             let error = slot.begin - instant(measured - 1) - PHASE;
-            // Half of the delay cannot be told from phase.
+            // Half of the delay cannot be distinguished from phase.
             assert!(
                 (error - takt_rt::Nanos(30_000)).abs() < takt_rt::Nanos(20_000),
                 "{n}: {error}"

@@ -244,7 +244,7 @@ impl Simple {
     }
 }
 
-/// Fires rules in some order, each once, as the executor does, and tells the most that ran at once. In each turn
+/// Fires rules in some order, each once, as the executor does, and returns the most that ran at once. In each turn
 /// the net of a rule gives out a value, and ends by itself if the rule waits for that.
 fn played(weights: &[u64], rules: &[Simple], turns: &[(usize, bool)]) -> u64 {
     let mut waiting = vec![true; rules.len()];
