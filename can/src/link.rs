@@ -87,3 +87,8 @@ pub trait Link {
         None
     }
 }
+
+/// A link that a thread can own.
+pub trait CanLink: Link + Send + std::fmt::Debug {}
+
+impl<T: Link + Send + std::fmt::Debug> CanLink for T {}

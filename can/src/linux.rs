@@ -48,3 +48,17 @@ fn link_error(errno: i32) -> LinkError {
         other => LinkError::Os(other),
     }
 }
+
+impl LinkError {
+    /// The error number of the operating system.
+    #[must_use]
+    pub const fn errno(self) -> i32 {
+        match self {
+            Self::QueueFull => libc::ENOBUFS,
+            Self::Down => libc::ENETDOWN,
+            Self::Lost => libc::ENODEV,
+            Self::Kind => libc::EINVAL,
+            Self::Os(errno) => errno,
+        }
+    }
+}

@@ -128,8 +128,8 @@ fn short(value: u32) -> u16 {
     u16::from_le_bytes([a, b])
 }
 
-/// Cycles without inputs after which an axis counts as offline.
-pub(crate) const OFFLINE_AFTER: u32 = 4;
+/// Cycles without inputs after which an axis, a drive or a terminal counts as offline.
+pub const OFFLINE_AFTER: u32 = 4;
 /// Bit 4 of 6040h: start of homing.
 const HOMING_START: u16 = 0x0010;
 

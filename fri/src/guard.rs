@@ -32,6 +32,17 @@ pub struct Guard {
     pub wrench: [f64; 6],
 }
 
+/// An answer whose positions passed the guard, or were replaced.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Guarded {
+    /// Bytes to send.
+    pub len: usize,
+    /// Why the guard rejected the positions that were asked for, if so.
+    pub refused: Option<Violation>,
+    /// Whether the answer holds the robot at the last positions instead.
+    pub is_held: bool,
+}
+
 impl Guard {
     /// Checks only that values are finite.
     pub const fn open(names: [&'static str; AXES]) -> Self {

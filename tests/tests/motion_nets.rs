@@ -6,7 +6,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use takt_core::device::{DeviceTable, lwr};
+use takt_core::device::DeviceTable;
+use takt_device_fri::lwr;
 use takt_net::device::Kinematics;
 use takt_net::{Devices as _, Frame, Image, Limits, LoadContext, Moment, Nanos, Plan, check};
 

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use takt_core::device::{DeviceTable, lwr};
+use takt_core::device::DeviceTable;
+use takt_device_fri::lwr;
 use takt_net::{Finding, Limits, LoadContext, Plan, Rejection, check};
 
 fn folders() -> Vec<PathBuf> {

@@ -4,7 +4,8 @@
 
 use std::time::Duration;
 
-use takt_core::device::{DeviceTable, lwr};
+use takt_core::device::DeviceTable;
+use takt_device_fri::lwr;
 use takt_net::{Finding, Limits, LoadContext, check};
 
 /// The findings of a net in a cell with two arms.

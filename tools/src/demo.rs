@@ -18,9 +18,9 @@ use clap::Args;
 use takt_core::Controller;
 use takt_core::device::DeviceStatus;
 use takt_core::device::driver::DeviceDriver as _;
-use takt_core::device::ethercat::Ethercat;
 use takt_core::record::Recorder;
 use takt_core::stop_channel::StopSwitch;
+use takt_devices::ethercat::Ethercat;
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::LogBook;
 

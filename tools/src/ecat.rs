@@ -24,7 +24,6 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
-use takt_core::CellConfig;
 use takt_ethercat::AlState;
 use takt_ethercat::config::MasterConfig;
 use takt_ethercat::linux::PacketLink;
@@ -120,7 +119,7 @@ impl Source {
         };
         let mut second = self.second.clone();
         if let Some(path) = &self.config {
-            let cell = CellConfig::read(path)?;
+            let cell = takt_devices::read_cell(path)?;
             let segment = cell::segment(&cell, self.segment.as_deref())?;
             config = cell::master(segment, cycle.unwrap_or(segment.cycle), goal);
             second = second.or_else(|| cell::other_end(segment));

@@ -1,15 +1,28 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
+#![cfg_attr(
+    not(all(feature = "fri", feature = "ethercat", feature = "can")),
+    allow(
+        dead_code,
+        unused_imports,
+        reason = "used by commands that are not built"
+    )
+)]
 
+#[cfg(feature = "can")]
 mod can;
 mod client;
 mod confirm;
+#[cfg(all(feature = "fri", feature = "ethercat"))]
 mod demo;
 mod doctor;
+#[cfg(feature = "ethercat")]
 mod ecat;
 mod emulate;
+#[cfg(feature = "fri")]
 mod fri;
 mod jitter;
+#[cfg(any(feature = "can", feature = "ethercat"))]
 mod jog;
 mod link;
 mod manual;
@@ -44,17 +57,21 @@ struct Arguments {
 enum Command {
     /// Run the controller in the foreground.
     Run(run::Run),
+    #[cfg(all(feature = "fri", feature = "ethercat"))]
     /// Move emulated robots with nets and report; needs no hardware and no root.
     Demo(demo::Demo),
     Doctor(doctor::Doctor),
+    #[cfg(feature = "can")]
     /// Inspect CAN buses, send to them, set up interfaces.
     #[command(subcommand)]
     Can(can::Can),
+    #[cfg(feature = "ethercat")]
     #[command(subcommand)]
     Ecat(ecat::Ecat),
     /// Emulate robots and devices at an interface.
     #[command(subcommand)]
     Emulate(emulate::Emulate),
+    #[cfg(feature = "fri")]
     #[command(subcommand)]
     Fri(fri::Fri),
     /// Measure how late cycles begin on this host.
@@ -81,11 +98,15 @@ pub(crate) enum Verdict {
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(run) => run.run(),
+        #[cfg(all(feature = "fri", feature = "ethercat"))]
         Command::Demo(demo) => demo.run(),
         Command::Doctor(doctor) => doctor.run(),
+        #[cfg(feature = "can")]
         Command::Can(can) => can.run(),
+        #[cfg(feature = "ethercat")]
         Command::Ecat(ecat) => ecat.run(),
         Command::Emulate(emulate) => emulate.run(),
+        #[cfg(feature = "fri")]
         Command::Fri(fri) => fri.run(),
         Command::Jitter(jitter) => jitter.run(),
         Command::Net(net) => net.run(),

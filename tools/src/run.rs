@@ -16,7 +16,6 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
-use takt_core::device::driver::DeviceDriver as _;
 use takt_core::record::Recorder;
 use takt_core::stop_channel::{
     PRIORITY, StopChannel, StopChannelConfig, StopSwitch, default_socket,
@@ -83,7 +82,7 @@ impl Run {
         {
             say(&address)?;
         }
-        for (name, address) in controller.with_arms(|a| (a.name().to_owned(), a.address())) {
+        for (name, address) in controller.waits_at() {
             say(&format!("{name} waits for its robot at udp {address}"))?;
         }
         Service::new(&self.config, cell, &controller, logging).run()?;
@@ -180,7 +179,7 @@ fn judged(error: takt_core::Error) -> anyhow::Error {
 /// Reads a cell; if the file is missing, the hint describes one.
 fn read_cell(path: &Path) -> anyhow::Result<CellConfig> {
     let missing = !path.exists();
-    let cell = CellConfig::read(path);
+    let cell = takt_devices::read_cell(path);
     if missing {
         return cell.map_err(|error| {
             anyhow::anyhow!(

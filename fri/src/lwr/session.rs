@@ -6,7 +6,7 @@ use super::{AXES, AnswerError, JOINT_NAMES};
 use crate::counters::Counters;
 use crate::error::DecodeError;
 use crate::generation::Kind;
-use crate::guard::{Guard, Violation};
+use crate::guard::{Guard, Guarded, Violation};
 use crate::sequence::{Order, Tracker};
 use std::fmt;
 use std::time::Duration;
@@ -226,6 +226,22 @@ impl Session {
         joints: Option<&[f64; AXES]>,
         buf: &mut [u8],
     ) -> Result<usize, AnswerError> {
+        let wanted = joints.filter(|_| self.phase == Phase::Command);
+        if let Some(joint) = wanted.and_then(|it| it.iter().position(|value| !value.is_finite())) {
+            return Err(AnswerError::NotFinite { joint });
+        }
+        let answer = self.answer_or_brake(joints, |_| None, buf)?;
+        Ok(answer.len)
+    }
+
+    /// As [`answer`](Self::answer), but if the guard rejects the positions, `brake` is asked for others, which the guard
+    /// checks in turn. The robot is held only if it rejects those too.
+    pub fn answer_or_brake(
+        &mut self,
+        joints: Option<&[f64; AXES]>,
+        brake: impl FnOnce(Violation) -> Option<[f64; AXES]>,
+        buf: &mut [u8],
+    ) -> Result<Guarded, AnswerError> {
         let msr = self
             .msr
             .as_ref()
@@ -234,15 +250,13 @@ impl Session {
         let wanted = joints
             .filter(|_| self.phase == Phase::Command)
             .unwrap_or(&self.held);
-        if let Some(joint) = wanted.iter().position(|value| !value.is_finite()) {
-            return Err(AnswerError::NotFinite { joint });
-        }
         let refused = self.check_joints(wanted).err();
-        let sent = if refused.is_some() {
-            self.held
-        } else {
-            *wanted
+        let sent = match refused {
+            None => Some(*wanted),
+            Some(violation) => brake(violation).filter(|it| self.check_joints(it).is_ok()),
         };
+        let is_held = sent.is_none();
+        let sent = sent.unwrap_or(self.held);
         let mut cmd = Cmd {
             header: Header {
                 sequence: self.next_sequence,
@@ -253,7 +267,7 @@ impl Session {
             ..Cmd::default()
         };
         let added = self.fill(&mut cmd, msr);
-        let violation = refused.or(added);
+        let violation = refused.filter(|_| is_held).or(added);
         let len = cmd.encode(buf)?;
         self.answered = Some(msr.header.sequence);
         self.held = sent;
@@ -262,12 +276,15 @@ impl Session {
         self.counters.answered += 1;
         self.counters.withheld += u64::from(violation.is_some());
         self.violation = violation;
-        Ok(len)
+        Ok(Guarded {
+            len,
+            refused,
+            is_held,
+        })
     }
 
-    /// Checks the next positions, rad, against the guard. The session holds the robot at once if the guard rejects a
-    /// command, so check before and brake. The reference is the last command and the controller's cycle count since.
-    pub fn check_joints(&self, wanted: &[f64; AXES]) -> Result<(), Violation> {
+    /// Checks positions, rad, against the guard. The reference is the last command and the controller's cycle count since.
+    fn check_joints(&self, wanted: &[f64; AXES]) -> Result<(), Violation> {
         let commanding = self.msr.as_ref().filter(|_| self.phase == Phase::Command);
         let Some(msr) = commanding else {
             return Ok(());

@@ -9,7 +9,7 @@ use super::{AXES, JOINT_NAMES};
 use crate::counters::Counters;
 use crate::error::{AnswerError, DecodeError};
 use crate::generation::Kind;
-use crate::guard::Guard;
+use crate::guard::{Guard, Violation};
 use crate::sequence::{Order, Tracker};
 use std::time::Duration;
 
@@ -77,6 +77,8 @@ pub struct Reception {
 pub struct Answer {
     /// Bytes to send.
     pub len: usize,
+    /// Why the guard rejected the positions that were asked for, if so.
+    pub refused: Option<Violation>,
     /// Why the answer does not carry the demand, if so.
     pub withheld: Option<Withheld>,
 }
@@ -271,10 +273,28 @@ impl Session {
     /// Builds the answer to the last message at the front of `buf`. Every message gets one answer: a second call before
     /// the next message returns [`AnswerError::NothingToAnswer`].
     pub fn answer(&mut self, demand: &Demand, buf: &mut [u8]) -> Result<Answer, AnswerError> {
+        self.answer_or_brake(demand, |_| None, buf)
+    }
+
+    /// As [`answer`](Self::answer), but if the guard rejects the positions of the demand, `brake` is asked for others, which
+    /// the guard checks in turn. The robot is held only if it rejects those too.
+    pub fn answer_or_brake(
+        &mut self,
+        demand: &Demand,
+        brake: impl FnOnce(Violation) -> Option<Joints>,
+        buf: &mut [u8],
+    ) -> Result<Answer, AnswerError> {
         if !self.is_pending {
             return Err(AnswerError::NothingToAnswer);
         }
-        let withheld = self.admit(demand).err();
+        let mut checked = self.check_joints(demand);
+        let refused = checked.err();
+        let braked = refused.and_then(brake);
+        let demand = &braked.map_or(*demand, |joints| demand.with_joints(joints));
+        if braked.is_some() {
+            checked = self.check_joints(demand);
+        }
+        let withheld = self.admit(demand, checked).err();
         let demand = if withheld.is_none() {
             demand
         } else {
@@ -298,7 +318,11 @@ impl Session {
         self.next_sequence = self.next_sequence.wrapping_add(1);
         self.counters.answered += 1;
         self.counters.withheld += u64::from(withheld.is_some());
-        Ok(Answer { len, withheld })
+        Ok(Answer {
+            len,
+            refused,
+            withheld,
+        })
     }
 
     fn next_held(&self, demand: &Demand) -> Joints {

@@ -37,26 +37,23 @@
 //! ```
 
 mod access;
-mod device;
+mod drivers;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use serde::Deserialize;
+use toml::de::DeTable;
 
-pub use crate::device::config::{
-    AnalogueChannel, CanopenConfig, DriveArm, DriveJoint, EthercatClocks, EthercatConfig,
-    EthercatIo, EthercatSlave, IiwaConfig, IiwaIo, IiwaModel, LinkLoss, LostPolicy, LwrConfig,
-    OnEnd, OutputsOnEnd, Recovery, RmpConfig, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject,
-    StartupValue, UnlockedPolicy, YouBotArm, YouBotBase, YouBotControl,
-};
-use crate::device::{canopen, ethercat, iiwa, lwr, rmp};
+use crate::device::driver::DriverConfig;
+pub use crate::device::on_end::{OnEnd, OutputsOnEnd};
 use crate::error::Error;
 use crate::ids::check_device_name;
 use crate::{files, span};
 pub use access::{Loopback, OnLoss};
-pub use device::DeviceConfig;
+pub use drivers::{DriverKind, Section};
 
 /// Net threads that a controller may have.
 pub const THREADS_MAX: usize = 8;
@@ -65,22 +62,22 @@ pub const PERIOD_MIN: Duration = Duration::from_micros(100);
 /// Longest period of a net thread.
 pub const PERIOD_MAX: Duration = Duration::from_millis(100);
 
-/// A controller and its devices.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// A controller and its drivers.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct CellConfig {
     /// The controller itself.
-    #[serde(default)]
     pub controller: ControllerConfig,
-    /// Its devices.
-    #[serde(default, rename = "device")]
-    pub devices: Vec<DeviceConfig>,
-    /// Its EtherCAT segments, each with devices of its own.
+    /// Its devices with drivers of their own.
+    pub devices: Vec<Arc<dyn DriverConfig>>,
+    /// Its buses, each with devices of its own.
+    pub buses: Vec<Arc<dyn DriverConfig>>,
+}
+
+/// What of a cell file is not read by drivers.
+#[derive(Deserialize)]
+struct Rest {
     #[serde(default)]
-    pub ethercat: Vec<EthercatConfig>,
-    /// Its CANopen networks, each with devices of its own.
-    #[serde(default)]
-    pub canopen: Vec<CanopenConfig>,
+    controller: ControllerConfig,
 }
 
 /// Settings of the controller itself.
@@ -227,16 +224,16 @@ impl NetThreadSettings {
 }
 
 impl CellConfig {
-    /// Reads a file.
+    /// Reads a file for a program with these drivers.
     ///
     /// # Errors
     /// If it cannot be read, is not TOML, has unknown names, or a value is out of range.
-    pub fn read(path: &Path) -> Result<Self, Error> {
+    pub fn read(path: &Path, kinds: &[DriverKind]) -> Result<Self, Error> {
         let text = files::read_text(path, files::TEXT_BYTES_MAX).map_err(|source| Error::File {
             path: path.to_owned(),
             source,
         })?;
-        let mut cell = Self::of_text(&text).map_err(|why| Error::Config {
+        let mut cell = Self::of_text(&text, kinds).map_err(|why| Error::Config {
             path: path.to_owned(),
             why,
         })?;
@@ -250,14 +247,39 @@ impl CellConfig {
     ///
     /// # Errors
     /// If it is not TOML, has unknown names, or a value is out of range.
-    pub fn parse(text: &str) -> Result<Self, Error> {
-        Self::of_text(text).map_err(Error::Cell)
+    pub fn parse(text: &str, kinds: &[DriverKind]) -> Result<Self, Error> {
+        Self::of_text(text, kinds).map_err(Error::Cell)
     }
 
-    fn of_text(text: &str) -> Result<Self, String> {
-        let config: Self = toml::from_str(text).map_err(|e| e.to_string())?;
+    fn of_text(text: &str, kinds: &[DriverKind]) -> Result<Self, String> {
+        let config = Self::deserialize(text, kinds).map_err(|mut error| {
+            error.set_input(Some(text));
+            error.to_string()
+        })?;
         config.check()?;
         Ok(config)
+    }
+
+    fn deserialize(text: &str, kinds: &[DriverKind]) -> Result<Self, toml::de::Error> {
+        let mut table = DeTable::parse(text)?;
+        let drivers::Configured { devices, buses } = drivers::take(table.get_mut(), kinds)?;
+        let Rest { controller } = Rest::deserialize(toml::Deserializer::from(table))?;
+        Ok(Self {
+            controller,
+            devices,
+            buses,
+        })
+    }
+
+    /// All drivers, in the order in which they start.
+    pub fn drivers(&self) -> impl Iterator<Item = &Arc<dyn DriverConfig>> {
+        self.devices.iter().chain(&self.buses)
+    }
+
+    /// The configurations of one kind of driver.
+    pub fn of_kind<C: DriverConfig>(&self) -> impl Iterator<Item = &C> {
+        let drivers = self.drivers().map(|config| &**config as &dyn std::any::Any);
+        drivers.filter_map(|config| config.downcast_ref())
     }
 
     /// Periods of the net threads, the first one first.
@@ -303,20 +325,7 @@ impl CellConfig {
 
     /// Names of devices and buses whose clock can be followed.
     fn clocks(&self) -> impl Iterator<Item = &str> {
-        let segments = self.ethercat.iter().map(|segment| segment.name.as_str());
-        let networks = self.canopen.iter().map(|network| network.name.as_str());
-        let devices = self.devices.iter().map(DeviceConfig::name);
-        devices.chain(segments).chain(networks)
-    }
-
-    fn check_devices(&self) -> Result<(), String> {
-        self.ethercat.iter().try_for_each(ethercat::check)?;
-        self.canopen.iter().try_for_each(canopen::check)?;
-        self.devices.iter().try_for_each(|device| match device {
-            DeviceConfig::Lwr(config) => lwr::check(config),
-            DeviceConfig::Iiwa(config) => iiwa::check(config),
-            DeviceConfig::Rmp(config) => rmp::check(config),
-        })
+        self.drivers().map(|config| config.name())
     }
 
     fn check_threads(&self) -> Result<(), String> {
@@ -346,10 +355,8 @@ impl CellConfig {
                 ));
             }
         }
-        let segments = self.ethercat.iter().map(|s| (s.name.as_str(), s.thread));
-        let devices = self.devices.iter().map(|d| (d.name(), d.thread()));
-        let networks = self.canopen.iter().map(|n| (n.name.as_str(), n.thread));
-        for (name, thread) in devices.chain(segments).chain(networks) {
+        for config in self.drivers() {
+            let (name, thread) = (config.name(), config.thread());
             if let Some(thread) = thread.filter(|thread| !periods.contains(thread)) {
                 let periods = listed(&periods);
                 return Err(format!(
@@ -365,36 +372,20 @@ impl CellConfig {
         access::check(&self.controller)?;
         self.check_threads()?;
         self.check_clock()?;
-        self.check_devices()?;
-        let devices = self.devices.iter();
-        let devices = devices.map(|device| (device.name(), device.priority()));
+        self.drivers().try_for_each(|config| config.check())?;
+        let drivers = self.drivers();
+        let drivers = drivers.map(|config| (config.name(), config.priority()));
         let threads = self.controller.threads.iter();
         let threads = threads.map(|thread| ("controller.thread", thread.priority));
         let first = ("controller", self.controller.priority);
-        for (name, priority) in devices.chain(threads).chain([first]) {
+        for (name, priority) in drivers.chain(threads).chain([first]) {
             if priority.is_some_and(|p| !(1..=98).contains(&p)) {
                 return Err(format!("{name}: priority must be 1 to 98, or be left out"));
             }
         }
-        let of_segments = self.ethercat.iter().flat_map(|segment| {
-            let arms = segment.arms.iter().map(|arm| arm.name.as_str());
-            let youbots = segment
-                .youbot_arms
-                .iter()
-                .flat_map(|arm| std::iter::once(arm.name.as_str()).chain(arm.gripper.as_deref()));
-            let bases = segment.youbot_bases.iter().map(|base| base.name.as_str());
-            let ios = segment.ios.iter().map(|io| io.name.as_str());
-            arms.chain(ios).chain(youbots).chain(bases)
-        });
-        let of_networks = self
-            .canopen
-            .iter()
-            .flat_map(|network| network.arms.iter().map(|arm| arm.name.as_str()));
-        let mut names: Vec<_> = self
-            .clocks()
-            .chain(of_segments)
-            .chain(of_networks)
-            .collect();
+        let of_buses = self.buses.iter().flat_map(|bus| bus.devices());
+        let of_buses = of_buses.map(|device| device.name);
+        let mut names: Vec<_> = self.clocks().map(str::to_owned).chain(of_buses).collect();
         names.sort_unstable();
         names.iter().try_for_each(|name| check_device_name(name))?;
         match names.windows(2).find(|w| w[0] == w[1]) {
@@ -414,121 +405,4 @@ pub(crate) fn listed(periods: &[Duration]) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn complete_cell_is_read() {
-        let text = r#"
-            [controller]
-            period = "500us"
-            cpus = [1]
-            follow = "left"
-            phase = "300us"
-            [[controller.thread]]
-            period = "4ms"
-            cpus = [0]
-            phase = "2ms"
-            [[controller.thread]]
-            period = "8ms"
-            [[device]]
-            name = "left"
-            type = "kuka_lwr_fri"
-            listen = "127.0.0.1:49938"
-            thread = "4ms"
-        "#;
-        let config = CellConfig::of_text(text).unwrap();
-        assert_eq!(config.controller.period, Duration::from_micros(500));
-        let periods: Vec<_> = config.periods().collect();
-        assert_eq!(periods, [500, 4000, 8000].map(Duration::from_micros));
-        assert_eq!(config.controller.follow.as_deref(), Some("left"));
-        let phases: Vec<_> = config.phases().collect();
-        assert_eq!(phases, [300, 2000, 300].map(Duration::from_micros));
-        assert_eq!(config.controller.threads[0].priority, Some(79));
-        let DeviceConfig::Lwr(lwr) = &config.devices[0] else {
-            panic!("{:?}", config.devices);
-        };
-        assert_eq!(lwr.thread, Some(Duration::from_millis(4)));
-        assert_eq!((lwr.name.as_str(), lwr.priority), ("left", Some(85)));
-    }
-
-    #[test]
-    fn readme_cell_examples_are_accepted() {
-        let readme = include_str!("../README.md");
-        let examples: Vec<_> = readme.split("```toml\n").skip(1).collect();
-        assert!(examples.len() >= 3);
-        for example in examples {
-            let example = example.split("```").next().unwrap();
-            let taken = CellConfig::of_text(example);
-            assert!(taken.is_ok(), "{example}\n{taken:?}");
-        }
-    }
-
-    #[test]
-    fn cell_faults_name_line_or_field() {
-        for (text, said) in [
-            ("[controller]\nperiod = 1", "invalid type"),
-            ("[controller]\nperiod = \"1\"", "is no duration"),
-            ("[controller]\nperiod = \"1s\"", "must be 100us to 100ms"),
-            ("[controller]\npriority = 99", "priority must be 1 to 98"),
-            (
-                "[[controller.thread]]\nperiod = \"50us\"",
-                "period is 50µs; it must be 100us to 100ms",
-            ),
-            (
-                "[[controller.thread]]\nperiod = \"1ms\"",
-                "period 1ms is given twice",
-            ),
-            (
-                "[[controller.thread]]\nperiod = \"2ms\"\npriority = 0",
-                "controller.thread: priority must be 1 to 98",
-            ),
-            (
-                "[[controller.thread]]\npriority = 70",
-                "missing field `period`",
-            ),
-            (
-                "[[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"\nthread = \"4ms\"\n\
-                 [[controller.thread]]\nperiod = \"2ms\"",
-                "a: thread = 4ms, but the net threads are those of 1ms and 2ms",
-            ),
-            (
-                "[controller]\nphase = \"300us\"",
-                "phase is 300µs, but nothing is followed",
-            ),
-            (
-                "[controller]\nfollow = \"left\"",
-                "controller.follow is `left`, but the cell has no device of that name",
-            ),
-            (
-                "[controller]\nfollow = \"a\"\nphase = \"1ms\"\n\
-                 [[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"",
-                "phase is 1ms; it must be less than the net thread's period of 1ms",
-            ),
-            ("[controller]\nfollow = \"a\"\nphase = 3\n", "invalid type"),
-            ("[controller]\nperoid = \"1ms\"", "unknown field `peroid`"),
-            (
-                "[[device]]\nname = \"a\"\ntype = \"kuka\"",
-                "unknown variant `kuka`",
-            ),
-            (
-                "[[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"\nport = 1",
-                "unknown field `port`",
-            ),
-        ] {
-            let error = CellConfig::of_text(text).unwrap_err();
-            assert!(error.contains(said), "{text}: {error}");
-        }
-        let many: String = (1..=8)
-            .map(|n| format!("[[controller.thread]]\nperiod = \"{}ms\"\n", 2 * n))
-            .collect();
-        let many = CellConfig::of_text(&many).unwrap_err();
-        assert!(many.contains("9 net threads; at most 8"), "{many}");
-        let twice = "[[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"\n".repeat(2);
-        assert!(
-            CellConfig::of_text(&twice)
-                .unwrap_err()
-                .contains("given twice")
-        );
-    }
-}
+mod tests;

@@ -144,14 +144,8 @@ impl Controller {
         let admission = Admission::of_mib(cell.controller.nets_memory_mib);
         let (devices, permission) = (DeviceSet::new(clock), Permission::new(stop));
         let mut registry = Registry::new(threads, devices, permission, recorder, admission);
-        for device in &cell.devices {
-            registry.add_of_cell(device)?;
-        }
-        for segment in &cell.ethercat {
-            registry.add_segment(segment)?;
-        }
-        for network in &cell.canopen {
-            registry.add_network(network)?;
+        for config in cell.drivers() {
+            registry.add_of_cell(&**config)?;
         }
         let inner = Arc::new(Shared {
             registry: Mutex::new(registry),

@@ -1,21 +1,13 @@
-//! Devices: the data that nets and drivers exchange, and which devices a controller has. Drivers
-//! are in the modules below; what nets see of a device is in `takt_net::device`.
+//! Devices: the data that nets and drivers exchange, which devices a controller has, and the parts that drivers share.
+//! Drivers are crates of their own; what nets see of a device is in `takt_net::device`.
 
-pub mod canopen;
-pub(crate) mod config;
 pub mod continuity;
 pub mod driver;
-mod drives;
-#[cfg(test)]
-mod ends;
-pub mod ethercat;
-pub mod fri;
-pub mod iiwa;
+pub mod endpoint;
 pub mod last_stage;
-mod link_watch;
-pub mod lwr;
+pub mod link_watch;
+pub mod on_end;
 pub mod parts;
-pub mod rmp;
 pub mod setpoint;
 pub mod sim;
 mod table;
@@ -35,8 +27,9 @@ pub use table::{Device, DevicePorts, DeviceTable};
 
 /// Bounds for positive parameters, such as the speed of a joint; beyond them, products with the cycle time would be
 /// zero or infinite.
-const LEAST: f64 = 1e-6;
-const MOST: f64 = 1e9;
+pub const LEAST: f64 = 1e-6;
+/// The upper bound of [`LEAST`].
+pub const MOST: f64 = 1e9;
 
 /// Most joints of one robot arm.
 pub const ARM_JOINTS_MAX: usize = 8;

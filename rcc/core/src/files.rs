@@ -79,7 +79,7 @@ mod tests {
             error.to_string().contains("more than 1000 bytes"),
             "{error}"
         );
-        let error = crate::CellConfig::read(Path::new("/dev/zero")).unwrap_err();
+        let error = crate::CellConfig::read(Path::new("/dev/zero"), &[]).unwrap_err();
         assert!(error.to_string().contains("more than"), "{error}");
         let error = crate::record::replay(Path::new("/dev/zero"));
         let error = error.err().map(|error| error.to_string());

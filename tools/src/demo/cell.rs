@@ -1,14 +1,16 @@
 //! The cells that a demo can show, and the emulated machines in them. What moves and how is in `motion`.
 
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::ValueEnum;
-use takt_core::cell::{ControllerConfig, DeviceConfig, EthercatConfig, LwrConfig};
-use takt_core::device::driver::DeviceDriver as _;
-use takt_core::device::ethercat::{self, Ethercat, Wire};
+use takt_core::cell::ControllerConfig;
+use takt_core::device::driver::DriverConfig;
 use takt_core::{CellConfig, Controller};
+use takt_devices::ethercat::{self, Ethercat, EthercatConfig, Wire};
+use takt_devices::fri::LwrConfig;
 use takt_ethercat::emulator::{
     Coupler, DriveHandle, Segment, Server, ServoConfig, ServoDrive, SharedSegment, YouBot,
     YouBotConfig,
@@ -108,9 +110,10 @@ impl Kind {
         match self {
             Self::Pair => Ok((pair(), Vec::new())),
             Self::Factory => {
-                let mut cell = CellConfig::parse(FACTORY)?;
+                let mut cell = takt_devices::parse_cell(FACTORY)?;
                 cell.controller.websocket = None;
-                let segments = std::mem::take(&mut cell.ethercat);
+                let segments = cell.of_kind().cloned().collect();
+                cell.buses.clear();
                 Ok((cell, segments))
             }
         }
@@ -128,7 +131,7 @@ fn pair() -> CellConfig {
         phase: Some(Duration::from_micros(500)),
         ..Default::default()
     };
-    let lwr = |arm: Arm| DeviceConfig::Lwr(LwrConfig::new(arm.name, anywhere));
+    let lwr = |arm: Arm| -> Arc<dyn DriverConfig> { Arc::new(LwrConfig::new(arm.name, anywhere)) };
     CellConfig {
         controller,
         devices: [LEFT, RIGHT].map(lwr).into(),
@@ -151,7 +154,7 @@ impl Machines {
         segments: &[EthercatConfig],
         drop: f64,
     ) -> anyhow::Result<Self> {
-        let addresses = controller.with_arms(|arm| (arm.name().to_owned(), arm.address()));
+        let addresses = controller.waits_at();
         let mut krcs = Vec::new();
         for (seed, (name, address)) in (1..).zip(addresses) {
             let mut config = resting(Duration::from_millis(1));

@@ -8,8 +8,8 @@ use serde::Serialize;
 use takt_core::Controller;
 use takt_core::controller::FaultCounts;
 use takt_core::device::driver::DeviceDriver as _;
-use takt_core::device::ethercat::Ethercat;
-use takt_core::device::lwr::Lwr;
+use takt_devices::ethercat::Ethercat;
+use takt_devices::fri::Lwr;
 use takt_rt::host::Host;
 use takt_rt::stats::Summary;
 

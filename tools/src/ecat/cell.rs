@@ -4,8 +4,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use takt_core::CellConfig;
-use takt_core::cell::EthercatConfig;
-use takt_core::device::ethercat::master_config;
+use takt_devices::ethercat::{EthercatConfig, master_config};
 use takt_ethercat::AlState;
 use takt_ethercat::config::MasterConfig;
 
@@ -14,20 +13,17 @@ pub(super) fn segment<'a>(
     cell: &'a CellConfig,
     name: Option<&str>,
 ) -> anyhow::Result<&'a EthercatConfig> {
-    let names: Vec<&str> = cell
-        .ethercat
-        .iter()
-        .map(|segment| segment.name.as_str())
-        .collect();
+    let segments: Vec<&EthercatConfig> = cell.of_kind().collect();
+    let names: Vec<&str> = segments.iter().map(|it| it.name.as_str()).collect();
     let names = names.join(", ");
-    match (name, &cell.ethercat[..]) {
+    match (name, &segments[..]) {
         (_, []) => anyhow::bail!("the cell has no [[ethercat]]"),
         (None, [only]) => Ok(only),
         (None, _) => {
             anyhow::bail!("the cell has several segments: {names}\nhint: name one by --segment")
         }
         (Some(name), all) => {
-            let found = all.iter().find(|segment| segment.name == name);
+            let found = all.iter().copied().find(|segment| segment.name == name);
             found.with_context(|| format!("the cell has no segment `{name}`; it has {names}"))
         }
     }
@@ -67,7 +63,7 @@ mod tests {
         let name = format!("takt-ecat-cell-{tag}-{}.toml", std::process::id());
         let path = std::env::temp_dir().join(name);
         std::fs::write(&path, text).unwrap();
-        let cell = CellConfig::read(&path).unwrap();
+        let cell = takt_devices::read_cell(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
         master(segment(&cell, None).unwrap(), CYCLE, AlState::SafeOp)
     }

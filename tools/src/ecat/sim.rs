@@ -11,7 +11,6 @@ use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use takt_core::CellConfig;
 use takt_ethercat::emulator::{ServoDrive, SharedSegment, YouBot, YouBotConfig};
 use takt_ethercat::linux::monotonic;
 
@@ -97,7 +96,7 @@ impl Sim {
 
     fn emulation(&self) -> anyhow::Result<Emulation> {
         if let Some(path) = &self.config {
-            let cell = CellConfig::read(path)?;
+            let cell = takt_devices::read_cell(path)?;
             return plan::of_cell(&cell, self.segment.as_deref(), self.strict);
         }
         match self.devices.as_deref().unwrap_or_default() {

@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Args;
-use takt_core::CellConfig;
 use takt_core::costs::CostTable;
 use takt_core::device::{ARM_JOINTS_MAX, DeviceTable, parts};
 use takt_net::device::{Interfaces, Kinematics, Unreachable};
@@ -101,8 +100,9 @@ impl Check {
             return Ok(apart(with));
         };
         let mut table = DeviceTable::default();
-        for device in CellConfig::read(config)?.devices {
-            table.add(device.describe())?;
+        let cell = takt_devices::read_cell(config)?;
+        for device in cell.drivers().flat_map(|config| config.devices()) {
+            table.add(device)?;
         }
         Ok(with(&table))
     }

@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     fn access(text: &str) -> Access {
-        let cell = CellConfig::parse(&format!("[controller]\n{text}")).unwrap();
+        let cell = takt_devices::parse_cell(&format!("[controller]\n{text}")).unwrap();
         Access::of_cell(&cell).unwrap()
     }
 

@@ -1,8 +1,12 @@
 //! Reload of a changed `cell.toml` in a running controller: changes applied at once, and changes that need a restart.
 //! A device that a running net uses stays as it is.
 
-use takt_core::cell::{ControllerConfig, DeviceConfig};
+use std::sync::Arc;
+
+use takt_core::cell::{ControllerConfig, DriverKind, Section};
+use takt_core::device::driver::DriverConfig;
 use takt_core::{CellConfig, Controller};
+use takt_devices::DRIVERS;
 
 /// The difference of two cells.
 #[derive(Debug, Default, PartialEq)]
@@ -10,7 +14,7 @@ struct Changes {
     /// Names of devices that are removed or changed; changed ones are added again.
     removed: Vec<String>,
     /// Devices to add.
-    new: Vec<DeviceConfig>,
+    new: Vec<Arc<dyn DriverConfig>>,
     /// Whether what is logged changes.
     log: bool,
     /// Settings that only a restart changes.
@@ -19,7 +23,8 @@ struct Changes {
 
 impl Changes {
     fn between(old: &CellConfig, new: &CellConfig) -> Self {
-        let missing = |from: &CellConfig, device: &&DeviceConfig| !from.devices.contains(device);
+        let missing =
+            |from: &CellConfig, device: &&Arc<dyn DriverConfig>| !from.devices.contains(device);
         let removed = old.devices.iter().filter(|device| missing(new, device));
         let added = new.devices.iter().filter(|device| missing(old, device));
         Self {
@@ -39,8 +44,11 @@ fn for_restart(old: &CellConfig, new: &CellConfig) -> Vec<&'static str> {
             names.push(name);
         }
     };
-    same("ethercat", old.ethercat == new.ethercat);
-    same("canopen", old.canopen == new.canopen);
+    for kind in DRIVERS {
+        if let Section::Bus(name) = kind.section() {
+            same(name, buses(old, kind).eq(buses(new, kind)));
+        }
+    }
     let (old, new) = (&old.controller, &new.controller);
     same("period", old.period == new.period);
     same("priority", old.priority == new.priority);
@@ -56,6 +64,14 @@ fn for_restart(old: &CellConfig, new: &CellConfig) -> Vec<&'static str> {
         names.push("[controller]");
     }
     names
+}
+
+/// The buses of a kind.
+fn buses<'a>(
+    cell: &'a CellConfig,
+    kind: &DriverKind,
+) -> impl Iterator<Item = &'a Arc<dyn DriverConfig>> {
+    cell.buses.iter().filter(|bus| kind.configures(&***bus))
 }
 
 /// Result of a reload.
@@ -107,7 +123,7 @@ pub(super) fn apply(
         if running.devices.iter().any(|other| other.name() == name) {
             continue; // Its removal failed, which is reported already.
         }
-        match controller.add_cell_device(&device) {
+        match controller.add_cell_device(&*device) {
             Ok(()) => {
                 running.devices.push(device);
                 reloaded.applied.push(format!("device {name} is new"));
@@ -141,16 +157,16 @@ mod tests {
     use super::*;
     use std::net::SocketAddr;
     use std::time::Duration;
-    use takt_core::cell::LwrConfig;
+    use takt_devices::fri::LwrConfig;
 
-    fn arm(name: &str, port: u16) -> DeviceConfig {
-        DeviceConfig::Lwr(LwrConfig::new(
+    fn arm(name: &str, port: u16) -> Arc<dyn DriverConfig> {
+        Arc::new(LwrConfig::new(
             name,
             SocketAddr::from(([127, 0, 0, 1], port)),
         ))
     }
 
-    fn cell(devices: &[DeviceConfig]) -> CellConfig {
+    fn cell(devices: &[Arc<dyn DriverConfig>]) -> CellConfig {
         CellConfig {
             devices: devices.to_vec(),
             ..CellConfig::default()
@@ -200,8 +216,8 @@ mod tests {
         cell
     }
 
-    fn quiet_arm(name: &str) -> DeviceConfig {
-        DeviceConfig::Lwr(LwrConfig {
+    fn quiet_arm(name: &str) -> Arc<dyn DriverConfig> {
+        Arc::new(LwrConfig {
             priority: None,
             ..LwrConfig::new(name, SocketAddr::from(([127, 0, 0, 1], 0)))
         })
@@ -265,7 +281,7 @@ mod tests {
         let controller = Controller::start(&running).unwrap();
         let mut new = quiet();
         let address = taken.local_addr().unwrap();
-        new.devices = vec![DeviceConfig::Lwr(LwrConfig::new("left", address))];
+        new.devices = vec![Arc::new(LwrConfig::new("left", address))];
         let reloaded = apply(&mut running, &new, &controller, |_| Ok(()));
         assert!(reloaded.refused[0].contains("left"), "{reloaded:?}");
         assert!(controller.devices().is_empty() && running.devices.is_empty());

@@ -124,7 +124,7 @@ impl<'a> Service<'a> {
         let now = NotifyState::monotonic_usec_now();
         let reloading = now.map(|now| vec![NotifyState::Reloading, now]);
         notify(&reloading.unwrap_or_else(|_| vec![NotifyState::Reloading]));
-        let remark = match CellConfig::read(self.config) {
+        let remark = match takt_devices::read_cell(self.config) {
             Ok(new) => {
                 let logging = &self.logging;
                 let reloaded = apply(&mut self.cell, &new, self.controller, |log| {

@@ -75,6 +75,22 @@ impl Demand {
         }
     }
 
+    /// The same demand with other joint positions.
+    pub(super) fn with_joints(self, joints: Joints) -> Self {
+        match self {
+            Self::Position(_) => Self::Position(joints),
+            Self::Wrench { wrench, .. } => Self::Wrench {
+                wrench,
+                joints: Some(joints),
+            },
+            Self::Torque { torque, .. } => Self::Torque {
+                torque,
+                joints: Some(joints),
+            },
+            other @ (Self::Hold | Self::Pose { .. }) => other,
+        }
+    }
+
     pub(super) fn joints(&self) -> Option<&Joints> {
         match self {
             Self::Position(joints) => Some(joints),
@@ -85,8 +101,12 @@ impl Demand {
 }
 
 impl Session {
-    /// Checks whether the due answer may carry a demand.
-    pub(super) fn admit(&self, demand: &Demand) -> Result<(), Withheld> {
+    /// Checks whether the due answer may carry a demand; `checked` is what the guard says of its positions.
+    pub(super) fn admit(
+        &self,
+        demand: &Demand,
+        checked: Result<(), Violation>,
+    ) -> Result<(), Withheld> {
         let Some(demanded) = demand.mode() else {
             return Ok(());
         };
@@ -100,24 +120,22 @@ impl Session {
         if demanded != wanted {
             return Err(Withheld::Mode { wanted, demanded });
         }
-        self.guard(demand).map_err(Withheld::Guard)
+        let checked = checked.and_then(|()| self.check_added(demand));
+        checked.map_err(Withheld::Guard)
     }
 
-    /// Checks the next positions, rad, against the guard. The session holds the robot at once if the guard rejects a
-    /// command, so check before and brake. The reference is the last command and the controller's cycle count since.
-    pub fn check_joints(&self, wanted: &Joints) -> Result<(), Violation> {
-        if !self.is_engaged {
-            return Ok(());
-        }
+    /// Checks the positions of a demand against the guard. The reference is the last command and the controller's cycle
+    /// count since.
+    pub(super) fn check_joints(&self, demand: &Demand) -> Result<(), Violation> {
         let guard = &self.config.guard;
-        guard.check_joints(&self.held, wanted, self.span())
+        match demand.joints().filter(|_| self.is_engaged) {
+            Some(joints) => guard.check_joints(&self.held, joints, self.span()),
+            None => Ok(()),
+        }
     }
 
-    fn guard(&self, demand: &Demand) -> Result<(), Violation> {
+    fn check_added(&self, demand: &Demand) -> Result<(), Violation> {
         let guard = &self.config.guard;
-        if let Some(joints) = demand.joints() {
-            self.check_joints(joints)?;
-        }
         match demand {
             Demand::Hold | Demand::Position(_) => Ok(()),
             Demand::Wrench { wrench, .. } => guard.check_wrench(wrench),

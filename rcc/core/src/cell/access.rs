@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn malformed_hosts_and_origins_are_rejected() {
-        let parse = |line: &str| CellConfig::parse(&format!("[controller]\n{line}"));
+        let parse = |line: &str| CellConfig::parse(&format!("[controller]\n{line}"), &[]);
         let good = "hosts = [\"robot\", \"robot:8080\"]\norigins = [\"http://localhost:3000\"]\n\
             loopback = \"token\"\nsocket = \"\"\nsocket_group = \"takt\"\non_loss = \"keep\"";
         assert!(parse(good).is_ok(), "{:?}", parse(good));

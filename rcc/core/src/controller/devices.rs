@@ -4,16 +4,10 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use crate::cell::{CanopenConfig, DeviceConfig, EthercatConfig};
 use crate::controller::Controller;
 use crate::controller::clock::FollowedClock;
 use crate::controller::registry::Registry;
-use crate::device::canopen::{self, Canopen};
-use crate::device::driver::{self, DeviceDriver, DriverEnds};
-use crate::device::ethercat::{self, Ethercat};
-use crate::device::iiwa::{self, Iiwa};
-use crate::device::lwr::{self, Lwr};
-use crate::device::rmp::{self, Rmp};
+use crate::device::driver::{self, DeviceDriver, DriverConfig, DriverEnds};
 use crate::device::sim::{self, Simulated};
 use crate::device::{DeviceDescription, DevicePorts};
 use crate::error::Error;
@@ -79,39 +73,10 @@ impl Controller {
 }
 
 impl Registry {
-    /// Starts the driver of a device of the cell.
-    pub(super) fn add_of_cell(&mut self, device: &DeviceConfig) -> Result<(), Error> {
-        let descriptions = vec![device.describe()];
-        self.add_driver(device.name(), descriptions, device.thread(), |ends| {
-            Ok(match device {
-                DeviceConfig::Lwr(config) => {
-                    Box::new(Lwr::start(config, lwr::listen(config)?, ends)?)
-                }
-                DeviceConfig::Iiwa(config) => {
-                    Box::new(Iiwa::start(config, iiwa::listen(config)?, ends)?)
-                }
-                DeviceConfig::Rmp(config) => {
-                    Box::new(Rmp::start(config, rmp::open(config)?, ends)?)
-                }
-            })
-        })
-    }
-
-    /// Starts the driver of an EtherCAT segment of the cell.
-    pub(super) fn add_segment(&mut self, segment: &EthercatConfig) -> Result<(), Error> {
-        let devices = ethercat::describe(segment);
-        self.add_driver(&segment.name, devices, segment.thread, |ends| {
-            let wire = ethercat::open(segment)?;
-            Ok(Box::new(Ethercat::start(segment, wire, ends)?))
-        })
-    }
-
-    /// Starts the driver of a CANopen network of the cell.
-    pub(super) fn add_network(&mut self, network: &CanopenConfig) -> Result<(), Error> {
-        let devices = canopen::describe(network);
-        self.add_driver(&network.name, devices, network.thread, |ends| {
-            let link = canopen::open(network)?;
-            Ok(Box::new(Canopen::start(network, link, ends)?))
+    /// Starts a driver of the cell.
+    pub(super) fn add_of_cell(&mut self, config: &dyn DriverConfig) -> Result<(), Error> {
+        self.add_driver(config.name(), config.devices(), config.thread(), |ends| {
+            config.start(ends)
         })
     }
 

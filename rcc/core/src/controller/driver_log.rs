@@ -1,19 +1,19 @@
-//! Notices of drivers for the log: taken under the registry's lock, written after its release, and limited in
+//! Events of drivers for the log: taken under the registry's lock, written after its release, and limited in
 //! rate per driver. Drivers define their meaning.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use crate::device::driver::{Notice, Severity};
+use crate::device::driver::{DriverEvent, Severity};
 
 /// Maximum number of lines per driver and [`SPAN`]; further lines are only counted.
 const LINES: u32 = 50;
 const SPAN: Duration = Duration::from_secs(1);
 
 /// Writes what a driver reports to the log.
-pub(super) fn report(driver: &str, notice: &Notice) {
-    let text = &notice.text;
-    match notice.severity {
+pub(super) fn report(driver: &str, event: &DriverEvent) {
+    let text = &event.text;
+    match event.severity {
         Severity::Info => tracing::info!(driver, "{text}"),
         Severity::Warning => tracing::warn!(driver, "{text}"),
         Severity::Error => tracing::error!(driver, "{text}"),
@@ -32,26 +32,26 @@ struct Reported {
 pub(super) struct DriverLog(BTreeMap<String, Reported>);
 
 impl DriverLog {
-    /// Takes the notices of a driver; returns the lines for the log.
+    /// Takes the events of a driver; returns the lines for the log.
     pub(super) fn take(
         &mut self,
         driver: &str,
-        notices: impl Iterator<Item = Notice>,
+        events: impl Iterator<Item = DriverEvent>,
         now: Instant,
-    ) -> Vec<Notice> {
+    ) -> Vec<DriverEvent> {
         let mut lines = Vec::new();
         if let Some(reported) = self.0.get(driver)
             && now.saturating_duration_since(reported.since) >= SPAN
         {
             if reported.lines > LINES {
                 let left_out = reported.lines - LINES;
-                lines.push(Notice::warning(format!(
+                lines.push(DriverEvent::warning(format!(
                     "{left_out} more lines were omitted"
                 )));
             }
             self.0.remove(driver);
         }
-        for line in notices {
+        for line in events {
             let reported = self.0.entry(driver.to_owned());
             let reported = reported.or_insert(Reported {
                 since: now,
@@ -75,9 +75,9 @@ mod tests {
         let mut log = DriverLog::default();
         let begin = Instant::now();
         let mut take = |count: u32, after: Duration| {
-            let lines = (0..count).map(|n| Notice::info(n.to_string()));
+            let lines = (0..count).map(|n| DriverEvent::info(n.to_string()));
             let taken = log.take("bus", lines, begin + after).into_iter();
-            taken.map(|notice| notice.text).collect::<Vec<_>>()
+            taken.map(|event| event.text).collect::<Vec<_>>()
         };
         assert_eq!(take(2, Duration::ZERO), ["0", "1"]);
         assert_eq!(take(60, SPAN / 2).len(), 48);

@@ -3,6 +3,7 @@
 
 use std::any::Any;
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use takt_rt::stats::StallReader;
@@ -13,7 +14,6 @@ use crate::controller::faults::{DeviceFault, FaultCounts, StallCause, StallFigur
 use crate::controller::limited::{self, LimitedInfo};
 use crate::controller::registry::Registry;
 use crate::device::driver::DeviceDriver;
-use crate::device::lwr::Lwr;
 use crate::executor::figures::{NetCounts, budget};
 use crate::executor::thread::NetThread;
 use crate::ids::NetId;
@@ -114,9 +114,13 @@ impl Controller {
             .collect()
     }
 
-    /// Reads a figure of every LWR driver.
-    pub fn with_arms<T>(&self, read: impl Fn(&Lwr) -> T) -> Vec<T> {
-        self.with_drivers(read)
+    /// The UDP addresses at which drivers wait for their robots, by device.
+    #[must_use]
+    pub fn waits_at(&self) -> Vec<(String, SocketAddr)> {
+        let registry = self.inner.lock();
+        let drivers = registry.devices.drivers.iter();
+        let waiting = drivers.filter_map(|it| Some((it.name().to_owned(), it.waits_at()?)));
+        waiting.collect()
     }
 
     /// The state that a device's driver published last.

@@ -14,11 +14,11 @@ use crate::controller::limited::MotionReports;
 use crate::controller::permission::Permission;
 use crate::controller::threads::NetThreads;
 use crate::device::DeviceStatus;
-use crate::device::driver::Notice;
+use crate::device::driver::DriverEvent;
 use crate::stop_channel::{Generation, StopSwitch};
 
-/// Notices of one driver that are taken before the next driver is polled.
-const NOTICES_AT_ONCE: usize = 32;
+/// Events of one driver that are taken before the next driver is polled.
+const EVENTS_AT_ONCE: usize = 32;
 /// Minimum interval between reports of requests that the stop channel rejected.
 const REJECTED_EVERY: Duration = Duration::from_secs(10);
 /// Maximum number of other monitored threads.
@@ -119,22 +119,22 @@ impl Monitor {
         cause(threads, takt_rt::monotonic())
     }
 
-    /// Notices of drivers, limiting and jumps as log lines, with the names of drivers or devices.
-    pub(super) fn take_notices(
+    /// Events of drivers, limiting and jumps as log lines, with the names of drivers or devices.
+    pub(super) fn take_driver_events(
         &mut self,
         devices: &DeviceSet,
         now: Instant,
-    ) -> Vec<(String, Notice)> {
+    ) -> Vec<(String, DriverEvent)> {
         let mut lines = Vec::new();
         for driver in &devices.drivers {
-            let notices = std::iter::from_fn(|| driver.news()).take(NOTICES_AT_ONCE);
-            let notices = self.log.take(driver.name(), notices, now).into_iter();
-            lines.extend(notices.map(|line| (driver.name().to_owned(), line)));
+            let events = std::iter::from_fn(|| driver.poll_event()).take(EVENTS_AT_ONCE);
+            let events = self.log.take(driver.name(), events, now).into_iter();
+            lines.extend(events.map(|line| (driver.name().to_owned(), line)));
         }
         for (device, line) in self.motion.poll(&devices.table) {
-            let line = std::iter::once(Notice::warning(line));
-            let notices = self.log.take(&device, line, now).into_iter();
-            lines.extend(notices.map(|line| (device.clone(), line)));
+            let line = std::iter::once(DriverEvent::warning(line));
+            let events = self.log.take(&device, line, now).into_iter();
+            lines.extend(events.map(|line| (device.clone(), line)));
         }
         lines
     }

@@ -1,11 +1,11 @@
 //! Devices of the cell that are added and removed at run time, when its file is reloaded. The
 //! caller, which reads the file, selects them; nets are not affected.
 
-use crate::cell::DeviceConfig;
 use crate::controller::Controller;
 use crate::controller::clock::FollowedClock;
 use crate::controller::nets::Net;
 use crate::controller::registry::Registry;
+use crate::device::driver::DriverConfig;
 use crate::error::Error;
 use crate::ids::NetState;
 
@@ -14,7 +14,7 @@ impl Controller {
     ///
     /// # Errors
     /// If its name is taken, capacity is exhausted, or it cannot be opened.
-    pub fn add_cell_device(&self, device: &DeviceConfig) -> Result<(), Error> {
+    pub fn add_cell_device(&self, device: &dyn DriverConfig) -> Result<(), Error> {
         let mut registry = self.inner.lock();
         let added = registry.add_of_cell(device);
         self.inner.announce(&registry);

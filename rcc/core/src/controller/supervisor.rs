@@ -37,7 +37,7 @@ pub(super) fn supervise(inner: &Shared) {
         let Registry {
             monitor, devices, ..
         } = &mut *registry;
-        let notices = monitor.take_notices(devices, now);
+        let driver_events = monitor.take_driver_events(devices, now);
         let returns =
             memory_return.is_due(now) && memory_return.check(registry.nets.memory_taken());
         drop(registry);
@@ -57,8 +57,8 @@ pub(super) fn supervise(inner: &Shared) {
             ),
             None => {}
         }
-        for (driver, notice) in notices {
-            driver_log::report(&driver, &notice);
+        for (driver, event) in driver_events {
+            driver_log::report(&driver, &event);
         }
         std::thread::sleep(SUPERVISION);
     }

@@ -50,7 +50,7 @@ pub struct Jumped {
 
 impl Jumped {
     /// Adds a jump.
-    pub(super) const fn add(&mut self, part: JumpPart, by: f64, most: f64) {
+    pub const fn add(&mut self, part: JumpPart, by: f64, most: f64) {
         *self = Self {
             count: self.count + 1,
             part,
@@ -77,18 +77,14 @@ impl fmt::Display for Jumped {
 
 /// The last measured joint positions of a device.
 #[derive(Debug, Default)]
-pub(super) struct Continuity {
+pub struct Continuity {
     last: Option<(Nanos, [Option<f64>; ARM_JOINTS_MAX])>,
 }
 
 impl Continuity {
     /// Checks a state before it is published and adds a jump if a joint jumped since the last one. `velocity_max` is
     /// the limit of each joint, rad/s.
-    pub(super) fn check(
-        &mut self,
-        state: &mut DeviceState,
-        velocity_max: impl Fn(usize) -> Option<f64>,
-    ) {
+    pub fn check(&mut self, state: &mut DeviceState, velocity_max: impl Fn(usize) -> Option<f64>) {
         if state.status != DeviceStatus::Operational {
             self.last = None;
             return;

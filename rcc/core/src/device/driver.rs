@@ -3,6 +3,7 @@
 
 use std::any::Any;
 use std::fmt;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -13,7 +14,7 @@ use takt_rt::servo::Estimate;
 use takt_rt::stats::StallReader;
 use takt_rt::thread::{Thread, ThreadConfig};
 
-use crate::device::{DeviceCommand, DeviceState};
+use crate::device::{DeviceCommand, DeviceDescription, DeviceState};
 use crate::error::Error;
 
 /// Shutdown time limit of a driver: its devices brake as when set-points end, then lose power. Power is not cut while
@@ -56,7 +57,7 @@ impl DriverEnds {
     }
 }
 
-/// Severity of a notice.
+/// Severity of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Severity {
     /// Something appeared, recovered, or is as expected.
@@ -69,15 +70,15 @@ pub enum Severity {
 
 /// An event on the wire of a driver.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Notice {
+pub struct DriverEvent {
     /// Severity.
     pub severity: Severity,
     /// The cause, and the remedy if there is one.
     pub text: String,
 }
 
-impl Notice {
-    /// An informational notice.
+impl DriverEvent {
+    /// An informational event.
     #[must_use]
     pub const fn info(text: String) -> Self {
         Self {
@@ -155,6 +156,66 @@ impl DriverThread {
     }
 }
 
+/// A driver without figures and events of its own.
+impl DeviceDriver for DriverThread {
+    fn thread(&self) -> &DriverThread {
+        self
+    }
+
+    fn into_thread(self: Box<Self>) -> DriverThread {
+        *self
+    }
+}
+
+/// Configuration of a driver, as a table of a cell file gives it; starts the driver.
+pub trait DriverConfig: Compare + fmt::Debug + Send + Sync {
+    /// Name of its device, or of its bus.
+    fn name(&self) -> &str;
+
+    /// Period of the net thread that commands its devices; `None` for the first.
+    fn thread(&self) -> Option<Duration> {
+        None
+    }
+
+    /// `SCHED_FIFO` priority of its thread, 1 to 98; `None` for an ordinary thread.
+    fn priority(&self) -> Option<u8>;
+
+    /// Checks what is not a matter of one value.
+    ///
+    /// # Errors
+    /// With a text that names the finding.
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+
+    /// What is known of its devices before contact.
+    fn devices(&self) -> Vec<DeviceDescription>;
+
+    /// Opens its link and starts the driver. The endpoints are those of its devices, in their order.
+    ///
+    /// # Errors
+    /// If the link cannot be opened or the thread cannot be created.
+    fn start(&self, ends: DriverEnds) -> Result<Box<dyn DeviceDriver>, Error>;
+}
+
+/// Comparison of values whose type is not known; every type with `==` has it.
+pub trait Compare: Any {
+    /// Whether both are of the same type and equal.
+    fn equals(&self, other: &dyn Any) -> bool;
+}
+
+impl<T: PartialEq + Any> Compare for T {
+    fn equals(&self, other: &dyn Any) -> bool {
+        other.downcast_ref() == Some(self)
+    }
+}
+
+impl PartialEq for dyn DriverConfig {
+    fn eq(&self, other: &Self) -> bool {
+        self.equals(other as &dyn Any)
+    }
+}
+
 /// A driver with a thread of its own, for one device or for all devices of a bus.
 pub trait DeviceDriver: Any + fmt::Debug + Send {
     /// Its thread.
@@ -164,10 +225,12 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
     fn into_thread(self: Box<Self>) -> DriverThread;
 
     /// Figures for the log when one of its devices changes its status: name and value.
-    fn figures(&self) -> Vec<(&'static str, String)>;
+    fn figures(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
 
     /// The oldest event on its wire that was not read yet; `None` if all were read.
-    fn news(&self) -> Option<Notice> {
+    fn poll_event(&self) -> Option<DriverEvent> {
         None
     }
 
@@ -185,6 +248,11 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
     /// Name of its device, or of its bus.
     fn name(&self) -> &str {
         &self.thread().name
+    }
+
+    /// The local UDP address at which it waits for its robot, if it does.
+    fn waits_at(&self) -> Option<SocketAddr> {
+        None
     }
 
     /// Whether it drives the device of that name.

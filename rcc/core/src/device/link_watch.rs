@@ -6,10 +6,9 @@ use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use takt_can::link::LinkError;
 use takt_rt::interface::{Interface, LinkFault, Medium};
 
-use super::driver::Notice;
+use super::driver::DriverEvent;
 
 /// Time between two queries of an interface without failures.
 const EVERY: Duration = Duration::from_millis(100);
@@ -18,39 +17,27 @@ const QUIET: Duration = Duration::from_secs(1);
 
 /// Failed sends and receives, counted in the real-time thread.
 #[derive(Debug, Default)]
-pub(super) struct LinkErrors {
+pub struct LinkErrors {
     count: AtomicU64,
     errno: AtomicI32,
 }
 
 impl LinkErrors {
     /// Notes an error number.
-    pub(super) fn note(&self, errno: i32) {
+    pub fn note(&self, errno: i32) {
         self.errno.store(errno, Ordering::Relaxed);
         self.count.fetch_add(1, Ordering::Release);
     }
 
     /// Notes an error of a system link.
-    pub(super) fn note_io(&self, error: &io::Error) {
+    pub fn note_io(&self, error: &io::Error) {
         self.note(error.raw_os_error().unwrap_or(nix::libc::EIO));
-    }
-
-    /// Notes an error of a CAN link.
-    pub(super) fn note_can(&self, error: LinkError) {
-        self.note(match error {
-            LinkError::QueueFull => nix::libc::ENOBUFS,
-            LinkError::Down => nix::libc::ENETDOWN,
-            LinkError::Lost => nix::libc::ENODEV,
-            LinkError::Kind => nix::libc::EINVAL,
-            LinkError::Os(errno) => errno,
-            _ => nix::libc::EIO,
-        });
     }
 }
 
 /// The link of a driver: a network interface, or a link without a state.
 #[derive(Debug)]
-pub(super) struct LinkWatch {
+pub struct LinkWatch {
     medium: Medium,
     errors: Arc<LinkErrors>,
     state: Mutex<State>,
@@ -77,7 +64,7 @@ impl State {
 
 impl LinkWatch {
     /// A watch of the named interface, if there is one; errors are reported under `name` otherwise.
-    pub(super) fn new(name: &str, interface: Option<&str>, medium: Medium) -> Self {
+    pub fn new(name: &str, interface: Option<&str>, medium: Medium) -> Self {
         let errors = Arc::<LinkErrors>::default();
         let mut state = State {
             name: name.to_owned(),
@@ -98,7 +85,7 @@ impl LinkWatch {
     }
 
     /// Sets the interface of a link that was unknown before.
-    pub(super) fn find(&self, interface: impl FnOnce() -> Option<String>) {
+    pub fn find(&self, interface: impl FnOnce() -> Option<String>) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.interface.is_none()
             && state.asked.is_none_or(|at| at.elapsed() >= EVERY)
@@ -109,17 +96,17 @@ impl LinkWatch {
     }
 
     /// Counters for the real-time thread.
-    pub(super) fn errors(&self) -> Arc<LinkErrors> {
+    pub fn errors(&self) -> Arc<LinkErrors> {
         Arc::clone(&self.errors)
     }
 
     /// Number of failed sends and receives.
-    pub(super) fn failed(&self) -> u64 {
+    pub fn failed(&self) -> u64 {
         self.errors.count.load(Ordering::Relaxed)
     }
 
     /// The change since the last call.
-    pub(super) fn poll(&self, now: Instant) -> Option<Notice> {
+    pub fn poll(&self, now: Instant) -> Option<DriverEvent> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let count = self.errors.count.load(Ordering::Acquire);
         let fails = count != state.seen;
@@ -139,8 +126,8 @@ impl LinkWatch {
         }
         state.fault = fault;
         Some(match fault {
-            Some(fault) => Notice::error(fault.on(&state.name, self.medium).to_string()),
-            None => Notice::info(format!("{}: the link works again", state.name)),
+            Some(fault) => DriverEvent::error(fault.on(&state.name, self.medium).to_string()),
+            None => DriverEvent::info(format!("{}: the link works again", state.name)),
         })
     }
 
@@ -167,33 +154,33 @@ mod tests {
     use super::super::driver::Severity;
     use super::*;
 
-    fn notice(watch: &LinkWatch, at: Instant) -> Option<(Severity, String)> {
-        let notice = watch.poll(at)?;
-        Some((notice.severity, notice.text))
+    fn poll(watch: &LinkWatch, at: Instant) -> Option<(Severity, String)> {
+        let event = watch.poll(at)?;
+        Some((event.severity, event.text))
     }
 
     #[test]
     fn failed_frames_report_onset_and_end_once() {
         let watch = LinkWatch::new("can0", None, Medium::Can);
         let start = Instant::now();
-        assert_eq!(notice(&watch, start), None);
+        assert_eq!(poll(&watch, start), None);
         let errors = watch.errors();
         for ms in 0..50 {
-            errors.note_can(LinkError::QueueFull);
-            let notice = notice(&watch, start + Duration::from_millis(ms));
-            assert_eq!(notice.is_some(), ms == 0);
-            let Some((severity, text)) = notice else {
+            errors.note(nix::libc::ENOBUFS);
+            let event = poll(&watch, start + Duration::from_millis(ms));
+            assert_eq!(event.is_some(), ms == 0);
+            let Some((severity, text)) = event else {
                 continue;
             };
             assert_eq!(severity, Severity::Error);
             assert!(text.contains("No buffer space available"), "{text}");
             assert!(text.contains("\nhint: "), "{text}");
         }
-        assert_eq!(notice(&watch, start + QUIET / 2), None);
-        let (severity, text) = notice(&watch, start + QUIET * 2).unwrap();
+        assert_eq!(poll(&watch, start + QUIET / 2), None);
+        let (severity, text) = poll(&watch, start + QUIET * 2).unwrap();
         assert_eq!(severity, Severity::Info);
         assert_eq!(text, "can0: the link works again");
-        assert_eq!(notice(&watch, start + QUIET * 3), None);
+        assert_eq!(poll(&watch, start + QUIET * 3), None);
         assert_eq!(watch.failed(), 50);
     }
 
@@ -201,33 +188,33 @@ mod tests {
     fn another_link_error_is_reported_again() {
         let watch = LinkWatch::new("can0", None, Medium::Can);
         let now = Instant::now();
-        watch.errors().note_can(LinkError::QueueFull);
-        assert!(notice(&watch, now).is_some());
-        watch.errors().note_can(LinkError::Down);
-        let (_, text) = notice(&watch, now).unwrap();
+        watch.errors().note(nix::libc::ENOBUFS);
+        assert!(poll(&watch, now).is_some());
+        watch.errors().note(nix::libc::ENETDOWN);
+        let (_, text) = poll(&watch, now).unwrap();
         assert!(text.contains("Network is down"), "{text}");
         watch
             .errors()
             .note_io(&io::Error::from_raw_os_error(nix::libc::EIO));
-        let (_, text) = notice(&watch, now).unwrap();
+        let (_, text) = poll(&watch, now).unwrap();
         assert!(text.contains("Input/output error"), "{text}");
     }
 
     #[test]
     fn missing_interface_is_reported_before_any_frame() {
         let watch = LinkWatch::new("bus", Some("nowhere0"), Medium::Ethernet);
-        let (severity, text) = notice(&watch, Instant::now()).unwrap();
+        let (severity, text) = poll(&watch, Instant::now()).unwrap();
         assert_eq!(severity, Severity::Error);
         assert!(text.starts_with("nowhere0: no such interface"), "{text}");
         let watch = LinkWatch::new("bus", Some("lo"), Medium::Ethernet);
-        assert_eq!(notice(&watch, Instant::now()), None);
+        assert_eq!(poll(&watch, Instant::now()), None);
     }
 
     #[test]
     fn replaced_interface_is_named_as_such() {
         let watch = LinkWatch::new("bus", Some("lo"), Medium::Ethernet);
         watch.errors().note(nix::libc::ENXIO);
-        let (_, text) = notice(&watch, Instant::now()).unwrap();
+        let (_, text) = poll(&watch, Instant::now()).unwrap();
         assert!(text.contains("removed and came back"), "{text}");
     }
 }

@@ -35,10 +35,10 @@ use takt_rt::Nanos;
 use crate::device::last_stage::{LastStage, Limited};
 use crate::device::{JointSetPoints, SET_POINTS, SetPoint};
 
-/// A first set-point farther from the joint than this is refused, rad.
-const START_DISTANCE_RAD: f64 = 0.02;
-/// A joint farther behind its set-points than this gives up, rad.
-const LOST_DISTANCE_RAD: f64 = 0.2;
+/// A first set-point farther from the joint than this is refused, rad; of a base in poses, m and rad.
+pub const START_DISTANCE: f64 = 0.02;
+/// A joint farther behind its set-points than this gives up, rad; a base in poses, m and rad.
+pub const LOST_DISTANCE: f64 = 0.2;
 /// Share of the largest speed that a joint uses: a robot's own guard sees it rounded to single precision, and in some
 /// of its cycles slightly above the interpolated value.
 const SPEED_SHARE: f64 = 0.998;
@@ -154,7 +154,7 @@ impl Joint {
 
     fn begin(&mut self, target: f64, speed: f64, dt_s: f64) {
         let (position, velocity, _) = self.stage.motion();
-        let near = (self.in_range(target) - position).abs() <= START_DISTANCE_RAD;
+        let near = (self.in_range(target) - position).abs() <= START_DISTANCE;
         let moving = velocity.abs() > RESTING_RAD_PER_S;
         // A joint that braked without set-points resumes them if it can catch up.
         if !near && !moving {
@@ -162,7 +162,7 @@ impl Joint {
             return;
         }
         if !moving {
-            self.stage.begin_quietly(START_DISTANCE_RAD);
+            self.stage.begin_quietly(START_DISTANCE);
         }
         self.mode = Mode::Approach;
         self.track(target, speed, dt_s);
@@ -173,7 +173,7 @@ impl Joint {
         let within = self.in_range(target);
         let (before, velocity_before, _) = self.stage.motion();
         // A distance that the joint can travel in this step is not out of reach, however long the step is.
-        let farthest = LOST_DISTANCE_RAD.max(self.stage.limits().velocity_max * dt_s);
+        let farthest = LOST_DISTANCE.max(self.stage.limits().velocity_max * dt_s);
         if (within - before).abs() > farthest {
             self.brake(dt_s, Mode::Refused);
             return;

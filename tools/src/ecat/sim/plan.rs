@@ -3,7 +3,7 @@
 use anyhow::{Context as _, ensure};
 use serde::Deserialize;
 use takt_core::CellConfig;
-use takt_core::cell::{AnalogueChannel, EthercatConfig, EthercatSlave};
+use takt_devices::ethercat::{AnalogueChannel, EthercatConfig, EthercatSlave};
 use takt_ethercat::emulator::{
     Coupler, Io, PdoImage, Profile, Profiled, Segment, ServoConfig, ServoDrive, Slave,
 };
@@ -386,7 +386,7 @@ mod tests {
     fn sim_of_cell_builds_its_slaves() {
         let path = std::env::temp_dir().join(format!("takt-sim-{}.toml", std::process::id()));
         std::fs::write(&path, CELL).unwrap();
-        let cell = CellConfig::read(&path).unwrap();
+        let cell = takt_devices::read_cell(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
         let emulation = of_cell(&cell, None, true).unwrap();
         assert_eq!((emulation.segment.len(), emulation.drives.len()), (2, 1));
@@ -411,10 +411,10 @@ mod tests {
             analogue_in = [{ slave = 'volts', bit = 16, bits = 12 }, \
             { slave = 'volts', object = [0x6010, 0x11] }]\n\
             analogue_out = [{ slave = 'volts', bit = 0 }]\n";
-        let cell = CellConfig::parse(text).unwrap();
+        let cell = takt_devices::parse_cell(text).unwrap();
         let segment = of_cell(&cell, None, true).unwrap().segment;
         let mut session = session(segment, AlState::SafeOp);
-        let expected = cell::master(&cell.ethercat[0], CYCLE, AlState::SafeOp);
+        let expected = cell::master(cell.of_kind().next().unwrap(), CYCLE, AlState::SafeOp);
         session.restart(expected).unwrap();
         session.bring_up(Duration::from_secs(10)).unwrap();
         assert!(

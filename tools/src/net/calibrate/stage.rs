@@ -4,10 +4,10 @@
 use std::fmt::Write as _;
 use std::sync::Arc;
 
-use takt_core::device::{DeviceDescription, DeviceTable, Part, lwr};
+use takt_core::device::{DeviceDescription, DeviceTable, Part};
 use takt_net::definition::{InPort, Parameter, ParameterType};
 use takt_net::netcomm::Directory;
-use takt_net::{Definition, Element};
+use takt_net::{Definition, Element, JointLimits};
 
 /// Name of the device that primitives of devices get.
 const DEVICE: &str = "device";
@@ -36,13 +36,18 @@ pub(super) fn devices() -> anyhow::Result<DeviceTable> {
         Part::Wrench,
         Part::Drives { count: 4 },
     ];
-    let lwr = lwr::describe(DEVICE);
+    let limits = JointLimits {
+        position_min: -3.0,
+        position_max: 3.0,
+        velocity_max: 2.0,
+        acceleration_max: 4.0,
+    };
     let mut table = DeviceTable::default();
     table.add(DeviceDescription {
-        name: lwr.name,
-        kind: lwr.kind,
-        limits: lwr.limits,
-        model: lwr.model,
+        name: DEVICE.to_owned(),
+        kind: "calibration",
+        limits: vec![limits; 7],
+        model: "kuka_lwr4".into(),
         parts,
     })?;
     Ok(table)

@@ -20,7 +20,7 @@ use takt_rt::Nanos;
 use super::compliance::Compliance;
 use super::io::loop_back;
 use super::{Made, Parameters, Simulated, seconds};
-use crate::device::config::OutputsOnEnd;
+use crate::device::on_end::OutputsOnEnd;
 use crate::device::setpoint::Joint;
 use crate::device::{
     ARM_JOINTS_MAX, ArmDescription, DeviceCommand, DeviceState, DeviceStatus, JointSetPoints,

@@ -11,6 +11,7 @@ use takt_rt::Nanos;
 
 use super::{Made, Parameters, Simulated, seconds};
 use crate::device::last_stage::{PlanarLimits, PlanarStage};
+use crate::device::setpoint::{LOST_DISTANCE, START_DISTANCE};
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
 
@@ -19,10 +20,6 @@ const WHEELS: usize = 4;
 const RADIUS: f64 = 0.0475;
 /// Half of length and width between wheels, m.
 const LEVER: f64 = (0.47 + 0.30) / 2.0;
-/// A first pose farther from the base than this is refused, m and rad.
-const START_DISTANCE: f64 = 0.02;
-/// The base gives up on poses farther ahead than this, m and rad.
-const LOST_DISTANCE: f64 = 0.2;
 
 pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
     let limits = PlanarLimits {

@@ -7,7 +7,7 @@ use takt_net::device::{Given, Interfaces, Io, Layout, Output, Signal, Words};
 use takt_rt::Nanos;
 
 use super::{Made, Parameters, Simulated};
-use crate::device::config::OutputsOnEnd;
+use crate::device::on_end::OutputsOnEnd;
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
 

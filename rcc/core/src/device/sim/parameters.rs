@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use takt_net::value::text::parse_array;
 
-use crate::device::config::{OnEnd, OutputsOnEnd};
+use crate::device::on_end::{OnEnd, OutputsOnEnd};
 use crate::device::{LEAST, MOST};
 use crate::error::Error;
 

@@ -10,7 +10,7 @@ use takt_rt::ring::ring;
 use takt_rt::servo::{Servo, ServoConfig, State};
 
 use super::*;
-use crate::device::{DeviceCommand, DeviceTable, lwr};
+use crate::device::{ArmDescription, DeviceCommand, DeviceTable};
 use crate::executor::figures::RUNAWAY_AFTER;
 use crate::executor::rules::{Literal, NetActions, Question, Step};
 use crate::executor::serve::Driver;
@@ -320,7 +320,7 @@ impl Bench {
     /// Serves an arm; returns where its driver takes commands.
     fn arm(&mut self) -> LatestReader<DeviceCommand> {
         let mut devices = DeviceTable::default();
-        let (number, ports) = devices.add_arm(lwr::describe("left")).unwrap();
+        let (number, ports) = devices.add_arm(arm("left")).unwrap();
         let place = devices.get(number).unwrap().place.clone();
         let driver = Driver::Cells {
             state: ports.state,
@@ -329,6 +329,22 @@ impl Bench {
         let end = Box::new(DeviceEnd::new(number, place, driver));
         self.command(Command::AddDevice(end));
         ports.driver_command
+    }
+}
+
+/// An arm of seven joints.
+fn arm(name: &str) -> ArmDescription {
+    let limits = takt_net::JointLimits {
+        position_min: -2.0,
+        position_max: 2.0,
+        velocity_max: 2.0,
+        acceleration_max: 4.0,
+    };
+    ArmDescription {
+        name: name.to_owned(),
+        kind: "test",
+        limits: vec![limits; 7],
+        model: "".into(),
     }
 }
 

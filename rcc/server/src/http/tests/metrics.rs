@@ -2,11 +2,12 @@
 //! format.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
 
-use takt_core::cell::{DeviceConfig, LwrConfig};
 use takt_core::controller::{RuleRequest, RuleState};
+use takt_core::device::DeviceDescription;
+use takt_core::device::driver::{DeviceDriver, DriverConfig, DriverEnds, DriverThread};
 use takt_core::{CellConfig, Controller};
 
 use super::resources::{body, controller, get, holds, loaded, post};
@@ -324,6 +325,36 @@ fn metrics_do_not_grow_with_nets() {
     assert_eq!(lines(&controller), before);
 }
 
+/// A driver without a robot: its clock is never measured.
+#[derive(Debug, PartialEq)]
+struct Silent;
+
+impl DriverConfig for Silent {
+    fn name(&self) -> &str {
+        "left"
+    }
+
+    fn priority(&self) -> Option<u8> {
+        None
+    }
+
+    fn devices(&self) -> Vec<DeviceDescription> {
+        vec![DeviceDescription {
+            name: "left".to_owned(),
+            kind: "test",
+            limits: Vec::new(),
+            model: "".into(),
+            parts: Vec::new(),
+        }]
+    }
+
+    fn start(&self, ends: DriverEnds) -> Result<Box<dyn DeviceDriver>, takt_core::Error> {
+        let clock = ends.clock;
+        let thread = DriverThread::start("left", None, &[], |_| clock)?;
+        Ok(Box::new(thread))
+    }
+}
+
 #[test]
 fn followed_clock_is_reported() {
     let host = get(&controller(), "/metrics");
@@ -332,10 +363,7 @@ fn followed_clock_is_reported() {
     cell.controller.priority = None;
     cell.controller.follow = Some("left".to_owned());
     cell.controller.phase = Some(Duration::from_micros(300));
-    let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
-    let mut lwr = LwrConfig::new("left", anywhere);
-    lwr.priority = None;
-    cell.devices = vec![DeviceConfig::Lwr(lwr)];
+    cell.devices = vec![Arc::new(Silent)];
     let controller = Controller::start(&cell).unwrap();
     let response = get(&controller, "/metrics");
     let families = parse(body(&response)).unwrap_or_else(|e| panic!("{e}\n{response}"));

@@ -1,0 +1,267 @@
+//! An arm whose joints are axes of CiA 402 drives, on any bus. Nets command the arm only while all axes follow;
+//! otherwise, those that still follow brake within their limits and hold their positions against any load. Access to
+//! an axis is up to its bus.
+//!
+//! Drives are enabled as soon as no net commands the arm, and re-enabled after a fault once no net has commanded it
+//! for a second: motion from before a fault does not continue. With `recovery = "on_restart"` a fault shuts the arm
+//! down. A shutdown removes power when the motors are at standstill ([`Shutdown`]).
+
+use std::fmt;
+use std::time::Duration;
+
+use takt_cia402::proof::Objects;
+use takt_cia402::{Goal, Power, Runaway, Shutdown, State, axis_goal};
+use takt_rt::Nanos;
+use takt_rt::cycle::Tick;
+
+use crate::config::{DriveArm, Recovery};
+use crate::driven::{Driven, When, time_of};
+use takt_core::device::DeviceStatus;
+use takt_core::device::driver::DeviceEnd;
+use takt_core::device::endpoint::Endpoint;
+
+/// Faults of drives are reset after this time without a command.
+const REST: Duration = Duration::from_secs(1);
+/// The latest state of an axis.
+#[derive(Clone, Copy, Debug)]
+pub struct Feedback {
+    /// Whether it answers.
+    pub online: bool,
+    /// Whether it follows its targets.
+    pub follows: bool,
+    /// State in 6041h; `None` if the statusword shows none.
+    pub state: Option<State>,
+    /// 6064h.
+    pub increments: i32,
+    /// Whether it gets no power because its process data are not proven.
+    pub refused: bool,
+}
+
+/// An event of a joint, reported once per occurrence.
+#[derive(Clone, Copy, Debug)]
+pub enum JointEvent {
+    /// The motor did not follow its target.
+    Runaway(Runaway),
+    /// The joint is out of its range.
+    OutOfRange {
+        /// Position, degrees.
+        position: f64,
+        /// Range, degrees.
+        range: [f64; 2],
+    },
+}
+
+impl fmt::Display for JointEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Runaway(runaway) => runaway.fmt(f),
+            Self::OutOfRange {
+                position,
+                range: [low, high],
+            } => write!(
+                f,
+                "position {position:.2} degrees is out of range {low:.2} to {high:.2}\nhint: move it back by set-points \
+                 that begin at its position, which it follows slowly, or correct `zero` and `range`"
+            ),
+        }
+    }
+}
+
+/// Commands to an axis for one cycle.
+#[derive(Clone, Copy, Debug)]
+pub struct Order {
+    /// The new goal, if it changed.
+    pub goal: Option<Goal>,
+    /// Whether to reset a fault.
+    pub reset: bool,
+    /// 607Ah; `None` while the axis does not follow: its target is its position.
+    pub target: Option<i32>,
+}
+
+/// The arm.
+#[derive(Debug)]
+pub struct Arm {
+    recovery: Recovery,
+    joints: Vec<Driven>,
+    period: Nanos,
+    end: Endpoint,
+    /// The last cycle in which a net commanded it.
+    commanded: Nanos,
+    last: Option<Nanos>,
+    powered: bool,
+    /// The shutdown, once requested.
+    shutdown: Option<Shutdown>,
+    held: bool,
+}
+
+impl Arm {
+    /// An arm on a bus with that cycle time.
+    pub fn new<D>(arm: &DriveArm<D>, cycle: Duration, end: DeviceEnd) -> Self {
+        Self {
+            recovery: arm.recovery,
+            joints: arm.joints.iter().map(Driven::new).collect(),
+            period: cycle.into(),
+            end: Endpoint::new(end, &[], arm.joints.len()),
+            commanded: Nanos(0),
+            last: None,
+            powered: false,
+            shutdown: None,
+            held: false,
+        }
+    }
+
+    /// Whether all drives are without power; at most [`takt_core::device::driver::SHUTDOWN_MAX`] after a shutdown request, unless
+    /// a drive refuses.
+    pub fn is_off(&self) -> bool {
+        let mut joints = self.joints.iter();
+        joints.all(|joint| joint.power() == Power::Off)
+    }
+
+    /// Starts or ends a hold: joints brake and hold their positions, and commands are ignored.
+    pub const fn hold(&mut self, held: bool) {
+        self.held = held;
+    }
+
+    /// The next event of a joint.
+    pub fn poll_event(&mut self) -> Option<(usize, JointEvent)> {
+        let mut joints = self.joints.iter_mut().enumerate();
+        joints.find_map(|(number, joint)| Some((number, joint.poll_event()?)))
+    }
+
+    fn follows(&self) -> bool {
+        self.joints.iter().all(Driven::follows)
+    }
+
+    /// Steps its drives by one cycle: `axis` commands the axis of a joint and returns its feedback.
+    pub fn cycle(
+        &mut self,
+        tick: &Tick,
+        stopping: bool,
+        mut axis: impl FnMut(usize, Order) -> Option<Feedback>,
+    ) {
+        let now = tick.scheduled;
+        self.end.take();
+        let stopping =
+            stopping || (self.recovery == Recovery::OnRestart && self.end.reported.faults > 0);
+        let (goal, reset) = if stopping {
+            (self.shutdown_goal(now), false)
+        } else {
+            self.shutdown = None;
+            self.choose_goal(now)
+        };
+        let may_move = self.follows() && !stopping && !self.held;
+        let elapsed = self.last.replace(now).map_or(Nanos(0), |last| now - last);
+        let when = When {
+            now,
+            elapsed_s: seconds(elapsed),
+            dt_s: if elapsed > Nanos(0) {
+                seconds(self.period)
+            } else {
+                0.0
+            },
+            fresh: self.end.is_fresh(now, self.period),
+        };
+        let joints = self.joints.iter_mut().zip(&self.end.taken.joints);
+        for (number, (driven, set_points)) in joints.enumerate() {
+            let target = driven.aim(set_points, may_move, &when);
+            let goal = axis_goal(goal, driven.power(), driven.has_run_away());
+            let order = Order {
+                goal,
+                reset,
+                target,
+            };
+            driven.take(axis(number, order), target, &when);
+        }
+        self.publish(tick);
+    }
+
+    /// The new goal of all drives, if it changes, and whether to reset their faults.
+    fn choose_goal(&mut self, now: Nanos) -> (Option<Goal>, bool) {
+        let commanded = self.end.is_commanded();
+        if commanded {
+            self.commanded = now;
+        }
+        let online = self.joints.iter().all(Driven::is_online);
+        // Drives that recover do not move by themselves.
+        self.powered &= online;
+        let rested = now - self.commanded >= Nanos::from(REST);
+        if self.joints.iter().any(Driven::has_run_away) {
+            return (None, false);
+        }
+        if online && !self.powered && !commanded {
+            self.powered = true;
+            return (Some(Goal::OperationEnabled), false);
+        }
+        if rested && !self.follows() {
+            self.commanded = now;
+            self.powered = false;
+            return (None, true);
+        }
+        (None, false)
+    }
+
+    /// The goal of all drives during shutdown.
+    fn shutdown_goal(&mut self, now: Nanos) -> Option<Goal> {
+        let is_at_rest = self.joints.iter().all(|joint| joint.is_at_rest(now));
+        let has_torque = |joint: &Driven| joint.power() == Power::Drives;
+        let has_torque = self.joints.iter().any(has_torque);
+        let now = time_of(now);
+        let shutdown = self.shutdown.get_or_insert_with(|| Shutdown::new(now));
+        shutdown.step(is_at_rest, has_torque, now)
+    }
+
+    fn publish(&mut self, tick: &Tick) {
+        let status = if self.follows() && !self.held {
+            DeviceStatus::Operational
+        } else if self.joints.iter().all(Driven::is_online) {
+            DeviceStatus::SafeOperational
+        } else {
+            DeviceStatus::Offline
+        };
+        self.end.reported.enter(status, tick.scheduled);
+        self.end.report_joints(self.joints.iter().map(|driven| {
+            let measured = driven.measured;
+            let measured = [measured.map(|it| it[0]), measured.map(|it| it[1]), None];
+            (&driven.joint, measured)
+        }));
+        for (reported, driven) in self.end.reported.joints.iter_mut().zip(&self.joints) {
+            reported.error = driven.error(status) as i32;
+        }
+        self.end.publish();
+    }
+}
+
+/// Logs the quirks that the cell configures for the drives of a bus.
+pub fn report_quirks<D>(driver: &str, arms: &[DriveArm<D>]) {
+    for arm in arms {
+        for (joint, of_joint) in arm.joints.iter().enumerate() {
+            for quirk in &of_joint.quirks {
+                let (arm, quirk) = (&arm.name, quirk.name());
+                tracing::info!(driver, arm, joint, quirk, "drive quirk applied");
+            }
+        }
+    }
+}
+
+/// The event text of an axis whose process data are proven.
+pub fn proven(took: Duration, trusted: Objects) -> String {
+    let took = took.as_millis();
+    if trusted.is_empty() {
+        format!("its process data are proven, in {took} ms")
+    } else {
+        format!(
+            "its process data are proven, in {took} ms, but for {trusted}, taken on trust (`not_mirrored`)"
+        )
+    }
+}
+
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "spans of milliseconds are exact"
+)]
+const fn seconds(span: Nanos) -> f64 {
+    span.0 as f64 * 1e-9
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,11 @@
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+mod arm;
+mod check;
+mod config;
+mod driven;
+
+pub use arm::{Arm, Feedback, JointEvent, Order, proven, report_quirks};
+pub use check::{check, describe, limits_of};
+pub use config::{DriveArm, DriveJoint, Recovery};

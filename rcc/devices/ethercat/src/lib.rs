@@ -1,0 +1,18 @@
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+mod config;
+#[cfg(test)]
+#[path = "../../tests/plant/mod.rs"]
+mod plant;
+mod segment;
+
+pub use config::{
+    AnalogueChannel, EthercatClocks, EthercatConfig, EthercatIo, EthercatSlave, LostPolicy,
+    SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy, YouBotArm,
+    YouBotBase, YouBotControl,
+};
+pub use segment::{
+    Ethercat, EthercatFigures, EthernetLink, Wait, Wire, Wires, YouBotFigures, check, describe,
+    master_config, open,
+};

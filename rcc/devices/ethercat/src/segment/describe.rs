@@ -1,0 +1,348 @@
+//! Converts the cell's configuration of a segment to a master configuration and device descriptions. It opens
+//! nothing.
+
+use std::time::Duration;
+
+use takt_cia402::dictionary::{Address, Mapped};
+use takt_ethercat::AlState;
+use takt_ethercat::axis;
+use takt_ethercat::coe::Whole;
+use takt_ethercat::config::{
+    ClockConfig, IMAGE_MAX, Location, MasterConfig, PdoSpec, SlaveSpec, StartupSdo, SyncSpec,
+    Unlocked,
+};
+use takt_ethercat::master::Master;
+
+use super::youbot;
+use crate::config::{
+    AnalogueChannel, EthercatConfig, EthercatIo, EthercatSlave, SlaveGoal, SlavePdo, SlaveTimeouts,
+    StartupObject, UnlockedPolicy,
+};
+use takt_core::device::{DeviceDescription, Part};
+use takt_device_drives as drives;
+use takt_device_drives::DriveJoint;
+
+/// Mailbox datagrams per cycle: up to nine youBot drives are polled at once.
+const YOUBOT_ACYCLIC: u8 = 4;
+/// Most bits of one device: the payload of a frame.
+const BITS_MAX: usize = 8 * IMAGE_MAX;
+/// Longest watchdog: 65,535 steps of 100 us.
+const WATCHDOG_MAX: Duration = Duration::from_micros(6_553_500);
+/// Largest clock window and longest SYNC1 delay.
+const CLOCK_MAX: Duration = Duration::from_secs(1);
+
+/// The devices of a segment: arms, then inputs and outputs, then youBots.
+#[must_use]
+pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
+    let arms = config
+        .arms
+        .iter()
+        .map(|arm| drives::describe(arm, "ethercat_arm"));
+    let ios = config.ios.iter().map(|io| DeviceDescription {
+        name: io.name.clone(),
+        kind: "ethercat_io",
+        limits: Vec::new(),
+        model: "".into(),
+        parts: vec![part(io)],
+    });
+    arms.chain(ios).chain(youbot::describe(config)).collect()
+}
+
+/// The device of inputs and outputs, as nets see it.
+pub(super) fn part(io: &EthercatIo) -> Part {
+    Part::Io {
+        bool_in: bits(&io.digital_in).min(BITS_MAX),
+        bool_out: bits(&io.digital_out).min(BITS_MAX),
+        real_in: io.analogue_in.len(),
+        real_out: io.analogue_out.len(),
+    }
+}
+
+/// Number of configured bits.
+pub(super) fn bits(of: &[(String, usize)]) -> usize {
+    of.iter()
+        .fold(0, |sum: usize, (_, bits)| sum.saturating_add(*bits))
+}
+
+/// The slave with that name.
+pub(super) fn slave(config: &EthercatConfig, name: &str) -> Option<usize> {
+    config.slaves.iter().position(|slave| slave.name == name)
+}
+
+/// Configuration of the segment's master.
+#[must_use]
+pub fn master_config(config: &EthercatConfig) -> MasterConfig {
+    let EthercatConfig { clocks, .. } = config;
+    MasterConfig {
+        cycle: config.cycle,
+        slaves: config
+            .slaves
+            .iter()
+            .map(|slave| spec(slave, config.cycle))
+            .chain(youbot::specs(config))
+            .collect(),
+        redundant: config.second.is_some(),
+        acyclic: if config.youbot_arms.is_empty() && config.youbot_bases.is_empty() {
+            1
+        } else {
+            YOUBOT_ACYCLIC
+        },
+        clocks: ClockConfig {
+            window_ns: u32::try_from(clocks.window.as_nanos()).unwrap_or(u32::MAX),
+            lock: clocks.lock,
+            unlocked: match clocks.unlocked {
+                UnlockedPolicy::Refuse => Unlocked::Refuse,
+                UnlockedPolicy::Start => Unlocked::Start,
+            },
+            ..ClockConfig::default()
+        },
+        ..MasterConfig::default()
+    }
+}
+
+fn spec(slave: &EthercatSlave, cycle: Duration) -> SlaveSpec {
+    let mut spec = SlaveSpec {
+        vendor: slave.vendor,
+        product: slave.product,
+        revision: slave.revision,
+        optional: slave.optional,
+        group: slave.group,
+        goal: match slave.goal {
+            SlaveGoal::PreOp => AlState::PreOp,
+            SlaveGoal::SafeOp => AlState::SafeOp,
+            SlaveGoal::Op => AlState::Op,
+        },
+        watchdog: slave.watchdog,
+        complete_access: slave.complete_access,
+        startup: slave.startup.iter().map(startup).collect(),
+        sync: slave.sync0.then(|| sync(slave, cycle)),
+        timeouts: (slave.timeouts != SlaveTimeouts::default()).then(|| slave.timeouts.for_master()),
+        ..SlaveSpec::new(slave.name.clone(), location(slave))
+    };
+    if slave.axes > 0 {
+        let (outputs, inputs) = axis::pdos(slave.axes);
+        (spec.outputs, spec.inputs) = (Some(outputs), Some(inputs));
+        let interpolation = (0..slave.axes).flat_map(|a| axis::interpolation(a, cycle));
+        spec.startup.extend(interpolation);
+    }
+    let own = |pdos: &Vec<SlavePdo>| pdos.iter().map(pdo).collect();
+    spec.outputs = slave.outputs.as_ref().map(own).or(spec.outputs);
+    spec.inputs = slave.inputs.as_ref().map(own).or(spec.inputs);
+    spec
+}
+
+fn location(slave: &EthercatSlave) -> Location {
+    match (slave.alias, &slave.sii_name) {
+        (Some(alias), _) => Location::Alias(alias),
+        (None, Some(name)) => Location::Name(name.clone()),
+        (None, None) => Location::Position(slave.position.unwrap_or_default()),
+    }
+}
+
+fn sync(slave: &EthercatSlave, cycle: Duration) -> SyncSpec {
+    let sync0 = SyncSpec {
+        shift_ns: slave.shift,
+        ..SyncSpec::sync0(cycle)
+    };
+    match slave.sync1 {
+        Some(sync1) => SyncSpec {
+            assign_activate: SyncSpec::BOTH,
+            sync1,
+            ..sync0
+        },
+        None => sync0,
+    }
+}
+
+fn pdo(pdo: &SlavePdo) -> PdoSpec {
+    let entry = |(index, sub, bits): &(u16, u8, u8)| Mapped {
+        address: Address::new(*index, *sub),
+        bits: *bits,
+    };
+    PdoSpec {
+        index: pdo.pdo,
+        entries: pdo.entries.iter().map(entry).collect(),
+    }
+}
+
+fn startup(object: &StartupObject) -> StartupSdo {
+    let whole = if object.complete {
+        Whole::Object
+    } else {
+        Whole::Entry
+    };
+    StartupSdo {
+        whole,
+        may_fail: object.may_fail,
+        ..StartupSdo::entry(Address::new(object.index, object.sub), object.value.bytes())
+    }
+}
+
+/// Checks a configuration.
+///
+/// # Errors
+/// With a text that names the finding.
+pub fn check(config: &EthercatConfig) -> Result<(), String> {
+    let named = |what: String| format!("{}: {what}", config.name);
+    check_segment(config).map_err(named)?;
+    Master::new(master_config(config)).map_err(|error| named(error.to_string()))?;
+    for slave in &config.slaves {
+        check_slave(slave, config.cycle)
+            .map_err(|what| named(format!("slave {}: {what}", slave.name)))?;
+    }
+    for arm in &config.arms {
+        drives::check(arm, |joint| check_drive(config, joint)).map_err(named)?;
+    }
+    youbot::check(config).map_err(named)?;
+    for io in &config.ios {
+        check_io(config, io).map_err(|what| named(format!("io {}: {what}", io.name)))?;
+    }
+    Ok(())
+}
+
+fn check_segment(config: &EthercatConfig) -> Result<(), String> {
+    if config.second.as_ref() == Some(&config.interface) {
+        return Err(format!(
+            "`second` is {}, as `interface` is; a ring needs two interfaces",
+            config.interface
+        ));
+    }
+    if config.spin > config.cycle / 2 {
+        let half = config.cycle / 2;
+        return Err(format!(
+            "`spin` is {:?}; it must be at most half a cycle, {half:?}",
+            config.spin
+        ));
+    }
+    if config.clocks.window > CLOCK_MAX {
+        let window = config.clocks.window;
+        return Err(format!(
+            "clocks.window is {window:?}; it must be at most 1s"
+        ));
+    }
+    Ok(())
+}
+
+fn check_slave(slave: &EthercatSlave, cycle: Duration) -> Result<(), String> {
+    let places = [
+        slave.position.is_some(),
+        slave.alias.is_some(),
+        slave.sii_name.is_some(),
+    ];
+    if slave.name.is_empty() {
+        return Err("it has no name".to_owned());
+    }
+    if places.into_iter().filter(|given| *given).count() != 1 {
+        return Err("it needs one of `position`, `alias` and `sii_name`".to_owned());
+    }
+    if slave.axes > 8 {
+        return Err(format!("it has at most 8 axes, not {}", slave.axes));
+    }
+    if !slave.sync0 && (slave.sync1.is_some() || slave.shift != 0) {
+        return Err("`sync1` and `shift` need `sync0 = true`".to_owned());
+    }
+    if u128::from(slave.shift.unsigned_abs()) >= cycle.as_nanos() {
+        return Err(format!(
+            "`shift` is {} ns; it must be less than the cycle of {cycle:?}",
+            slave.shift
+        ));
+    }
+    if slave
+        .sync1
+        .is_some_and(|sync1| sync1.is_zero() || sync1 > CLOCK_MAX)
+    {
+        return Err("`sync1` must be more than nothing and at most 1s".to_owned());
+    }
+    if slave.watchdog.is_some_and(|time| time > WATCHDOG_MAX) {
+        return Err(format!("`watchdog` must be at most {WATCHDOG_MAX:?}"));
+    }
+    if let Some(key) = slave.timeouts.out_of_range() {
+        return Err(format!("`timeouts.{key}` must be from 1ms to 10min"));
+    }
+    check_axes(slave)
+}
+
+/// PDOs that replace those of the axes must carry the objects for position control.
+fn check_axes(slave: &EthercatSlave) -> Result<(), String> {
+    let lacks = |pdos: &Option<Vec<SlavePdo>>, index: u16, axis: u8| {
+        let pdos = pdos.as_ref()?;
+        let address = Address::new(index, 0).on_axis(axis)?;
+        // The content of a PDO that keeps its mapping is unknown here.
+        let kept = pdos.iter().any(|pdo| pdo.entries.is_empty());
+        let mut entries = pdos.iter().flat_map(|pdo| &pdo.entries);
+        let mapped = entries.any(|(index, sub, _)| Address::new(*index, *sub) == address);
+        (!kept && !mapped).then_some(address)
+    };
+    for axis in 0..slave.axes {
+        let outputs = [0x6040, 0x607A].map(|index| lacks(&slave.outputs, index, axis));
+        let inputs = [0x6041, 0x6064].map(|index| lacks(&slave.inputs, index, axis));
+        if let Some(address) = outputs.into_iter().chain(inputs).flatten().next() {
+            return Err(format!(
+                "axis {axis} cannot be controlled without {address}; map it, or omit `outputs` and `inputs`"
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn check_io(config: &EthercatConfig, io: &EthercatIo) -> Result<(), String> {
+    if io.name.is_empty() {
+        return Err("it has no name".to_owned());
+    }
+    let missing = |name: &str| format!("there is no slave `{name}`");
+    for named in [&io.digital_in, &io.digital_out] {
+        if let Some((name, _)) = named.iter().find(|(name, _)| slave(config, name).is_none()) {
+            return Err(missing(name));
+        }
+        let count = bits(named);
+        if count > BITS_MAX {
+            return Err(format!(
+                "{count} bits are more than the {BITS_MAX} that a frame can carry"
+            ));
+        }
+    }
+    for channel in io.analogue_in.iter().chain(&io.analogue_out) {
+        let name = &channel.slave;
+        if slave(config, name).is_none() {
+            return Err(missing(name));
+        }
+        check_channel(channel).map_err(|what| format!("analogue channel of `{name}`: {what}"))?;
+    }
+    if io.analogue_in.len().max(io.analogue_out.len()) > IMAGE_MAX {
+        return Err(format!("at most {IMAGE_MAX} analogue channels fit a frame"));
+    }
+    io.on_end
+        .check(bits(&io.digital_out), io.analogue_out.len())
+}
+
+fn check_channel(channel: &AnalogueChannel) -> Result<(), String> {
+    if channel.object.is_some() == channel.bit.is_some() {
+        return Err("give either `object` or `bit`".to_owned());
+    }
+    if channel.bit.is_some_and(|bit| bit >= BITS_MAX) {
+        return Err(format!("`bit` must be less than {BITS_MAX}"));
+    }
+    if !(1..=32).contains(&channel.bits) {
+        return Err(format!(
+            "it has {} bits; 1 to 32 are possible",
+            channel.bits
+        ));
+    }
+    if !channel.scale.is_normal() || !channel.offset.is_finite() {
+        return Err("`scale` and `offset` must be numbers, and `scale` not zero".to_owned());
+    }
+    Ok(())
+}
+
+fn check_drive(config: &EthercatConfig, joint: &DriveJoint<String>) -> Result<(), String> {
+    let Some(slave) = slave(config, &joint.drive).and_then(|at| config.slaves.get(at)) else {
+        return Err(format!("there is no slave `{}`", joint.drive));
+    };
+    if joint.axis < slave.axes {
+        return Ok(());
+    }
+    Err(format!(
+        "slave {} has {} axes, counted from 0; give it `axes`",
+        slave.name, slave.axes
+    ))
+}

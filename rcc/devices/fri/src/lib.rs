@@ -1,0 +1,15 @@
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+mod config;
+mod fri;
+pub mod iiwa;
+pub mod lwr;
+#[cfg(test)]
+#[path = "../../tests/plant/mod.rs"]
+mod plant;
+
+pub use config::{IiwaConfig, IiwaIo, IiwaModel, LwrConfig};
+pub use fri::{AXES, FriArm, FriFigures, Joints, Orders, Protocol, Reception, Totals};
+pub use iiwa::Iiwa;
+pub use lwr::Lwr;
