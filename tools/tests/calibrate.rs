@@ -41,7 +41,7 @@ fn calibrate_net_above_budget_is_rejected_with_costs() {
     expect_status(&output, 1);
     let text = complaint(&output);
     for part in [
-        "costs up to 900.48",
+        "costs up to 900.72",
         "the limit is 800µs of its period of 1ms",
         "1 `Core::DoubleAdd` 100 %",
         "takt net calibrate",

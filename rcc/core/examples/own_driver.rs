@@ -1,6 +1,8 @@
 //! A driver in a program of its own: a turntable of one axis. Its wire is a motor inside of this process, where a real
 //! driver exchanges a datagram. All else is what any driver needs; it does not open a port for programs.
 
+#![expect(clippy::print_stdout, reason = "an example prints its result")]
+
 use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
 use std::time::Duration;

@@ -182,7 +182,8 @@ mod tests {
     #[test]
     fn test_package_in_two_parts_runs_once() {
         let expected = "cargo test --no-fail-fast --all-features \
-                        -p takt-can -p takt-cia402 -p takt-core -p takt-ethercat -p takt-tools";
+                        -p takt-can -p takt-cia402 -p takt-device-canopen -p takt-device-drives \
+                        -p takt-device-ethercat -p takt-device-rmp -p takt-devices -p takt-ethercat -p takt-tools";
         assert_eq!(shown(&["can", "ecat"]), [expected]);
     }
 
