@@ -284,7 +284,7 @@ impl Rule {
 pub enum RuleError {
     /// Too many rules wait.
     TooMany,
-    /// The work of the waiting rules would exceed [`WORK_MAX`].
+    /// The work of the waiting rules would exceed [`WORK_MAX`](super::WORK_MAX).
     TooLong,
     /// A net that it starts needs this resource, which is held by a net that it does not follow or
     /// kept for another rule.
