@@ -1,5 +1,4 @@
 //! The example of a driver of one's own runs: a controller with that driver, and a net that moves it.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 #[allow(dead_code, reason = "its main function prints")]
 #[path = "../examples/own_driver.rs"]
