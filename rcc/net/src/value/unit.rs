@@ -234,7 +234,8 @@ impl Unit {
                 return Some(unit);
             }
             is_below = after.starts_with('/');
-            rest = after.trim_start_matches(['/', '*', '·']).trim_start();
+            rest = after.strip_prefix(['/', '*', '·']).unwrap_or(after);
+            rest = rest.trim_start();
         }
         None
     }
@@ -364,6 +365,8 @@ mod tests {
             ("2kg m^2", 2.0),
             ("100mNm", 0.1),
             ("10/min", f64::NAN),
+            ("1m*/s", f64::NAN),
+            ("1m//s", f64::NAN),
             ("10 1/min", 10.0 / 60.0),
             ("2000 N/m", 2000.0),
         ] {
