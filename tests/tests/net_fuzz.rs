@@ -30,7 +30,8 @@ fn value_text_stands_random_input() {
 fn directio_stands_random_input() {
     let words = "a = ( ) , [ ] { } : ver nse nene nesc snc ok err \"2.0\" \" \\ 1 2147483648 1.5 a=ver(\"2.0\") \n \r\n {a:\"b\"} \
                  \u{1} \u{81}";
-    feed("directio", takt_server::wire::fuzz, &split(words), INPUTS);
+    feed("directio", takt_client::wire::fuzz, &split(words), INPUTS);
+    feed("frames", takt_server::fuzz_frames, &split(words), INPUTS);
 }
 
 #[test]

@@ -1,15 +1,15 @@
-//! Requests of subcommands to a running controller, over the client of `takt_server`.
+//! Requests of subcommands to a running controller, over `takt_client`.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use takt_server::{Message, Token, Value};
+use takt_client::{Message, Token, Value};
 
 /// A connection to a controller.
 #[derive(Debug)]
 pub(crate) struct Client {
-    inner: takt_server::Client,
+    inner: takt_client::Client,
     session: String,
 }
 
@@ -19,8 +19,8 @@ impl Client {
     pub(crate) fn connect(address: Option<&str>, token: Option<&Token>) -> anyhow::Result<Self> {
         Ok(Self {
             inner: match address {
-                Some(address) => takt_server::Client::connect_with(address, token)?,
-                None => takt_server::Client::connect_here(token)?,
+                Some(address) => takt_client::Client::connect_with(address, token)?,
+                None => takt_client::Client::connect_here(token)?,
             },
             session: "s0".to_owned(),
         })

@@ -183,7 +183,7 @@ impl Demo {
         let latest = self.duration + READY_WITHIN;
         while !parts.are_done() && !stop.is_requested() && begin.elapsed() < latest {
             let push = client.next_push(SAMPLE_EVERY)?;
-            let ended = |push: &takt_server::Message| {
+            let ended = |push: &takt_client::Message| {
                 push.command == "ns"
                     && push.args.first().and_then(|v| v.as_str()) == Some("TERMINATED")
             };

@@ -138,6 +138,6 @@ fn status_of(error: &anyhow::Error) -> u8 {
 
 /// Whether a controller answered with a refusal.
 fn is_refusal(error: &anyhow::Error) -> bool {
-    let error = error.downcast_ref::<takt_server::Error>();
-    matches!(error, Some(takt_server::Error::Refused { .. }))
+    let error = error.downcast_ref::<takt_client::Error>();
+    matches!(error, Some(takt_client::Error::Refused { .. }))
 }

@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use takt_server::Token;
+use takt_client::Token;
 
 use crate::output::say;
 use crate::{Verdict, token};

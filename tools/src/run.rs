@@ -16,13 +16,14 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
+use takt_client::Token;
 use takt_core::record::Recorder;
 use takt_core::stop_channel::{
     PRIORITY, StopChannel, StopChannelConfig, StopSwitch, default_socket,
 };
 use takt_core::{CellConfig, Controller};
 use takt_rt::host::{HostConfig, prepare};
-use takt_server::{LogBook, Token};
+use takt_server::LogBook;
 
 pub(crate) use self::access::Access;
 use self::logging::Logging;

@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use clap::Args;
 use serde::Deserialize;
+use takt_client::Token;
 use takt_core::stop_channel::{PRIORITY, socket_folders};
 use takt_rt::thread::{ThreadConfig, spawn};
-use takt_server::Token;
 
 use crate::output::{complain, say, span, time};
 use crate::{Verdict, token};

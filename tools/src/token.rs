@@ -5,7 +5,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use takt_server::{Loopback, Token};
+use takt_client::Token;
+use takt_server::Loopback;
 
 /// The token itself.
 const TOKEN: &str = "TAKT_TOKEN";

@@ -5,8 +5,9 @@ use std::error::Error;
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use takt_client::{Client, Value};
 use takt_core::{CellConfig, Controller};
-use takt_server::{Client, Server, ServerConfig, Value};
+use takt_server::{Server, ServerConfig};
 
 /// Counts to 50 ms and ends.
 const NET: &str = "{c=Core::Clock(Increment='1'),\
@@ -36,8 +37,8 @@ async fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// The client program; blocking.
-fn program(address: &str) -> Result<(), takt_server::Error> {
-    let mut client = Client::connect(address)?;
+fn program(address: &str) -> Result<(), takt_client::Error> {
+    let client = Client::connect(address)?;
     let loaded = client.call("nene", [NET])?;
     let net = loaded.text().unwrap_or_default();
     client.call("gne", [Value::from(net), Value::from(0.01)])?;

@@ -1,11 +1,11 @@
 //! The two transports of lines behind one interface: newline-terminated on a plain stream, frames on a WebSocket.
 //! It does no I/O itself.
 
+use takt_client::wire::lines::{LineReader, may_be_first_line};
 use tungstenite::protocol::frame::coding::{Control, Data, OpCode};
 
 use crate::error::Error;
-use crate::wire::lines::{LineReader, may_be_first_line};
-use crate::wire::websocket::{Event, FrameReader, write_frame};
+use crate::websocket::{Event, FrameReader, write_frame};
 
 /// The line transport of one connection.
 #[derive(Debug)]

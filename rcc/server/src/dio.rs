@@ -17,13 +17,13 @@ use std::time::Duration;
 
 use std::sync::Arc;
 
+use takt_client::wire::{Message, Value};
 use takt_core::controller::{DeviceInfo, RuleId};
 use takt_core::device::DeviceStatus;
 use takt_core::{Controller, NetId, OnLoss, SessionId};
 
 use crate::access::{Admission, Credential, Gate, Peer};
 use crate::sessions::Sessions;
-use crate::wire::{Message, Value};
 pub(crate) use commands::DESCRIPTION_BYTES_MAX;
 use devices::DeviceWatch;
 use error::CommandError;

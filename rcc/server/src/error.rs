@@ -1,13 +1,12 @@
-//! Connection errors of server and client. The errors of single commands are part of the protocol and are defined
+//! Errors of a server and its connections. The errors of single commands are part of the protocol and are defined
 //! with the commands.
 
 use std::io;
 use std::net::SocketAddr;
-use std::time::Duration;
 
-use crate::wire::DecodeError;
-use crate::wire::lines::LineTooLong;
-use crate::wire::websocket::FrameError;
+use takt_client::wire::lines::LineTooLong;
+
+use crate::websocket::FrameError;
 
 /// Why a server could not start, or a connection failed.
 #[derive(Debug, thiserror::Error)]
@@ -44,32 +43,9 @@ pub enum Error {
         "closed: another connection needed this one's place; shake hands soon, and do not stay idle"
     )]
     Evicted,
-    /// The connection was refused: no controller listens there.
-    #[error(
-        "cannot connect to {address}: connection refused\nhint: start the controller with `takt run`"
-    )]
-    NotListening { address: String },
-    /// The controller cannot be reached.
-    #[error("cannot connect to {address}: {source}")]
-    Connect { address: String, source: io::Error },
     /// Sending or receiving failed.
     #[error("connection to {address}: {source}")]
     Connection { address: String, source: io::Error },
-    /// The peer closed the connection.
-    #[error("{address} closed the connection{}", .last.as_ref().map_or_else(String::new, |m| format!(" after `{m}`")))]
-    Closed {
-        address: String,
-        last: Option<String>,
-    },
-    /// No reply was received in time.
-    #[error("no reply to `{command}` within {waited:?}")]
-    NoReply { command: String, waited: Duration },
-    /// The controller replied with an error.
-    #[error("{text} (`{command}`)")]
-    Refused { command: String, text: String },
-    /// The received line is not a message.
-    #[error("received an invalid message: {0}")]
-    Decode(#[from] DecodeError),
     /// A message on a plain connection exceeds the length bound.
     #[error(transparent)]
     Line(#[from] LineTooLong),

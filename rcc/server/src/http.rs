@@ -13,6 +13,7 @@ mod tests;
 
 use httparse::{EMPTY_HEADER, Status};
 use percent_encoding::percent_decode_str;
+use takt_client::wire::MESSAGE_BYTES_MAX;
 use tungstenite::handshake::derive_accept_key;
 
 use std::net::IpAddr;
@@ -20,7 +21,6 @@ use std::net::IpAddr;
 use crate::access::origin::{Origins, Sender};
 use crate::access::{Admission, Credential, WRONG_MAX, WRONG_WINDOW};
 use crate::site::Site;
-use crate::wire::MESSAGE_BYTES_MAX;
 pub(crate) use resources::debug::{DEBUG_STREAMS_MAX, DebugStream};
 pub(crate) use resources::respond;
 pub(crate) use response::Response;

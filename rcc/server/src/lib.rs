@@ -2,7 +2,6 @@
 #![forbid(unsafe_code)]
 
 pub mod access;
-pub mod client;
 mod codec;
 mod dio;
 pub mod error;
@@ -11,10 +10,8 @@ pub mod log;
 pub mod server;
 mod sessions;
 mod site;
-pub mod wire;
+mod websocket;
 
-pub use access::Token;
-pub use client::{Client, Reply};
 pub use error::Error;
 #[doc(hidden)]
 pub use http::fuzz as fuzz_http;
@@ -24,4 +21,5 @@ pub use log::LogBook;
 pub use server::local::{self, LocalSocket};
 pub use server::{Loopback, OnLoss, Server, ServerConfig};
 pub use site::StopPort;
-pub use wire::{Message, Value};
+#[doc(hidden)]
+pub use websocket::fuzz as fuzz_frames;

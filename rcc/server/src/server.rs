@@ -12,13 +12,14 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use takt_client::Token;
 use takt_core::{Controller, SessionId};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinSet;
 
 use crate::access::origin::Origins;
-use crate::access::{Gate, Peer, Token};
+use crate::access::{Gate, Peer};
 use crate::error::Error;
 use crate::http::DEBUG_STREAMS_MAX;
 use crate::log::LogBook;

@@ -14,8 +14,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use common::TestServer;
+use takt_client::{Client, Token};
 use takt_server::server::{CONNECTIONS_MAX, WAITING_PER_ADDRESS};
-use takt_server::{Client, LocalSocket, Loopback, ServerConfig, Token};
+use takt_server::{LocalSocket, Loopback, ServerConfig};
 
 /// Far longer than any test takes; expires only if a test fails.
 const TIMEOUT: Duration = Duration::from_secs(20);
@@ -215,7 +216,7 @@ fn wrong_image_tokens_lock_no_client_out() {
 }
 
 /// Opens sessions until an error; returns how many.
-fn open_sessions(client: &mut Client, most: usize) -> usize {
+fn open_sessions(client: &Client, most: usize) -> usize {
     (0..most)
         .take_while(|_| client.call("nse", ["leaked", "keep"]).is_ok())
         .count()
@@ -227,15 +228,15 @@ fn leaked_sessions_are_ended_for_new_clients() {
     let address = server.tcp.to_string();
     let mut opened = 0;
     while opened < 256 {
-        let mut lost = Client::connect(&address).unwrap();
-        let count = open_sessions(&mut lost, 64);
+        let lost = Client::connect(&address).unwrap();
+        let count = open_sessions(&lost, 64);
         // The server may not have detected the loss of the previous connection yet.
         opened += count;
         if count == 0 {
             std::thread::sleep(Duration::from_millis(1));
         }
     }
-    let mut honest = Client::connect(&address).unwrap();
+    let honest = Client::connect(&address).unwrap();
     let mut refused = 0;
     while honest.call("nse", ["honest"]).is_err() {
         refused += 1;
@@ -267,7 +268,7 @@ fn unix_socket_needs_no_token() {
     };
     let (server, path) = with_socket("socket", config);
     let path = path.to_str().unwrap();
-    let mut client = Client::connect(path).unwrap();
+    let client = Client::connect(path).unwrap();
     let net = client.call("nene", [NET]).unwrap();
     client.call("nest", [net.text().unwrap()]).unwrap();
     assert_eq!(server.controller.nets().len(), 1);

@@ -13,7 +13,8 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use common::TestServer;
-use takt_server::{Client, OnLoss, Server, ServerConfig, Token, Value};
+use takt_client::{Client, Token, Value};
+use takt_server::{OnLoss, Server, ServerConfig};
 
 /// Far longer than any test takes; expires only if a test fails.
 const TIMEOUT: Duration = Duration::from_secs(20);
@@ -44,7 +45,7 @@ fn read_until(stream: &mut TcpStream, done: impl Fn(&str) -> bool) -> String {
 #[test]
 fn debug_streams_are_live_and_bounded() {
     let server = TestServer::start(OnLoss::Keep);
-    let mut client = Client::connect(&server.tcp.to_string()).unwrap();
+    let client = Client::connect(&server.tcp.to_string()).unwrap();
     let net = client.call("nene", [TAPPED]).unwrap();
     let net = net.text().unwrap().to_owned();
     client.call("nest", [net.as_str()]).unwrap();
@@ -80,7 +81,7 @@ fn debug_streams_are_live_and_bounded() {
 #[test]
 fn session_sets_on_loss_when_opened() {
     let server = TestServer::start(OnLoss::Keep);
-    let mut lost = Client::connect(&server.tcp.to_string()).unwrap();
+    let lost = Client::connect(&server.tcp.to_string()).unwrap();
     lost.call("nse", ["stays"]).unwrap();
     lost.call("nse", ["ends", "end"]).unwrap();
     let error = lost.call("nse", ["what", "maybe"]).unwrap_err().to_string();
@@ -120,7 +121,7 @@ fn client_sends_its_token() {
     let address = server.tcp.to_string();
     let error = Client::connect(&address).unwrap_err().to_string();
     assert!(error.contains("--token-file or TAKT_TOKEN"), "{error}");
-    let mut client = Client::connect_with(&address, Some(&token)).unwrap();
+    let client = Client::connect_with(&address, Some(&token)).unwrap();
     assert_eq!(client.call("nin", [""; 0]).unwrap().values.len(), 1);
     let wrong = Token::new("wrong-wrong-wrong-wrong").unwrap();
     let error = Client::connect_with(&address, Some(&wrong)).unwrap_err();
@@ -145,7 +146,7 @@ fn long_line_before_token_closes_connection() {
     assert!(answer.contains("more than 512 bytes"), "{answer}");
     // After the token, longer messages are accepted.
     let token = Token::new(TOKEN).unwrap();
-    let mut client = Client::connect_with(&server.tcp.to_string(), Some(&token)).unwrap();
+    let client = Client::connect_with(&server.tcp.to_string(), Some(&token)).unwrap();
     let description = "d".repeat(4000);
     client.call("nse", [description.as_str()]).unwrap();
 }
@@ -154,7 +155,7 @@ fn long_line_before_token_closes_connection() {
 fn net_count_is_bounded() {
     use takt_core::controller::NETS_MAX;
     let server = TestServer::start(OnLoss::Keep);
-    let mut client = Client::connect(&server.tcp.to_string()).unwrap();
+    let client = Client::connect(&server.tcp.to_string()).unwrap();
     let net = "{x=Cancel(),outTerminate=x.outCancel}";
     for _ in 0..NETS_MAX {
         client.call("nene", [net]).unwrap();

@@ -13,9 +13,10 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use common::TestServer;
+use takt_client::{Client, Error, Value};
 use takt_core::NetId;
 use takt_server::server::CONNECTIONS_MAX;
-use takt_server::{Client, Error, OnLoss, Server, ServerConfig, Value};
+use takt_server::{OnLoss, Server, ServerConfig};
 
 /// Runs until it is cancelled.
 const CANCELLABLE: &str = "{c=Core::Clock(Increment='1'),\
@@ -32,7 +33,7 @@ fn client(server: &TestServer) -> Client {
 }
 
 /// Opens a session, loads a net in it and starts it.
-fn run(client: &mut Client, net: &str) -> NetId {
+fn run(client: &Client, net: &str) -> NetId {
     let session = client
         .call("nse", ["test"])
         .unwrap()
@@ -55,7 +56,7 @@ fn wait_until(event: &str, mut done: impl FnMut() -> bool) {
 #[test]
 fn net_is_loaded_watched_and_cancelled_over_plain_tcp() {
     let server = TestServer::start(OnLoss::Keep);
-    let mut client = client(&server);
+    let client = client(&server);
     let net = client
         .call("nene", [CANCELLABLE])
         .unwrap()
@@ -66,20 +67,20 @@ fn net_is_loaded_watched_and_cancelled_over_plain_tcp() {
         .call("gne", [Value::from(net.as_str()), Value::from(0.01)])
         .unwrap();
     client.call("nest", [net.as_str()]).unwrap();
-    let next = |client: &mut Client| {
+    let next = |client: &Client| {
         let push = client.next_push(TIMEOUT).unwrap().unwrap();
         assert_eq!(push.tag, watch.tag);
         push
     };
-    assert_eq!(next(&mut client).args, [Value::from("READY")]);
-    assert_eq!(next(&mut client).args, [Value::from("RUNNING")]);
-    let values = next(&mut client);
+    assert_eq!(next(&client).args, [Value::from("READY")]);
+    assert_eq!(next(&client).args, [Value::from("RUNNING")]);
+    let values = next(&client);
     assert_eq!(values.command, "nc");
     assert!(values.args[0].as_map().unwrap().contains_key("outt"));
     client.call("neca", [net.as_str()]).unwrap();
     let mut last = values;
     loop {
-        let push = next(&mut client);
+        let push = next(&client);
         if push.args == [Value::from("TERMINATED")] {
             break;
         }
@@ -92,7 +93,7 @@ fn net_is_loaded_watched_and_cancelled_over_plain_tcp() {
 #[test]
 fn command_errors_reach_caller() {
     let server = TestServer::start(OnLoss::Keep);
-    let mut client = client(&server);
+    let client = client(&server);
     let error = client.call("nest", ["rpinet5"]).unwrap_err();
     assert_eq!(error.to_string(), "invalid net (`nest`)");
     assert!(client.next_push(Duration::ZERO).unwrap().is_none());
@@ -252,7 +253,7 @@ fn rfc_client_is_served_over_websocket() {
 #[test]
 fn pushes_arrive_unsolicited() {
     let server = TestServer::start(OnLoss::Keep);
-    let (mut watcher, mut other) = (client(&server), client(&server));
+    let (watcher, other) = (client(&server), client(&server));
     let net = other
         .call("nene", [CANCELLABLE])
         .unwrap()
@@ -351,8 +352,8 @@ fn lose_websocket_client(mut lost: KnownClient) -> NetId {
 #[test]
 fn lost_client_net_ends_except_known_client() {
     let server = TestServer::start_with(ServerConfig::default());
-    let mut lost = client(&server);
-    run(&mut lost, CANCELLABLE);
+    let lost = client(&server);
+    run(&lost, CANCELLABLE);
     drop(lost);
     let versioned = KnownClient::connect_with(server.http, "Sec-WebSocket-Version: 13\r\n");
     lose_websocket_client(versioned);
@@ -361,7 +362,7 @@ fn lost_client_net_ends_except_known_client() {
     });
     let stays = lose_websocket_client(KnownClient::connect(server.http));
     // Whether or not the loss has been handled when the next client is served, the net must run.
-    let mut next = client(&server);
+    let next = client(&server);
     let described = next.call("nin", [stays.to_string()]).unwrap();
     assert!(
         described.values[0]
@@ -375,8 +376,8 @@ fn lost_client_net_ends_except_known_client() {
 #[test]
 fn lost_client_sessions_end_if_configured() {
     let server = TestServer::start(OnLoss::End);
-    let mut lost = client(&server);
-    run(&mut lost, CANCELLABLE);
+    let lost = client(&server);
+    run(&lost, CANCELLABLE);
     let stays = lost
         .call("nene", [ENDLESS])
         .unwrap()
@@ -413,7 +414,7 @@ fn connections_are_bounded() {
 #[test]
 fn shutdown_closes_connections() {
     let mut server = TestServer::start(OnLoss::Keep);
-    let mut client = client(&server);
+    let client = client(&server);
     server.stop();
     let error = client.next_push(TIMEOUT).unwrap_err();
     assert!(matches!(error, Error::Closed { .. }), "{error}");

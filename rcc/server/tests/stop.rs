@@ -11,7 +11,8 @@ use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 
 use common::TestServer;
-use takt_server::{ServerConfig, StopPort, Token};
+use takt_client::Token;
+use takt_server::{ServerConfig, StopPort};
 
 fn http(server: &TestServer, method: &str, target: &str, header: &str) -> String {
     let mut stream = TcpStream::connect(server.http).unwrap();

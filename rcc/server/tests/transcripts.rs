@@ -15,7 +15,8 @@ use std::net::TcpStream;
 use std::time::Duration;
 
 use common::TestServer;
-use takt_server::{OnLoss, ServerConfig, Token};
+use takt_client::Token;
+use takt_server::{OnLoss, ServerConfig};
 
 /// Far longer than any test takes; expires only if a test fails.
 const TIMEOUT: Duration = Duration::from_secs(20);

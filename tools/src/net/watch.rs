@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use takt_server::{Message, Value};
+use takt_client::{Message, Value};
 
 use super::Server;
 use crate::Verdict;

@@ -3,8 +3,9 @@
 use std::net::SocketAddr;
 use std::path::Path;
 
+use takt_client::Token;
 use takt_core::CellConfig;
-use takt_server::{Error, LocalSocket, Loopback, Server, ServerConfig, Token, local};
+use takt_server::{Error, LocalSocket, Loopback, Server, ServerConfig, local};
 
 use crate::token;
 

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use takt_client::wire::{Message, Value};
 use takt_core::controller::{LoadRequest, NetInfo, RuleId, RuleRequest};
 use takt_core::{Error, NetId, OnLoss, SessionId};
 
@@ -15,7 +16,6 @@ use super::rules::RuleWatch;
 use super::sessions::SessionWatch;
 use super::{Connection, Pushes, SUBSCRIPTIONS_MAX};
 use crate::access::Admission;
-use crate::wire::{Message, Value};
 
 /// The protocol version that a client must request.
 const VERSION: &str = "2.0";

@@ -3,10 +3,10 @@
 
 use std::collections::BTreeMap;
 
+use takt_client::wire::{Message, Value};
 use takt_core::controller::DeviceInfo;
 
 use super::push;
-use crate::wire::{Message, Value};
 
 /// A subscription to all devices.
 #[derive(Debug)]

@@ -1,11 +1,12 @@
 //! Errors of commands. Clients compare the texts, so they never change; a reason, where there is one, follows as a
 //! second value. No command is executed here.
 
+use takt_client::wire::Message;
+
 use super::SUBSCRIPTIONS_MAX;
 use super::commands::{DESCRIPTION_BYTES_MAX, SESSIONS_PER_CONNECTION};
 use crate::access::{WRONG_MAX, WRONG_WINDOW};
 use crate::sessions::OPEN_SESSIONS_MAX;
-use crate::wire::Message;
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]

@@ -3,9 +3,8 @@
 
 use std::time::Duration;
 
+use takt_client::wire::Value;
 use takt_core::controller::NetFigures;
-
-use crate::wire::Value;
 
 pub(super) fn value(figures: &NetFigures) -> Value {
     let counts = &figures.counts;

@@ -4,10 +4,10 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use takt_client::wire::{Message, Value};
 use takt_core::controller::NetState;
 
 use super::{VALUES_INTERVAL, push};
-use crate::wire::{Message, Value};
 
 /// A subscription to a net.
 ///

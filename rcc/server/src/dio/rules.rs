@@ -1,9 +1,9 @@
 //! Subscription of one client to one synchronization rule. It does not call the controller.
 
+use takt_client::wire::Message;
 use takt_core::controller::RuleState;
 
 use super::push;
-use crate::wire::Message;
 
 /// A subscription to a rule. It ends with the rule, whose state is final then.
 #[derive(Debug)]

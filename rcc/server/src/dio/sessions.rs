@@ -3,10 +3,10 @@
 
 use std::collections::BTreeMap;
 
+use takt_client::wire::{Message, Value};
 use takt_core::controller::{NetId, NetState};
 
 use super::push;
-use crate::wire::{Message, Value};
 
 /// A subscription to the states of all nets of a session.
 #[derive(Debug)]

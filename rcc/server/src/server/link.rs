@@ -6,6 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use takt_client::token::TOKEN_CHARS_MAX;
+use takt_client::wire::Message;
+use takt_client::wire::lines::LineReader;
 use takt_core::{OnLoss, SessionId};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::{Notify, watch};
@@ -14,15 +17,13 @@ use tokio::time::{Instant, timeout};
 
 use super::slots::{Full, Pool};
 use super::{ConnectionContext, Kind};
-use crate::access::{Admission, TOKEN_CHARS_MAX, WRONG_DELAY};
+use crate::access::{Admission, WRONG_DELAY};
 use crate::codec::{Codec, Received};
 use crate::dio::Connection;
 use crate::error::Error;
 use crate::http::{self, DebugStream};
 use crate::site::{Counters, Limits};
-use crate::wire::Message;
-use crate::wire::lines::LineReader;
-use crate::wire::websocket::FrameReader;
+use crate::websocket::FrameReader;
 
 /// Bytes per read.
 const READ_BYTES: usize = 64 << 10;

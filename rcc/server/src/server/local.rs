@@ -5,15 +5,10 @@ use std::io;
 use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
+use takt_client::local::{NAME, SERVICE_DIRECTORY};
 use tokio::net::{UnixListener, UnixStream};
 
 use crate::error::Error;
-
-/// File name of the socket.
-const NAME: &str = "takt.sock";
-
-/// Runtime directory of the service.
-const SERVICE_DIRECTORY: &str = "/run/takt";
 
 /// Most bytes read of `/etc/group`.
 const GROUPS_BYTES_MAX: u64 = 4 << 20;
@@ -38,14 +33,6 @@ pub fn default_path() -> PathBuf {
         Some(directory) => Path::new(&directory).join("takt").join(NAME),
         None => Path::new(SERVICE_DIRECTORY).join(NAME),
     }
-}
-
-/// Paths at which tools search for a controller: first of the same account's session, then of the service.
-pub(crate) fn client_paths() -> Vec<PathBuf> {
-    let session = std::env::var_os("XDG_RUNTIME_DIR").filter(|value| !value.is_empty());
-    let session = session.map(|directory| Path::new(&directory).join("takt").join(NAME));
-    let service = Path::new(SERVICE_DIRECTORY).join(NAME);
-    session.into_iter().chain([service]).collect()
 }
 
 /// A listening Unix socket; dropping it removes the file.

@@ -1,10 +1,9 @@
-//! Wire formats: one DirectIO message as a line of text, the separation of messages in a stream, and WebSocket
-//! frames. The meaning of commands is not known here.
+//! Wire format: one DirectIO message as a line of text, and the separation of messages in a stream. The meaning of
+//! commands is not known here.
 
 mod decode;
 mod encode;
 pub mod lines;
-pub mod websocket;
 
 #[cfg(test)]
 mod tests;
@@ -16,13 +15,13 @@ pub use decode::DecodeError;
 /// Most bytes of one message, in either direction.
 pub const MESSAGE_BYTES_MAX: usize = 8 << 20;
 /// Longest tag or command, bytes.
-pub(crate) const IDENTIFIER_BYTES_MAX: usize = 256;
+pub const IDENTIFIER_BYTES_MAX: usize = 256;
 
 /// Deepest nesting of lists and maps.
 pub const DEPTH_MAX: usize = 32;
 
 /// Most values in one message, keys of maps not counted.
-pub(crate) const VALUES_MAX: usize = 65_536;
+pub const VALUES_MAX: usize = 65_536;
 
 /// One command, reply or push: `tag=command(value,value)`.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,7 +94,7 @@ impl Value {
     }
 
     /// The items, if it is a list.
-    pub(crate) fn as_list(&self) -> Option<&[Self]> {
+    pub fn as_list(&self) -> Option<&[Self]> {
         if let Self::List(items) = self {
             Some(items)
         } else {
@@ -184,7 +183,4 @@ pub fn fuzz(data: &[u8]) {
     let mut lines = lines::LineReader::default();
     lines.push(data);
     while let Ok(Some(_)) = lines.poll_message() {}
-    let mut frames = websocket::FrameReader::default();
-    frames.push(data);
-    while let Ok(Some(_)) = frames.poll_event() {}
 }

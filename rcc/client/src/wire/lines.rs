@@ -41,7 +41,7 @@ pub struct LineTooLong {
 
 /// Whether the bytes can be the beginning of a first line, `tag=ver(…` or `tag=tok(…`. Other protocols, such as HTTP
 /// of a browser or TLS, are recognised by their first bytes, before a whole line is received.
-pub(crate) fn may_be_first_line(bytes: &[u8]) -> bool {
+pub fn may_be_first_line(bytes: &[u8]) -> bool {
     let skip_blanks = |bytes: &[u8]| bytes.iter().take_while(|b| **b == b' ').count();
     let after_blanks = |at: usize| bytes.get(at..).map_or(at, |rest| at + skip_blanks(rest));
     let is_name = |b: &u8| b.is_ascii_alphanumeric() || *b == b'_';
@@ -93,7 +93,7 @@ impl LineReader {
     }
 
     /// Raises the bound to [`MESSAGE_BYTES_MAX`].
-    pub(crate) const fn raise_bound(&mut self) {
+    pub const fn raise_bound(&mut self) {
         self.bound = MESSAGE_BYTES_MAX;
     }
 
@@ -107,7 +107,7 @@ impl LineReader {
 
     /// The next complete message without its newline. Empty lines are skipped, and a carriage return before the
     /// newline is removed.
-    pub(crate) fn poll_message(&mut self) -> Result<Option<String>, LineTooLong> {
+    pub fn poll_message(&mut self) -> Result<Option<String>, LineTooLong> {
         while let Some(end) = self.find_end() {
             let line = self.bytes.get(self.start..end).unwrap_or_default();
             let line = line.strip_suffix(b"\r").unwrap_or(line);

@@ -4,17 +4,16 @@
 
 use std::io::Cursor;
 
+use takt_client::wire::MESSAGE_BYTES_MAX;
 use tungstenite::protocol::frame::FrameHeader;
 use tungstenite::protocol::frame::coding::{Control, OpCode};
-
-use super::MESSAGE_BYTES_MAX;
 
 /// Most payload bytes of a ping, pong or close (clause 5.5).
 const CONTROL_BYTES_MAX: usize = 125;
 
 /// What was decoded from a client's frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Event {
+pub(crate) enum Event {
     /// One complete message, from one or several frames.
     Message(String),
     /// A ping; answer with a pong of these bytes.
@@ -46,7 +45,7 @@ pub enum FrameError {
 
 /// Reassembles messages from a client's frames.
 #[derive(Debug)]
-pub struct FrameReader {
+pub(crate) struct FrameReader {
     bound: usize,
     bytes: Vec<u8>,
     /// First byte of the frame in progress.
@@ -63,7 +62,7 @@ impl Default for FrameReader {
 
 impl FrameReader {
     /// A reader for messages of at most `bound` bytes.
-    pub fn bounded(bound: usize) -> Self {
+    pub(crate) fn bounded(bound: usize) -> Self {
         Self {
             bound: bound.min(MESSAGE_BYTES_MAX),
             bytes: Vec::new(),
@@ -78,14 +77,14 @@ impl FrameReader {
     }
 
     /// Adds received bytes.
-    pub fn push(&mut self, bytes: &[u8]) {
+    pub(crate) fn push(&mut self, bytes: &[u8]) {
         self.bytes.drain(..self.start);
         self.start = 0;
         self.bytes.extend_from_slice(bytes);
     }
 
     /// The next event. Must not be called again after an error or [`Event::Close`].
-    pub fn poll_event(&mut self) -> Result<Option<Event>, FrameError> {
+    pub(crate) fn poll_event(&mut self) -> Result<Option<Event>, FrameError> {
         while let Some((header, payload)) = self.next_frame()? {
             let event = match header.opcode {
                 OpCode::Data(_) => self.handle_data(header.is_final, &payload)?,
@@ -171,3 +170,14 @@ pub(crate) fn write_frame(opcode: OpCode, payload: &[u8], out: &mut Vec<u8>) {
     debug_assert!(written.is_ok(), "writing to a Vec cannot fail");
     out.extend_from_slice(payload);
 }
+
+/// Feeds any bytes to the reader, for fuzzing.
+#[doc(hidden)]
+pub fn fuzz(data: &[u8]) {
+    let mut frames = FrameReader::default();
+    frames.push(data);
+    while let Ok(Some(_)) = frames.poll_event() {}
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,13 @@
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+pub mod client;
+pub mod error;
+pub mod local;
+pub mod token;
+pub mod wire;
+
+pub use client::{Client, Reply};
+pub use error::Error;
+pub use token::{Token, TokenError};
+pub use wire::{Message, Value};
