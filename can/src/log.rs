@@ -7,6 +7,8 @@ mod blf;
 mod candump;
 mod pcap;
 mod plain;
+mod record;
+mod text;
 mod trc;
 
 use std::fmt;
@@ -14,51 +16,12 @@ use std::time::Duration;
 
 use takt_link::capture::Container;
 
+use record::sound;
+pub use record::{Direction, LeftOut, Log, Record};
+use text::{days_since_1970, lines};
+
 pub use crate::error::LogError;
 use crate::{AnyFrame, Frame};
-
-/// Direction of a frame, seen from the logging host (`candump -x`).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
-    /// Received from the bus.
-    Received,
-    /// Sent by the logging host.
-    Transmitted,
-}
-
-impl fmt::Display for Direction {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Received => "R",
-            Self::Transmitted => "T",
-        })
-    }
-}
-
-/// A recorded frame with time and interface.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Record {
-    /// Time since 1970, or since the log's own epoch.
-    pub at: Duration,
-    /// Name of the interface, as `can0`; or the channel number.
-    pub interface: String,
-    /// The frame.
-    pub frame: AnyFrame,
-    /// Direction, if recorded.
-    pub direction: Option<Direction>,
-}
-
-/// The year 10,000: later times are damaged, and sums of earlier times never overflow.
-const LATEST: Duration = Duration::from_secs(253_402_300_800);
-
-/// Rejects times beyond the year 9999.
-fn sound(at: Duration) -> Result<Duration, LogError> {
-    if at < LATEST {
-        Ok(at)
-    } else {
-        Err(LogError::Late)
-    }
-}
 
 impl Record {
     /// Reads one line of a candump log, with or without line ending.
@@ -206,30 +169,7 @@ impl fmt::Display for Format {
     }
 }
 
-/// Content of a file that is not a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LeftOut {
-    /// Line number of a text file, from 1; byte offset in a binary file.
-    pub location: usize,
-    /// Why it was skipped.
-    pub why: LogError,
-}
-
-/// Content of a file.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Log {
-    /// Frames in the order of the file.
-    pub records: Vec<Record>,
-    /// The first skipped items, at most [`Log::LEFT_OUT_MAX`].
-    pub left_out: Vec<LeftOut>,
-    /// Total number of skipped items.
-    pub left_out_count: usize,
-}
-
 impl Log {
-    /// Maximum number of entries in [`Log::left_out`].
-    pub const LEFT_OUT_MAX: usize = 16;
-
     /// Reads all frames of a file; detects its format from the beginning.
     pub fn read(bytes: &[u8]) -> Self {
         let mut log = Self::default();
@@ -244,42 +184,6 @@ impl Log {
         }
         log
     }
-
-    fn leave_out(&mut self, location: usize, why: LogError) {
-        self.left_out_count += 1;
-        if self.left_out.len() < Self::LEFT_OUT_MAX {
-            self.left_out.push(LeftOut { location, why });
-        }
-    }
-
-    fn take(&mut self, location: usize, record: Result<Record, LogError>) {
-        match record.and_then(|record| sound(record.at).map(|_| record)) {
-            Ok(record) => self.records.push(record),
-            Err(why) => self.leave_out(location, why),
-        }
-    }
-}
-
-/// Lines of a text with their numbers from 1; the text need not be valid UTF-8.
-fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, std::borrow::Cow<'_, str>)> + Clone {
-    bytes
-        .split(|byte| *byte == b'\n')
-        .enumerate()
-        .map(|(number, line)| (number + 1, String::from_utf8_lossy(line)))
-}
-
-/// Days from 1970-01-01 to a Gregorian date, 1970 to 9999.
-fn days_since_1970(year: u32, month: u32, day: u32) -> Option<u64> {
-    const BEFORE: [u32; 12] = [0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334];
-    if !(1970..=9999).contains(&year) || !(1..=31).contains(&day) {
-        return None;
-    }
-    let leaps = |year: u32| year / 4 - year / 100 + year / 400;
-    let is_leap = leaps(year) > leaps(year - 1);
-    let before = BEFORE.get(usize::try_from(month.checked_sub(1)?).ok()?)?;
-    let past_february = u32::from(month > 2 && is_leap);
-    let days = (year - 1970) * 365 + leaps(year - 1) - leaps(1969);
-    Some(u64::from(days + before + past_february + day - 1))
 }
 
 #[cfg(test)]

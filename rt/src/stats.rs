@@ -22,6 +22,7 @@ use std::{
     },
 };
 
+use self::counters::add;
 pub use self::{
     recorder::{Distribution, Recorder, RecorderReader, Summary},
     stalls::{STALLS_KEPT, Stall, StallReader, StallWriter, stalls},
@@ -114,12 +115,6 @@ impl StatsWriter {
 fn slot_after(previous: &Tick, tick: &Tick) -> Nanos {
     let slots = i64::try_from(tick.index.saturating_sub(previous.index)).unwrap_or(i64::MAX);
     Nanos((tick.scheduled - previous.scheduled).0 / slots.max(1))
-}
-
-/// For counters with one writer: no read-modify-write needed.
-fn add(counter: &AtomicU64, amount: u64) {
-    let sum = counter.load(Ordering::Relaxed).wrapping_add(amount);
-    counter.store(sum, Ordering::Relaxed);
 }
 
 /// The reading endpoint, usable at any time and from any thread. Clones read the same statistics.

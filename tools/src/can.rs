@@ -1,6 +1,7 @@
 //! `takt can`: inspect a CAN bus, live or from a recording, send to it, set up interfaces, and bring nodes up.
 //! `takt-can` decodes the protocols; `takt doctor` checks the host.
 
+mod arguments;
 mod confirm;
 mod drive;
 mod dump;
@@ -22,9 +23,8 @@ mod wire;
 
 use clap::Subcommand;
 
-use takt_can::canopen::NodeId;
-
 use crate::Verdict;
+use arguments::{bitrate, node};
 
 /// Inspect CAN buses, send to them, set up interfaces.
 #[derive(Debug, Subcommand)]
@@ -56,30 +56,6 @@ impl Can {
             Self::Rmp(rmp) => rmp.run(),
         }
     }
-}
-
-/// Reads a node number of the command line.
-fn node(text: &str) -> Result<NodeId, String> {
-    let raw = text.parse::<u8>().ok();
-    raw.and_then(|raw| NodeId::new(raw).ok())
-        .ok_or_else(|| format!("`{text}` is not a node number; they are 1 to 127"))
-}
-
-/// Reads a bit rate of the command line: `500k`, `1M`, or bit/s.
-fn bitrate(text: &str) -> Result<u32, String> {
-    let (digits, unit) = match text.strip_suffix(['k', 'K']) {
-        Some(digits) => (digits, 1_000),
-        None => match text.strip_suffix('M') {
-            Some(digits) => (digits, 1_000_000),
-            None => (text, 1),
-        },
-    };
-    let rate = digits
-        .parse::<u32>()
-        .ok()
-        .and_then(|rate| rate.checked_mul(unit));
-    rate.filter(|rate| (1_000..=20_000_000).contains(rate))
-        .ok_or_else(|| format!("`{text}` is not a bit rate\nhint: write 500k, 1M, or bit/s"))
 }
 
 #[cfg(test)]

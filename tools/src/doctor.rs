@@ -7,6 +7,7 @@ mod can;
 mod clock;
 mod condition;
 mod cpus;
+mod examine;
 mod host;
 mod irq;
 mod isolation;
@@ -29,7 +30,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::Args;
 
-use self::condition::{Row, Status, examine};
+use self::condition::Status;
+use self::examine::{Row, examine};
 use self::host::{Host, Subject};
 use crate::Verdict;
 use crate::output::say;

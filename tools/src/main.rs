@@ -33,10 +33,13 @@ mod run;
 mod signal;
 mod stop;
 mod token;
+mod verdict;
 
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+
+pub(crate) use verdict::Verdict;
 
 /// Counts allocations in real-time threads; everything else passes straight through.
 #[global_allocator]
@@ -84,15 +87,6 @@ enum Command {
     /// Write manual pages and shell completions, for packages.
     #[command(hide = true)]
     Manual(manual::Manual),
-}
-
-/// Result of a subcommand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Verdict {
-    /// All is as it should be: exit status 0.
-    Good,
-    /// The check failed, or the request was not completed: exit status 1.
-    Failed,
 }
 
 fn main() -> ExitCode {

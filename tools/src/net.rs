@@ -6,18 +6,16 @@ mod check;
 mod dot;
 mod life;
 mod primitives;
+mod server;
 mod stats;
+mod text;
 mod watch;
 
-use std::path::{Path, PathBuf};
+use clap::Subcommand;
 
-use anyhow::Context as _;
-use clap::{Args, Subcommand};
-use takt_net::Rejection;
-
-use crate::client::Client;
-use crate::output::complain;
-use crate::{Verdict, token};
+use crate::Verdict;
+use server::Server;
+use text::{complain_of, read};
 
 /// Check, load and control primitive nets.
 #[derive(Debug, Subcommand)]
@@ -68,44 +66,4 @@ impl Net {
             Self::Stats(stats) => stats.run(),
         }
     }
-}
-
-/// Maximum size of a net's text, bytes: more than a controller accepts in one message.
-const NET_BYTES_MAX: u64 = 64 << 20;
-
-/// Where the controller listens.
-#[derive(Debug, Args)]
-struct Server {
-    /// Where the controller listens: an address, or the path of its Unix socket; else the Unix socket of this
-    /// account or of the service, else 127.0.0.1:8081.
-    #[arg(long, alias = "server", value_name = "HOST:PORT")]
-    connect: Option<String>,
-    /// File with the token that the controller asks for; else TAKT_TOKEN_FILE or TAKT_TOKEN.
-    #[arg(long, value_name = "FILE")]
-    token_file: Option<PathBuf>,
-}
-
-impl Server {
-    fn connect(&self) -> anyhow::Result<Client> {
-        let token = token::of_client(self.token_file.as_deref(), self.connect.as_deref())?;
-        Client::connect(self.connect.as_deref(), token.as_ref())
-    }
-}
-
-/// The text of a net, from a file or standard input.
-fn read(file: &Path) -> anyhow::Result<String> {
-    if file == Path::new("-") {
-        let text = takt_core::files::text_of(std::io::stdin().lock(), NET_BYTES_MAX);
-        return text.context("cannot read standard input");
-    }
-    takt_core::files::read_text(file, NET_BYTES_MAX)
-        .with_context(|| format!("cannot read {}", file.display()))
-}
-
-/// Prints all faults of a net, with their locations.
-fn complain_of(rejection: &Rejection, name: &str, text: &str) {
-    complain(rejection.render(name, text).trim_end());
-    let count = rejection.faults.len();
-    let plural = if count == 1 { "" } else { "s" };
-    complain(&format!("{name}: {count} fault{plural}"));
 }

@@ -2,6 +2,7 @@
 //! in the module `device`.
 
 mod cartesian_position;
+mod error;
 mod io;
 mod lwr;
 mod order;
@@ -9,6 +10,7 @@ mod robot_arm;
 mod robot_base;
 mod youbot;
 
+use error::first_error;
 use takt_net::Definition;
 
 /// All definitions of this crate.
@@ -20,23 +22,4 @@ pub(crate) fn all() -> Vec<Definition> {
     all.extend(lwr::table());
     all.extend(youbot::table());
     all
-}
-
-/// Values of `outError` that primitives set themselves; drivers have others.
-mod error {
-    /// Another primitive of the net commands the same in this cycle.
-    pub(super) const CONCURRENT: i32 = -1;
-    /// The value is out of range.
-    pub(super) const RANGE: i32 = 1;
-    /// The value is not a number.
-    pub(super) const INVALID: i32 = 2;
-}
-
-/// The first of these errors that is set: concurrent access, the device's own, the value's.
-const fn first_error(concurrent: bool, device: i32, value: i32) -> i32 {
-    match (concurrent, device) {
-        (true, _) => error::CONCURRENT,
-        (false, 0) => value,
-        (false, device) => device,
-    }
 }

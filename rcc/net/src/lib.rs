@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod cost;
+mod cycle;
 pub mod definition;
 pub mod device;
 pub mod fault;

@@ -4,46 +4,30 @@
 mod activation;
 mod build;
 mod builder;
+mod context;
+mod cost;
 mod findings;
 mod graph;
 mod inter;
+mod origin;
+mod parts;
 mod resolve;
+mod resolved;
 mod sort;
 mod taps;
 
 use std::time::Duration;
 
-use crate::device::Devices;
 use crate::fault::{FAULTS_MAX, Fault, FaultKind, Rejection};
 use crate::finding::Finding;
 use crate::limits::Limits;
 use crate::plan::Plan;
-use crate::registry::Registry;
 use crate::text::{self, Fragment};
-use resolve::Resolved;
+use parts::{Effects, inherited};
+use resolved::Resolved;
 
 pub use builder::Build;
-
-/// The context in which a net is loaded.
-#[derive(Clone, Copy)]
-pub struct LoadContext<'c> {
-    /// The available primitives.
-    pub registry: &'c Registry,
-    /// The available devices.
-    pub devices: &'c dyn Devices,
-    /// Time from one cycle of the net to the next.
-    pub period: Duration,
-    /// Bounds on the net.
-    pub limits: Limits,
-}
-
-impl std::fmt::Debug for LoadContext<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("LoadContext")
-            .field("period", &self.period)
-            .finish_non_exhaustive()
-    }
-}
+pub use context::LoadContext;
 
 /// The text of a net as a syntax tree.
 #[derive(Debug)]
@@ -113,7 +97,7 @@ impl<'t> Sorted<'t> {
         &self,
         period: Duration,
         cost: Option<Duration>,
-        analyse: impl Fn(&Resolved<'_>, &[build::Effects]) -> T,
+        analyse: impl Fn(&Resolved<'_>, &[Effects]) -> T,
     ) -> Result<(Plan, T), Rejection> {
         let limits = Limits {
             cost,
@@ -127,7 +111,7 @@ impl<'t> Sorted<'t> {
         let mut faults = self.faults.clone();
         let order = self.order.as_deref();
         let plan = order.and_then(|it| build::build(&self.resolved, it, &context, &mut faults));
-        faults.retain(|f| f.kind != build::inherited());
+        faults.retain(|f| f.kind != inherited());
         match plan {
             Some((plan, effects)) if faults.is_empty() => {
                 Ok((plan, analyse(&self.resolved, &effects)))
@@ -173,6 +157,7 @@ const fn is_consequence(kind: &FaultKind) -> bool {
 mod tests {
     use super::*;
     use crate::NoDevices;
+    use crate::registry::Registry;
 
     const NET: &str = "{p=Core::CycleTime(),out=Core::DoubleNetcommOut(inValue=p.outValue,Key='p'),
         never=Core::BooleanValue(),outTerminate=never.outValue}";

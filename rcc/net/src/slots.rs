@@ -4,10 +4,11 @@
 //! checked: in another plan it may read null and write nothing, but cannot panic. This keeps the
 //! code of a step short.
 
+mod ports;
+
 use std::cell::Cell;
 use std::marker::PhantomData;
 
-use crate::plan::Cycle;
 use crate::value::text::{TextValue, format_array};
 use crate::value::{Element, Frame, Nanos, Rotation, Twist, Type, Value, Vector, Wrench};
 
@@ -119,44 +120,13 @@ impl<T> Clone for Out<T> {
 impl<T> Copy for Out<T> {}
 
 impl<T: Value> In<T> {
-    /// The value of this cycle; `None` is null.
-    #[inline]
-    pub fn get(self, cycle: &Cycle<'_>) -> Option<T> {
-        self.read(cycle.slots)
-    }
-
     #[inline]
     pub(crate) fn read(self, slots: &Slots) -> Option<T> {
         T::column(slots).scalars.get(self.0 as usize)?.get()
     }
 }
 
-impl<T: Value> Out<T> {
-    /// Sets the value of this cycle; `None` is null.
-    #[inline]
-    pub fn set(self, cycle: &Cycle<'_>, value: impl Into<Option<T>>) {
-        if let Some(slot) = T::column(cycle.slots).scalars.get(self.0 as usize) {
-            slot.set(value.into());
-        }
-    }
-
-    /// The slot read back: the value last written.
-    #[inline]
-    pub fn held(self, cycle: &Cycle<'_>) -> Option<T> {
-        T::column(cycle.slots).scalars.get(self.0 as usize)?.get()
-    }
-}
-
 impl<T: Value> ArrayIn<T> {
-    /// The elements of this cycle; `None` is null.
-    #[inline]
-    pub fn get<'a>(&self, cycle: &Cycle<'a>) -> Option<&'a [Cell<T>]> {
-        let column = T::column(cycle.slots);
-        column.present[self.0.number as usize]
-            .get()
-            .then(|| column.elements_of(self.0))
-    }
-
     /// Number of elements that the source of this port carries; known at load time.
     pub fn len(&self) -> usize {
         self.0.len as usize
@@ -169,23 +139,6 @@ impl<T: Value> ArrayIn<T> {
 }
 
 impl<T: Value> ArrayOut<T> {
-    /// Fills the array from `values`, which must yield at least as many elements; the rest is
-    /// ignored.
-    #[inline]
-    pub fn set(&self, cycle: &Cycle<'_>, values: impl Iterator<Item = T>) {
-        let column = T::column(cycle.slots);
-        for (cell, value) in column.elements_of(self.0).iter().zip(values) {
-            cell.set(value);
-        }
-        column.present[self.0.number as usize].set(true);
-    }
-
-    /// Sets the whole array to null.
-    #[inline]
-    pub fn set_null(&self, cycle: &Cycle<'_>) {
-        T::column(cycle.slots).present[self.0.number as usize].set(false);
-    }
-
     /// Number of elements that the port carries.
     pub fn len(&self) -> usize {
         self.0.len as usize

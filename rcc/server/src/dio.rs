@@ -5,7 +5,9 @@ mod commands;
 mod devices;
 mod error;
 mod figures;
+mod limits;
 mod nets;
+mod push;
 mod rules;
 mod sessions;
 
@@ -17,26 +19,20 @@ use std::time::Duration;
 
 use std::sync::Arc;
 
-use takt_client::wire::{Message, Value};
+use takt_client::wire::{Message};
 use takt_core::controller::{DeviceInfo, RuleId};
 use takt_core::device::DeviceStatus;
 use takt_core::{Controller, NetId, OnLoss, SessionId};
 
 use crate::access::{Admission, Credential, Gate, Peer};
 use crate::sessions::Sessions;
-pub(crate) use commands::DESCRIPTION_BYTES_MAX;
 use devices::DeviceWatch;
 use error::CommandError;
+pub(crate) use limits::{DESCRIPTION_BYTES_MAX, VALUES_INTERVAL};
 use nets::NetWatch;
+use push::push;
 use rules::RuleWatch;
 use sessions::SessionWatch;
-
-/// Most subscriptions of one connection: nets, sessions, rules and devices together.
-pub(crate) const SUBSCRIPTIONS_MAX: usize = 4096;
-
-/// Polling interval for the values of running nets. A client's refresh interval below this one has
-/// no effect.
-pub(crate) const VALUES_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Name and type of the device that represents the controller itself.
 const CONTROLLER: &str = "rcc";
@@ -300,11 +296,6 @@ impl Connection {
         due.filter_map(|(id, w)| w.handle_values(controller.out_values(*id), now))
             .collect()
     }
-}
-
-/// A push with one value.
-fn push(tag: &str, command: &str, value: impl Into<Value>) -> Message {
-    Message::new(tag, command).with(value)
 }
 
 /// The devices, and the controller itself, which clients expect as a device.

@@ -4,7 +4,7 @@
 //! [`latest`](crate::latest) cell. A net thread thus follows a device of another thread in the same way as
 //! a driver thread its own.
 
-use super::{Grid, Tick};
+use super::grid::{Grid, Tick};
 use crate::{
     Nanos,
     flight::FlightRecorder,

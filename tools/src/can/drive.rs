@@ -20,6 +20,7 @@ use super::confirm;
 use super::wire::Live;
 use crate::Verdict;
 use crate::output::{say, span};
+use facts::MODES;
 use session::{Jog, Plan, Session, Step};
 
 /// Enable one drive, show its words as named bits, and report why it is not enabled.
@@ -75,19 +76,6 @@ pub(crate) struct Drive {
     #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
-
-/// Modes of operation by their names (CiA 402-2, object 6060h).
-const MODES: [(&str, i8); 9] = [
-    ("pp", 1),
-    ("vl", 2),
-    ("pv", 3),
-    ("tq", 4),
-    ("hm", 6),
-    ("ip", 7),
-    ("csp", 8),
-    ("csv", 9),
-    ("cst", 10),
-];
 
 /// Profile velocity.
 const PV: i8 = 3;

@@ -10,7 +10,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 
-use super::condition::Row;
+use super::examine::Row;
 use super::host::Host;
 use super::text::chosen;
 use crate::output::{complain, say};

@@ -2,7 +2,8 @@
 
 use serde::Serialize;
 
-use super::condition::{Remedy, Row, Status};
+use super::condition::{Remedy, Status};
+use super::examine::Row;
 
 const WIDTH: usize = 80;
 /// Where the text under a condition begins, after two blanks, four letters of the status and two more.

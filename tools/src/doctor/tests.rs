@@ -9,7 +9,8 @@ use std::sync::LazyLock;
 
 use proptest::prelude::*;
 
-use super::condition::{GROUPS, Row, Status, examine};
+use super::condition::Status;
+use super::examine::{GROUPS, Row, examine};
 use super::host::{Entry, Host};
 
 type Files = BTreeMap<String, Entry>;

@@ -51,7 +51,7 @@ pub(super) fn other_end(segment: &EthercatConfig) -> Option<String> {
 mod tests {
     use super::*;
     use crate::ecat::tests::{CYCLE, session, tree};
-    use crate::ecat::{dc, stat};
+    use crate::ecat::{dc, finding, stat};
 
     /// The tree of the tests, with its drive run by SYNC0.
     const CELL: &str = "[[ethercat]]\nname = 'tree'\ninterface = 'eth1'\n\
@@ -90,7 +90,7 @@ mod tests {
         session.restart(config(&wrong, "differs")).unwrap();
         session.bring_up(Duration::from_secs(10)).unwrap();
         let measured = stat::Measured::take(&mut session, Duration::from_millis(100)).unwrap();
-        let text = stat::verdict("tree", &measured.findings(session.master()));
+        let text = finding::verdict("tree", &measured.findings(session.master()));
         assert!(text.contains("valves"), "{text}");
         assert!(text.contains("00000007"), "{text}");
     }

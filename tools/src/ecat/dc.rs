@@ -10,8 +10,9 @@ use takt_ethercat::AlState;
 use takt_ethercat::dc::{PhaseFigures, Sample};
 use takt_ethercat::master::{Master, SlaveView};
 
+use super::difference::Range;
+use super::finding::indented;
 use super::session::{Session, Wire, phase_error};
-use super::stat::indented;
 use super::{Source, recording, scan};
 use crate::Verdict;
 use crate::output::{say, span, time};
@@ -70,14 +71,6 @@ impl Dc {
             Verdict::Failed
         })
     }
-}
-
-/// Differences of one clock, ns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Range {
-    pub(super) least: i32,
-    pub(super) most: i32,
-    pub(super) last: i32,
 }
 
 /// Figures of the clocks.

@@ -13,7 +13,7 @@ use takt_ethercat::link::{FRAME_MAX, Link};
 use takt_link::capture::{LinkType, Writer};
 
 use super::session::{Session, Wire};
-use super::{dc, directions, dump, frames, pdos, recording, scan, sdo, stat};
+use super::{dc, difference, directions, dump, finding, frames, pdos, recording, scan, sdo, stat};
 use crate::Verdict;
 
 mod ring;
@@ -269,7 +269,7 @@ fn stat_of_good_segment_has_no_findings() {
     let mut session = up(tree(), AlState::Op);
     let measured = stat::Measured::take(&mut session, Duration::from_millis(500)).unwrap();
     assert_eq!(measured.findings(session.master()), []);
-    assert_eq!(stat::verdict("emulated0", &[]), "emulated0: good\n");
+    assert_eq!(finding::verdict("emulated0", &[]), "emulated0: good\n");
     let text = stat::table(&session, &measured);
     for line in [
         "emulated0: 3 slaves, 500 ms at a cycle of 1.0 ms",
@@ -296,7 +296,7 @@ fn stat_port_errors_name_the_cable() {
     session.wire().inject(Duration::from_millis(500), faults);
     let measured = stat::Measured::take(&mut session, Duration::from_secs(1)).unwrap();
     let findings = measured.findings(session.master());
-    let text = stat::verdict("emulated0", &findings);
+    let text = finding::verdict("emulated0", &findings);
     let first = text.lines().next().unwrap();
     assert_eq!(
         first,
@@ -323,7 +323,7 @@ fn stat_late_frames_warn_and_cut_cable_fails() {
     session.wire().inject(Duration::from_millis(300), faults);
     let measured = stat::Measured::take(&mut session, Duration::from_millis(500)).unwrap();
     let findings = measured.findings(session.master());
-    let text = stat::verdict("emulated0", &findings);
+    let text = finding::verdict("emulated0", &findings);
     assert!(
         text.starts_with("WARN  2 frames returned after the end"),
         "{text}"
@@ -332,7 +332,7 @@ fn stat_late_frames_warn_and_cut_cable_fails() {
 
     session.wire().segment.set_link(1, false);
     let measured = stat::Measured::take(&mut session, Duration::from_millis(200)).unwrap();
-    let text = stat::verdict("emulated0", &measured.findings(session.master()));
+    let text = finding::verdict("emulated0", &measured.findings(session.master()));
     assert!(text.contains("slave 2: lost from the segment"), "{text}");
     assert!(
         text.contains("the cable from slave 0 port 1 to slave 2 port 0"),
@@ -402,7 +402,7 @@ fn dc_reports_differences_and_drift() {
 
 /// Figures of a clock with a difference.
 fn watched_with(difference: i32) -> dc::Watched {
-    let range = dc::Range {
+    let range = difference::Range {
         least: -3,
         most: difference,
         last: 0,

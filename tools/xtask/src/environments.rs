@@ -3,6 +3,7 @@
 //! with other missing requirements stay skipped.
 
 mod namespace;
+mod networks;
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -18,9 +19,7 @@ use crate::shell::{Line, quoted};
 use crate::test::repeat;
 use crate::test::tally::{Reader, Tally, test_name};
 use crate::vm::{self, Guest, Unavailable};
-
-/// Sets up buses in a root shell of an isolated environment.
-pub(crate) const NETWORKS: &str = include_str!("networks.sh");
+pub(crate) use networks::NETWORKS;
 
 /// The packages whose tests also run on the real-time kernel.
 const ON_THE_KERNEL: &[&str] = &["takt-rt"];

@@ -3,7 +3,9 @@
 
 mod arrows;
 mod bans;
+mod circles;
 mod docs;
+mod finding;
 mod licences;
 mod manifests;
 mod markdown;
@@ -11,43 +13,13 @@ mod proofs;
 mod sources;
 mod words;
 
-use std::fmt;
 use std::path::Path;
+
+use finding::{Finding, line_of};
 
 use crate::cargo::say;
 use crate::metadata::Workspace;
 use crate::tree::Tree;
-
-/// A violation of a rule.
-#[derive(Debug, PartialEq, Eq)]
-struct Finding {
-    path: String,
-    /// Line number, from 1.
-    line: usize,
-    cause: String,
-    remedy: String,
-}
-
-impl Finding {
-    fn new(path: &str, line: usize, cause: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self {
-            path: path.to_owned(),
-            line,
-            cause: cause.into(),
-            remedy: remedy.into(),
-        }
-    }
-}
-
-impl fmt::Display for Finding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{}:{}: {}; {}",
-            self.path, self.line, self.cause, self.remedy
-        )
-    }
-}
 
 /// A rule checks the whole workspace and returns its findings.
 type Rule = fn(&Workspace, &Tree) -> Vec<Finding>;
@@ -55,6 +27,7 @@ type Rule = fn(&Workspace, &Tree) -> Vec<Finding>;
 const RULES: &[Rule] = &[
     arrows::check,
     bans::check,
+    circles::check,
     docs::check,
     licences::check,
     manifests::check,
@@ -80,13 +53,6 @@ pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
         findings.len()
     ));
     Ok(findings.is_empty())
-}
-
-/// The first line of a text that contains `needle`, for the location of a finding; 1 if none does.
-fn line_of(text: &str, needle: &str) -> usize {
-    text.lines()
-        .position(|line| line.contains(needle))
-        .map_or(1, |index| index + 1)
 }
 
 #[cfg(test)]

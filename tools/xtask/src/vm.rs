@@ -2,6 +2,7 @@
 //! a part (`guest`), and one with a Debian of its own, in which the package is installed (`service`). No machine
 //! outlives its task, and none writes outside the checkout and the target directory.
 
+mod availability;
 mod guest;
 mod needs;
 mod service;
@@ -12,15 +13,10 @@ use std::path::Path;
 use crate::cargo::say;
 use crate::parts::Part;
 use crate::test::tally::Tally;
+use availability::refused;
+pub(crate) use availability::{Availability, Unavailable};
 pub(crate) use guest::Guest;
 pub(crate) use needs::{is_root, peers};
-
-/// Why no machine is available here. Not a failure of the tests.
-#[derive(Debug)]
-pub(crate) struct Unavailable(pub(crate) String);
-
-/// The requested item, or why it is unavailable, or an error.
-pub(crate) type Availability<T> = anyhow::Result<Result<T, Unavailable>>;
 
 /// `cargo xtask vm`: runs the command in a machine; returns its exit status.
 pub(crate) fn run(root: &Path, command: &[String], seconds: u64) -> anyhow::Result<u8> {
@@ -53,17 +49,6 @@ pub(crate) fn service(root: &Path, takt: Option<&Path>) -> anyhow::Result<Tally>
         Ok(tally) => tally,
         Err(Unavailable(why)) => Tally::skipped(&format!("service in a virtual machine: {why}")),
     })
-}
-
-/// Fails if the user disabled machines, or if this is one.
-fn refused() -> Result<(), Unavailable> {
-    match std::env::var("TAKT_VM").as_deref() {
-        Ok("off") => Err(Unavailable("needs TAKT_VM unset; it is off".to_owned())),
-        Ok("inside") => Err(Unavailable(
-            "needs a host; this is a virtual machine".to_owned(),
-        )),
-        Ok(_) | Err(_) => Ok(()),
-    }
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ mod bounded;
 mod codes;
 mod command;
 mod dialect;
+mod framing;
 mod fuzz;
 mod monitoring;
 mod parts;
@@ -18,7 +19,8 @@ pub use codes::{
     RedundancyStrategy, Safety, SessionState,
 };
 pub use command::{Command, CommandData};
-pub use dialect::{Dialect, unframe};
+pub use dialect::Dialect;
+pub use framing::unframe;
 pub use fuzz::fuzz;
 pub use monitoring::{ConnectionInfo, IpoData, MonitorData, Monitoring, RobotInfo};
 pub use parts::{EndOf, Header, IoValue, Joints, Placement, Redundancy, TimeStamp, Transformation};

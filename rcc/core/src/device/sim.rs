@@ -7,29 +7,15 @@ mod compliance;
 mod gripper;
 mod io;
 mod parameters;
+mod simulated;
 
 use std::collections::BTreeMap;
-use std::fmt;
 
-use takt_rt::Nanos;
-
-use crate::device::{DeviceCommand, DeviceDescription, DeviceState};
 use crate::error::Error;
 use parameters::Parameters;
+pub use simulated::Simulated;
+use simulated::{Made, seconds};
 
-/// A device that a net thread steps.
-pub trait Simulated: fmt::Debug + Send {
-    /// One cycle, `dt` after the last: follows the commands of nets.
-    fn step(&mut self, command: &DeviceCommand, dt: Nanos);
-
-    /// Applies a withdrawal of commands after [`Self::step`] in the same cycle. Motion reacts in the next.
-    fn retract(&mut self, _command: &DeviceCommand) {}
-
-    /// Its state.
-    fn state(&self) -> &DeviceState;
-}
-
-type Made = (DeviceDescription, Box<dyn Simulated>);
 type Make = fn(&Parameters<'_>, &'static str) -> Result<Made, Error>;
 
 /// Constructors by type.
@@ -64,15 +50,6 @@ pub fn make(name: &str, kind: &str, parameters: &BTreeMap<String, String>) -> Re
         return Err(parameters.wrong(what));
     };
     make(&parameters, kind)
-}
-
-/// A span in seconds.
-#[expect(
-    clippy::cast_precision_loss,
-    reason = "spans of milliseconds are exact"
-)]
-const fn seconds(span: Nanos) -> f64 {
-    span.0 as f64 * 1e-9
 }
 
 #[cfg(test)]

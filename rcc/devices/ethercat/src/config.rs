@@ -7,13 +7,9 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
-use takt_core::Error;
-use takt_core::device::DeviceDescription;
-use takt_core::device::driver::{DeviceDriver, DriverConfig, DriverEnds};
 use takt_core::span;
 use takt_device_drives::{DriveArm, Recovery};
 
-use crate::segment::{self, Ethercat};
 pub use slave::{
     AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, LostPolicy, SlaveGoal, SlavePdo,
     SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy,
@@ -124,31 +120,5 @@ impl EthercatConfig {
     )]
     const fn default_priority() -> Option<u8> {
         Some(85)
-    }
-}
-
-impl DriverConfig for EthercatConfig {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn thread(&self) -> Option<Duration> {
-        self.thread
-    }
-
-    fn priority(&self) -> Option<u8> {
-        self.priority
-    }
-
-    fn check(&self) -> Result<(), String> {
-        segment::check(self)
-    }
-
-    fn devices(&self) -> Vec<DeviceDescription> {
-        segment::describe(self)
-    }
-
-    fn start(&self, ends: DriverEnds) -> Result<Box<dyn DeviceDriver>, Error> {
-        Ok(Box::new(Ethercat::start(self, segment::open(self)?, ends)?))
     }
 }

@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod config;
+mod driver;
 #[cfg(test)]
 #[path = "../../tests/plant/mod.rs"]
 mod plant;

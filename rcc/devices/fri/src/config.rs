@@ -6,14 +6,8 @@ use std::time::Duration;
 use serde::{Deserialize, Deserializer};
 use takt_fri::lwr::Protocol as Handshake;
 
-use takt_core::Error;
-use takt_core::device::DeviceDescription;
-use takt_core::device::driver::{DeviceDriver, DriverConfig, DriverEnds};
 use takt_core::device::on_end::OutputsOnEnd;
 use takt_core::span;
-
-use crate::iiwa::{self, Iiwa};
-use crate::lwr::{self, Lwr};
 
 /// A KUKA LWR.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -161,58 +155,6 @@ impl IiwaConfig {
             std::net::IpAddr::V4(std::net::Ipv4Addr::UNSPECIFIED),
             takt_fri::sunrise::DEFAULT_PORT,
         )
-    }
-}
-
-impl DriverConfig for LwrConfig {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn thread(&self) -> Option<Duration> {
-        self.thread
-    }
-
-    fn priority(&self) -> Option<u8> {
-        self.priority
-    }
-
-    fn check(&self) -> Result<(), String> {
-        lwr::check(self)
-    }
-
-    fn devices(&self) -> Vec<DeviceDescription> {
-        vec![lwr::describe(&self.name).with(lwr::PARTS)]
-    }
-
-    fn start(&self, ends: DriverEnds) -> Result<Box<dyn DeviceDriver>, Error> {
-        Ok(Box::new(Lwr::start(self, lwr::listen(self)?, ends)?))
-    }
-}
-
-impl DriverConfig for IiwaConfig {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn thread(&self) -> Option<Duration> {
-        self.thread
-    }
-
-    fn priority(&self) -> Option<u8> {
-        self.priority
-    }
-
-    fn check(&self) -> Result<(), String> {
-        iiwa::check(self)
-    }
-
-    fn devices(&self) -> Vec<DeviceDescription> {
-        vec![iiwa::describe(&self.name, self.model).with(&iiwa::parts(&self.io))]
-    }
-
-    fn start(&self, ends: DriverEnds) -> Result<Box<dyn DeviceDriver>, Error> {
-        Ok(Box::new(Iiwa::start(self, iiwa::listen(self)?, ends)?))
     }
 }
 

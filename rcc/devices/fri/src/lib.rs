@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod config;
+mod driver;
 mod fri;
 pub mod iiwa;
 pub mod lwr;

@@ -1,8 +1,10 @@
 //! Round trips of all arms over random joint positions, and rejected inputs.
 
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use takt_net::Frame;
+use takt_net::device::Unreachable;
 use takt_tests::Random;
 
 use super::*;

@@ -4,14 +4,9 @@
 use std::fmt;
 use std::marker::PhantomData;
 
+use crate::cycle::Cycle;
 use crate::device::{Image, Target};
-use crate::plan::Cycle;
 use crate::value::Value;
-
-/// Upper bound on the words that drivers report, beside joints.
-pub const SIGNAL_WORDS_MAX: usize = 4096;
-/// Upper bound on the words that nets command, beside joints.
-pub const COMMAND_WORDS_MAX: usize = 4096;
 
 /// A value that can be stored in the image: a port's value, or a record of several.
 pub trait Words: Copy + fmt::Debug {

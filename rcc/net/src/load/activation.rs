@@ -5,7 +5,8 @@
 
 use std::collections::HashMap;
 
-use super::resolve::{Origin, Resolved};
+use super::origin::Origin;
+use super::resolved::Resolved;
 
 /// The primitive that makes two activations exclude each other.
 const NOT: &str = "Core::BooleanNot";

@@ -3,40 +3,22 @@
 
 use std::collections::HashMap;
 use std::marker::PhantomData;
-use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use crate::cost::NetCost;
 use crate::definition::Primitive;
-use crate::device::Target;
 use crate::fault::{Fault, FaultKind};
 use crate::load::builder::Build;
 use crate::load::graph::Unit;
-use crate::load::resolve::{Origin, Resolved};
-use crate::load::taps::Tapped;
+use crate::load::origin::{Origin, number};
+use crate::load::parts::{Effects, Parts};
+use crate::load::resolved::{Resolved, Tapped};
 use crate::load::{LoadContext, activation};
-use crate::netcomm::{Directory, Inter, Mailbox};
+use crate::netcomm::{Directory, Mailbox};
 use crate::plan::{Guard, Op, Plan, RootPort};
 use crate::slots::{In, SlotRef, SlotsBuilder};
 use crate::taps::Taps;
 use crate::value::{Element, Type, Value};
-
-/// Marks a part that cannot be built because an earlier one could not; never shown.
-pub(super) const fn inherited() -> FaultKind {
-    FaultKind::ArraySize(String::new())
-}
-
-/// What a primitive does beyond its out ports, and what it expects at its in ports.
-#[derive(Debug, Default)]
-pub(super) struct Effects {
-    /// Its commands, and the device that it named last.
-    pub(super) commands: Vec<Target>,
-    pub(super) device: Option<String>,
-    /// Whether it has an effect outside its net.
-    pub(super) acts: bool,
-    /// By in port, the values that can be meant.
-    pub(super) expected: Vec<(usize, RangeInclusive<f64>)>,
-}
 
 /// Builds the plan of an ordered net, with the effects of its primitives; `None` if that adds faults.
 pub(super) fn build(
@@ -64,7 +46,9 @@ pub(super) fn build(
         };
         let Some(build) = build else { continue };
         let mut builder = Build {
-            context,
+            devices: context.devices,
+            period: context.period,
+            limits: &context.limits,
             parts: &mut parts,
             node,
             number,
@@ -111,34 +95,6 @@ fn cost_of(resolved: &Resolved<'_>, elements: &[usize], guard_tests: usize) -> N
     NetCost::of(counted, guard_tests)
 }
 
-/// The parts of the plan, collected over all primitives.
-pub(super) struct Parts {
-    pub(super) slots: SlotsBuilder,
-    /// Slots of all out ports, by node and port; `None` until built.
-    pub(super) outputs: Vec<Option<SlotRef>>,
-    /// Number of out ports of all nodes before each node.
-    pub(super) slots_before: Vec<usize>,
-    /// Slots that the two steps of one primitive share.
-    pub(super) states: HashMap<(u32, usize), u32>,
-    pub(super) resources: Vec<String>,
-    pub(super) commands: Vec<Target>,
-    pub(super) devices: Vec<String>,
-    /// Devices that the net reads or commands.
-    pub(super) uses: Vec<String>,
-    pub(super) inbox: Directory,
-    pub(super) inbox_words: Vec<u64>,
-    pub(super) outbox: Directory,
-    /// Values read from other nets, and written to them.
-    pub(super) inter_ins: Vec<Inter>,
-    pub(super) inter_outs: Vec<Inter>,
-    /// Bytes of arrays and histories.
-    pub(super) memory: usize,
-    /// Array elements at the ports of the primitive that is being built.
-    pub(super) elements: usize,
-    /// By node.
-    pub(super) effects: Vec<Effects>,
-}
-
 impl Parts {
     fn new(resolved: &Resolved<'_>) -> Self {
         let mut slots_before = Vec::with_capacity(resolved.nodes.len() + 1);
@@ -165,11 +121,6 @@ impl Parts {
             elements: 0,
             effects: resolved.nodes.iter().map(|_| Effects::default()).collect(),
         }
-    }
-
-    pub(super) fn output(&mut self, origin: Origin) -> &mut Option<SlotRef> {
-        let before = self.slots_before[origin.node as usize];
-        &mut self.outputs[before + origin.port as usize]
     }
 
     /// By guard: its slots that are read from outside.
@@ -338,7 +289,7 @@ impl<'r> Walk<'r> {
 
     fn step(&mut self, guard: u32, step: Box<dyn Primitive>) {
         self.enter(guard);
-        let first = count(self.steps.len());
+        let first = number(self.steps.len());
         self.steps.push(step);
         let grows = self.can_extend_run();
         match self.ops.last_mut() {
@@ -378,7 +329,7 @@ impl<'r> Walk<'r> {
     fn leave(&mut self, op: usize) {
         self.open.pop();
         self.left_at = Some(self.ops.len());
-        let end = count(self.ops.len());
+        let end = number(self.ops.len());
         if let Some(Op::Guard { skip_to, .. }) = self.ops.get_mut(op) {
             *skip_to = end;
         }
@@ -396,8 +347,4 @@ impl<'r> Walk<'r> {
             self.leave(op);
         }
     }
-}
-
-pub(super) fn count(len: usize) -> u32 {
-    u32::try_from(len).expect("Limits bounds the number of primitives far below 2^32")
 }

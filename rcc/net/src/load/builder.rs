@@ -10,9 +10,9 @@ use crate::definition::ParameterType;
 use crate::device::{ArmBinding, Devices, Interfaces, Kinematics, Target};
 use crate::fault::{Fault, FaultKind};
 use crate::limits::Limits;
-use crate::load::LoadContext;
-use crate::load::build::{Effects, Parts, count, inherited};
-use crate::load::resolve::{Node, Origin};
+use crate::load::origin::{self, Origin};
+use crate::load::parts::{Effects, Parts, inherited};
+use crate::load::resolved::Node;
 use crate::slots::{ArrayIn, ArrayOut, In, Out, SlotRef, SlotsBuilder};
 use crate::value::text::{TextValue, ValueError, parse_array_as};
 use crate::value::unit::Quantity;
@@ -20,7 +20,9 @@ use crate::value::{Type, Value};
 
 /// The context of a primitive's build function.
 pub struct Build<'b, 'n> {
-    pub(super) context: &'b LoadContext<'n>,
+    pub(super) devices: &'b dyn Devices,
+    pub(super) period: Duration,
+    pub(super) limits: &'b Limits,
     pub(super) parts: &'b mut Parts,
     pub(super) node: &'b Node<'n>,
     pub(super) number: u32,
@@ -37,17 +39,17 @@ impl std::fmt::Debug for Build<'_, '_> {
 impl Build<'_, '_> {
     /// Time from one cycle to the next.
     pub fn period(&self) -> Duration {
-        self.context.period
+        self.period
     }
 
     /// Bounds on the net.
     pub fn limits(&self) -> &Limits {
-        &self.context.limits
+        self.limits
     }
 
     /// The available devices.
     pub fn devices(&self) -> &dyn Devices {
-        self.context.devices
+        self.devices
     }
 
     /// The robot arm named by parameter `parameter`.
@@ -80,7 +82,7 @@ impl Build<'_, '_> {
         let name = self.text(parameter).to_owned();
         self.parts.uses.push(name.clone());
         self.effects().device = Some(name.clone());
-        let devices = self.context.devices;
+        let devices = self.devices;
         find(devices, &name).ok_or_else(|| {
             let mut known = devices.names();
             known.retain(|name| find(devices, name).is_some());
@@ -306,7 +308,7 @@ impl Build<'_, '_> {
         );
         Origin {
             node: self.number,
-            port: count(number),
+            port: origin::number(number),
         }
     }
 

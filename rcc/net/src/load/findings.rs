@@ -7,8 +7,10 @@ use std::ops::Range;
 
 use crate::definition::{InPort, NullRule, ParameterType};
 use crate::finding::{FINDINGS_MAX, Finding, Severity};
-use crate::load::build::{Effects, is_inside};
-use crate::load::resolve::{Node, Origin, Resolved};
+use crate::load::build::is_inside;
+use crate::load::origin::Origin;
+use crate::load::parts::Effects;
+use crate::load::resolved::{Node, Resolved};
 use crate::value::Element;
 use crate::value::text::{TextValue as _, parse_array_as};
 use crate::value::unit::{self, Dimension, Quantity};

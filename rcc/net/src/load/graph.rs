@@ -2,7 +2,8 @@
 //! the edges between them. The order itself is computed elsewhere.
 
 use crate::fault::{Fault, FaultKind};
-use crate::load::resolve::{Node, Origin, Resolved, number};
+use crate::load::origin::{Origin, number};
+use crate::load::resolved::{Node, Resolved};
 use crate::load::sort::Graph;
 
 /// The kind of a unit.

@@ -4,35 +4,12 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use crate::definition::Definition;
 use crate::fault::{FAULTS_MAX, Fault, FaultKind, similar};
 use crate::load::LoadContext;
-use crate::load::taps::Tapped;
+use crate::load::origin::{Origin, number};
+use crate::load::resolved::{GuardInfo, Node, Resolved};
 use crate::text::{Arg, ArgValue, Body, Fragment, Name, Node as TextNode, Source, SourceOf};
 use crate::value::{Element, Type};
-
-/// The out port of a primitive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct Origin {
-    pub(super) node: u32,
-    pub(super) port: u32,
-}
-
-/// A primitive instance.
-#[derive(Debug)]
-pub(super) struct Node<'t> {
-    pub(super) definition: &'t Definition,
-    /// Its name in messages; inline primitives are named after the port they feed.
-    pub(super) name: &'t str,
-    pub(super) at: Range<usize>,
-    scope: u32,
-    pub(super) guard: u32,
-    args: &'t [Arg<'t>],
-    /// By in port: the source of its value.
-    pub(super) links: Vec<Option<Origin>>,
-    /// By parameter: its text and the index of its first byte.
-    pub(super) texts: Vec<Option<(&'t str, usize)>>,
-}
 
 /// A fragment instance.
 #[derive(Debug, Default)]
@@ -51,24 +28,6 @@ enum Member {
     Scope(u32),
     /// Something that could not be resolved; the fault is already recorded.
     Broken,
-}
-
-/// Something that can be switched off: a fragment or a primitive with `inActive` connected.
-#[derive(Debug, Default)]
-pub(super) struct GuardInfo {
-    pub(super) parent: u32,
-    pub(super) active: Option<Origin>,
-}
-
-/// A net with all names resolved.
-#[derive(Debug)]
-pub(super) struct Resolved<'t> {
-    pub(super) nodes: Vec<Node<'t>>,
-    pub(super) guards: Vec<GuardInfo>,
-    /// Out ports of the root fragment.
-    pub(super) root: Vec<(&'t str, Option<Origin>)>,
-    /// Tapped ports.
-    pub(super) taps: Vec<Tapped>,
 }
 
 /// Resolves all names of a net.
@@ -134,10 +93,6 @@ pub(super) struct Resolver<'t, 'f> {
     bound_reported: bool,
     /// Tapped ports, with the scope of their source.
     pub(super) taps: Vec<(u32, &'t Arg<'t>, String)>,
-}
-
-pub(super) fn number(len: usize) -> u32 {
-    u32::try_from(len).expect("Limits bounds the number of primitives far below 2^32")
 }
 
 impl<'t> Resolver<'t, '_> {

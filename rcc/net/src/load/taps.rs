@@ -2,20 +2,10 @@
 //! each. What is recorded, and when, is decided elsewhere.
 
 use crate::fault::FaultKind;
-use crate::load::resolve::{Origin, Resolver};
+use crate::load::resolve::Resolver;
+use crate::load::resolved::Tapped;
 use crate::taps::{TAP_SECONDS_MAX, TAPS_MAX};
 use crate::text::{Arg, ArgValue};
-
-/// A tapped port.
-#[derive(Debug)]
-pub(super) struct Tapped {
-    /// Names of its fragments, of its primitive, and its own, joined by dots.
-    pub(super) name: String,
-    /// How long its values are kept, s.
-    pub(super) seconds: f64,
-    /// The source of its values.
-    pub(super) origin: Origin,
-}
 
 impl<'t> Resolver<'t, '_> {
     /// Collects the taps at the ports of `owner`, or of the fragment `scope` itself.

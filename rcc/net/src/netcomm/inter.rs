@@ -5,7 +5,6 @@
 use std::sync::Arc;
 
 use super::{Directory, Entry, HEAD, Mailbox, OutStatus};
-use crate::plan::Plan;
 
 /// The in and out values of another net, as found during loading.
 #[derive(Clone, Debug, Default)]
@@ -34,7 +33,7 @@ pub(crate) const STATUS: usize = 1;
 impl Mailbox {
     /// Copies the last value published by another net; `None` if that net no longer exists. Returns
     /// whether anything changed.
-    fn copy_inter(&self, inter: &Inter, given: Option<&[u64]>) -> bool {
+    pub(crate) fn copy_inter(&self, inter: &Inter, given: Option<&[u64]>) -> bool {
         let to = inter.to.at;
         let Some(given) = given else {
             return self.replace(to + HEAD, 0);
@@ -51,7 +50,7 @@ impl Mailbox {
 
     /// Imports a value from another net, as one more write, if it is non-null and changed since
     /// `seen`. Returns whether it was imported.
-    fn copy_given(&self, inter: &Inter, given: &[u64], seen: &mut Option<u64>) -> bool {
+    pub(crate) fn copy_given(&self, inter: &Inter, given: &[u64], seen: &mut Option<u64>) -> bool {
         let time = given.get(inter.from.at + 1).copied();
         let current = inter.from.status(given) == OutStatus::Current;
         if !current || *seen == time {
@@ -68,7 +67,7 @@ impl Mailbox {
 
     /// Imports the values of a program's box that were written since `seen`, a box of the same
     /// layout; other nets may have written the rest meanwhile.
-    fn import_changes(&self, words: &[u64], seen: &mut [u64]) {
+    pub(crate) fn import_changes(&self, words: &[u64], seen: &mut [u64]) {
         for entry in self.directory.entries() {
             let at = entry.at;
             let (Some(writes), Some(seen)) = (words.get(at), seen.get_mut(at)) else {
@@ -82,34 +81,5 @@ impl Mailbox {
             }
             self.words[at].set(self.words[at].get().wrapping_add(1));
         }
-    }
-}
-
-impl Plan {
-    /// Values that the net reads from other nets.
-    pub fn inter_ins(&self) -> &[Inter] {
-        &self.inter_ins
-    }
-
-    /// Values that the net writes to other nets.
-    pub fn inter_outs(&self) -> &[Inter] {
-        &self.inter_outs
-    }
-
-    /// Imports one of [`Self::inter_ins`] from the out-box of the other net; `None` if that net no
-    /// longer exists, which makes the value null. Returns whether anything changed.
-    pub fn import_inter(&self, inter: &Inter, given: Option<&[u64]>) -> bool {
-        self.inbox.copy_inter(inter, given)
-    }
-
-    /// Imports a value that another net writes to this net, one of its [`Self::inter_outs`], from
-    /// its out-box; `seen` holds the time of the last import. Returns whether anything changed.
-    pub fn import_given(&self, inter: &Inter, given: &[u64], seen: &mut Option<u64>) -> bool {
-        self.inbox.copy_given(inter, given, seen)
-    }
-
-    /// Imports those values of an in-box that a program wrote since `seen`, the previous in-box.
-    pub fn import_changes(&self, words: &[u64], seen: &mut [u64]) {
-        self.inbox.import_changes(words, seen);
     }
 }

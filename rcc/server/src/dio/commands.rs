@@ -11,10 +11,11 @@ use takt_core::{Error, NetId, OnLoss, SessionId};
 use super::devices::DeviceWatch;
 use super::error::CommandError;
 use super::figures;
+use super::limits::{DESCRIPTION_BYTES_MAX, SESSIONS_PER_CONNECTION, SUBSCRIPTIONS_MAX};
 use super::nets::NetWatch;
 use super::rules::RuleWatch;
 use super::sessions::SessionWatch;
-use super::{Connection, Pushes, SUBSCRIPTIONS_MAX};
+use super::{Connection, Pushes};
 use crate::access::Admission;
 
 /// The protocol version that a client must request.
@@ -22,12 +23,6 @@ const VERSION: &str = "2.0";
 
 /// Fault number of a syntax error in the text of a net.
 const SYNTAX_FAULT: u32 = 12;
-
-/// Most bytes of the description of a session or a net.
-pub(crate) const DESCRIPTION_BYTES_MAX: usize = 4096;
-
-/// Most sessions open by one connection.
-pub(crate) const SESSIONS_PER_CONNECTION: usize = 64;
 
 /// Most faults of one net that are reported.
 const FAULTS_MAX: usize = 20;

@@ -3,8 +3,7 @@
 
 use takt_client::wire::Message;
 
-use super::SUBSCRIPTIONS_MAX;
-use super::commands::{DESCRIPTION_BYTES_MAX, SESSIONS_PER_CONNECTION};
+use super::limits::{DESCRIPTION_BYTES_MAX, SESSIONS_PER_CONNECTION, SUBSCRIPTIONS_MAX};
 use crate::access::{WRONG_MAX, WRONG_WINDOW};
 use crate::sessions::OPEN_SESSIONS_MAX;
 

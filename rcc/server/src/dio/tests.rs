@@ -5,6 +5,7 @@ mod rules;
 
 use takt_core::CellConfig;
 
+use super::limits::SUBSCRIPTIONS_MAX;
 use super::*;
 
 /// Runs for 1 s of logical time or until it is cancelled, and echoes a value.

@@ -5,9 +5,21 @@ use takt_cia402::dictionary::Address;
 use takt_cia402::emulator::FaultCode;
 use takt_cia402::{ControlWord, DriveFault};
 
-use super::MODES;
 use crate::can::sdo_client::{SdoClient, number};
 use crate::can::wire::Wire;
+
+/// Modes of operation by their names (CiA 402-2, object 6060h).
+pub(super) const MODES: [(&str, i8); 9] = [
+    ("pp", 1),
+    ("vl", 2),
+    ("pv", 3),
+    ("tq", 4),
+    ("hm", 6),
+    ("ip", 7),
+    ("csp", 8),
+    ("csv", 9),
+    ("cst", 10),
+];
 
 /// Bits of 1001h (CiA 301, clause 7.5.2.2).
 const ERROR_BITS: [&str; 8] = [

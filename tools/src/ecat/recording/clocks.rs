@@ -9,7 +9,7 @@ use takt_ethercat::dc::{PhaseFigures, phase_ns};
 
 use super::Recording;
 use super::report::Report;
-use crate::ecat::stat::{Finding, nanos};
+use crate::ecat::finding::{Finding, nanos};
 use crate::output::time;
 
 /// The slave with the reference clock.

@@ -9,8 +9,8 @@ use super::{Recording, dc, stat};
 use crate::Verdict;
 use crate::ecat::directions::directions;
 use crate::ecat::dump;
+use crate::ecat::finding::{verdict, verdict_of};
 use crate::ecat::frames::Capture;
-use crate::ecat::stat::{verdict, verdict_of};
 
 const US: Duration = Duration::from_micros(1);
 const MS: Duration = Duration::from_millis(1);

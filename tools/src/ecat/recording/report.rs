@@ -12,7 +12,7 @@ use takt_ethercat::topology::Topology;
 use super::Recording;
 use super::slave::RecordedSlave;
 use crate::Verdict;
-use crate::ecat::stat::{Finding, nanos, percentiles, verdict, verdict_of};
+use crate::ecat::finding::{Finding, nanos, percentiles, verdict, verdict_of};
 use crate::output::{say, time};
 
 /// The report on a recording.

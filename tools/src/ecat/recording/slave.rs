@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use takt_ethercat::{AlState, AlStatus, AlStatusCode, Command, register};
 
-use crate::ecat::dc::Range;
+use crate::ecat::difference::Range;
 
 /// Registers from 0300h to 0313h.
 const COUNTERS: usize = 20;

@@ -8,8 +8,8 @@ use takt_ethercat::emulator::{Corrupt, Faults};
 
 use super::{Recording, dc, stat};
 use crate::Verdict;
+use crate::ecat::finding::{verdict, verdict_of};
 use crate::ecat::frames::Capture;
-use crate::ecat::stat::{verdict, verdict_of};
 use crate::ecat::tests::{CYCLE, recorded, session, tree, up};
 
 /// Evaluates a recording in memory.

@@ -115,7 +115,7 @@ fn ring_with_cut_cable_names_it_and_continues() {
     let measured = stat::Measured::take(&mut session, Duration::from_millis(200)).unwrap();
     let text = stat::table(&session, &measured);
     assert_eq!(text.matches("SAFE-OP ").count(), 3, "{text}");
-    let findings = stat::verdict("near", &measured.findings(session.master()));
+    let findings = finding::verdict("near", &measured.findings(session.master()));
     assert!(findings.contains(GAP), "{findings}");
     assert_eq!(
         findings.matches("the ring is open").count(),

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 
 use takt_net::device::{CartesianPosition, Layout, Words};
 use takt_net::value::{Frame, Rotation, Vector};
+use takt_rt::Nanos;
 
 use super::*;
-use crate::device::{Part, SetPoint, parts};
+use crate::device::{DeviceCommand, Part, SetPoint, parts};
 
 const DT: Nanos = Nanos(1_000_000);
 

@@ -7,13 +7,12 @@ mod course;
 mod describe;
 mod gripper;
 mod springs;
+mod time;
 mod tool;
-
-use std::time::Duration;
+mod wait;
 
 use takt_ethercat::master::{Master, Reply};
-use takt_ethercat::youbot::{Drive, DriveFault, GripperError, HomingError};
-use takt_rt::Nanos;
+use takt_ethercat::youbot::Drive;
 use takt_rt::cycle::Tick;
 
 use crate::config::EthercatConfig;
@@ -21,6 +20,9 @@ use arm::Arm;
 use base::Base;
 pub(super) use describe::{check, describe, specs};
 use takt_core::device::driver::DeviceEnd;
+use time::{now, seconds};
+pub use wait::Wait;
+pub(super) use wait::Waiting;
 
 /// Fault counters of all youBot drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,37 +35,6 @@ pub struct YouBotFigures {
     pub clamped: u64,
     /// TMCL requests that were repeated.
     pub repeats: u64,
-}
-
-/// Why a device is not operational.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Wait {
-    /// A drive has a fault or does not follow.
-    #[error("{0}")]
-    Drive(DriveFault),
-    /// A joint was not homed since power-on.
-    #[error("it was not homed since power-on; `homing = true` lets it home")]
-    NotHomed,
-    /// A joint is being homed.
-    #[error("it is being homed")]
-    Homing,
-    /// Homing failed.
-    #[error("homing failed: {0}")]
-    Failed(HomingError),
-    /// The gripper was not homed since power-on.
-    #[error("its gripper was not homed since power-on; `homing = true` lets it home")]
-    GripperNotHomed,
-    /// The gripper cannot be used.
-    #[error("its gripper: {0}")]
-    Gripper(GripperError),
-}
-
-/// A drive that a device waits for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Waiting {
-    /// Index of the drive in the master.
-    pub(super) slave: usize,
-    pub(super) why: Wait,
 }
 
 impl YouBotFigures {
@@ -151,16 +122,4 @@ impl YouBots {
         }
         figures
     }
-}
-
-fn now(tick: &Tick) -> Duration {
-    Duration::from_nanos(tick.scheduled.0.unsigned_abs())
-}
-
-#[expect(
-    clippy::cast_precision_loss,
-    reason = "spans of milliseconds are exact"
-)]
-const fn seconds(span: Nanos) -> f64 {
-    span.0 as f64 * 1e-9
 }
