@@ -19,7 +19,7 @@ use takt_net::device::Kinematics;
 
 use geometry::{frame, rot_y, rot_z, two_links};
 pub use joints::Range;
-use joints::{Nearest, checked, joints_or_nan};
+use joints::{Nearest, checked, columns_or_nan, joints_or_nan};
 pub use opw::{Opw, OpwGeometry};
 pub(crate) use primitives::table;
 pub use srs::{Srs, SrsGeometry};

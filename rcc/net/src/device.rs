@@ -11,7 +11,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use crate::netcomm::NetBoxes;
-use crate::value::Frame;
+use crate::value::{Frame, Twist};
 
 pub use image::{
     COMMAND_WORDS_MAX, Image, JOINTS_MAX, Joint, JointCommand, JointError, JointState,
@@ -53,6 +53,12 @@ pub trait Kinematics: fmt::Debug + Send + Sync {
     /// # Errors
     /// If there is no solution; `joints` then keeps its values.
     fn inverse(&self, flange: &Frame, hint: &[f64], joints: &mut [f64]) -> Result<(), Unreachable>;
+
+    /// The Jacobian of the flange at these joint positions (rad), one column for each joint: the
+    /// velocity of the flange in the arm's base (m/s, rad/s) while that joint alone moves at
+    /// 1 rad/s. Not finite if a joint is not, or if there are not [`Self::joints`] of them or of
+    /// the columns.
+    fn jacobian(&self, joints: &[f64], columns: &mut [Twist]);
 }
 
 /// Why no joint positions bring a flange to a frame. The numbers are those of `outError`.

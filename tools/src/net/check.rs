@@ -12,7 +12,7 @@ use takt_core::device::{ARM_JOINTS_MAX, DeviceTable, parts};
 use takt_net::device::{Interfaces, Kinematics, Unreachable};
 use takt_net::{
     ArmBinding, CostShare, Devices, Finding, Frame, JointLimits, Limits, LoadContext, NetCost,
-    Plan, Registry, Rejection, check,
+    Plan, Registry, Rejection, Twist, check,
 };
 
 use super::{complain_of, read};
@@ -249,6 +249,10 @@ impl Kinematics for AnyGeometry {
 
     fn inverse(&self, _: &Frame, _: &[f64], _: &mut [f64]) -> Result<(), Unreachable> {
         Err(Unreachable::Invalid)
+    }
+
+    fn jacobian(&self, _: &[f64], columns: &mut [Twist]) {
+        columns.fill(Twist::default());
     }
 }
 

@@ -2,8 +2,9 @@
 
 use std::f64::consts::TAU;
 
+use nalgebra::Vector3;
 use takt_net::device::Unreachable;
-use takt_net::{Frame, JointLimits};
+use takt_net::{Frame, JointLimits, Twist};
 
 /// Tolerance for rounding, rad: a solution that exceeds a joint limit by less counts as on the
 /// limit.
@@ -111,4 +112,26 @@ pub(super) fn checked<const N: usize>(
 /// The joint positions, or NaN for all joints.
 pub(super) fn joints_or_nan<const N: usize>(joints: &[f64]) -> [f64; N] {
     joints.try_into().unwrap_or([f64::NAN; N])
+}
+
+/// Writes the columns of a Jacobian: of each joint its axis, and the vector from there to the flange (m). If there are
+/// not as many columns as joints, all are NaN.
+pub(super) fn columns_or_nan(
+    columns: &mut [Twist],
+    joints: impl ExactSizeIterator<Item = (Vector3<f64>, Vector3<f64>)>,
+) {
+    if columns.len() != joints.len() {
+        let none = Vector3::repeat(f64::NAN);
+        columns.fill(Twist {
+            vel: none,
+            rot: none,
+        });
+        return;
+    }
+    for (column, (axis, arm)) in columns.iter_mut().zip(joints) {
+        *column = Twist {
+            vel: axis.cross(&arm),
+            rot: axis,
+        };
+    }
 }

@@ -3,11 +3,13 @@
 //! arms whose wrist axes do not intersect in a point.
 
 use nalgebra::{Matrix3, Vector3};
-use takt_net::Frame;
 use takt_net::device::{Kinematics, Unreachable};
+use takt_net::{Frame, Twist};
 
 use super::wrist::zyz;
-use super::{Nearest, Range, checked, frame, joints_or_nan, rot_y, rot_z, two_links};
+use super::{
+    Nearest, Range, checked, columns_or_nan, frame, joints_or_nan, rot_y, rot_z, two_links,
+};
 
 /// Dimensions of an arm with ortho-parallel basis and spherical wrist, m, and the signs of its
 /// joints.
@@ -173,5 +175,32 @@ impl Kinematics for Opw {
         }
         joints.copy_from_slice(&nearest.result()?);
         Ok(())
+    }
+
+    fn jacobian(&self, joints: &[f64], columns: &mut [Twist]) {
+        let g = &self.geometry;
+        let [q1, q2, q3, q4, q5, _] = self.angles(joints_or_nan(joints));
+        let base = rot_z(q1);
+        let (upper, lower) = (base * rot_y(q2), base * rot_y(q2 + q3));
+        let roll = lower * rot_z(q4);
+        let pitch = roll * rot_y(q5);
+        // From the wrist, axis 3, axis 2 and axis 1 to the flange.
+        let hand = pitch.column(2) * g.c4;
+        let elbow = hand + lower * Vector3::new(g.a2, 0.0, g.c3);
+        let shoulder = elbow + upper * Vector3::new(0.0, 0.0, g.c2);
+        let whole = shoulder + base * Vector3::new(g.a1, g.b, 0.0);
+        let axes = [
+            (Vector3::z(), whole),
+            (base.column(1).into_owned(), shoulder),
+            (base.column(1).into_owned(), elbow),
+            (lower.column(2).into_owned(), hand),
+            (roll.column(1).into_owned(), hand),
+            (pitch.column(2).into_owned(), hand),
+        ];
+        let signed = axes.into_iter().zip(g.signs);
+        columns_or_nan(
+            columns,
+            signed.map(|((axis, arm), sign)| (axis * sign, arm)),
+        );
     }
 }

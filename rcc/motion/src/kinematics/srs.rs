@@ -3,12 +3,17 @@
 //! is not decided here: the arm angle is that of the hint, and changes only where joint limits
 //! force it.
 
+mod near;
+
 use nalgebra::{Matrix3, Vector3};
 use takt_net::device::{Kinematics, Unreachable};
 use takt_net::{Frame, Twist};
 
 use super::wrist::zyz;
-use super::{Nearest, Range, checked, frame, joints_or_nan, rot_y, rot_z, two_links};
+use super::{
+    Nearest, Range, checked, columns_or_nan, frame, joints_or_nan, rot_y, rot_z, two_links,
+};
+use near::Pose;
 
 /// Distance of the wrist centre from axis 1 below which it counts as on the axis, m.
 const ON_AXIS: f64 = 1e-9;
@@ -236,25 +241,62 @@ impl Srs {
         if !alpha.is_finite() {
             return Err(Unreachable::Invalid);
         }
-        let g = &self.geometry;
         let angles = self.signed(hint);
+        let pose = self.pose(flange);
+        let (sin, cos) = alpha.sin_cos();
+        let bend = 1.0_f64.copysign(angles[3]);
+        match self.near(&pose, [bend * cos, bend * sin], &hint, &angles) {
+            Some(joints) => Ok(joints),
+            None => self.search(&pose, alpha, hint, &angles),
+        }
+    }
+
+    /// The solutions found without a search and by one; `None` if the former gives up.
+    #[cfg(test)]
+    pub(super) fn both(
+        &self,
+        flange: &Frame,
+        hint: &[f64; 7],
+    ) -> Option<([f64; 7], Result<[f64; 7], Unreachable>)> {
+        let (axes, pose) = (self.signed(*hint), self.pose(flange));
+        let near = self.near(&pose, self.side(&axes)?, hint, &axes)?;
+        let alpha = self.forward_alpha(hint).1;
+        Some((near, self.search(&pose, alpha, *hint, &axes)))
+    }
+
+    fn pose(&self, flange: &Frame) -> Pose {
+        let g = &self.geometry;
         let rotation = flange.rotation.to_rotation_matrix().into_inner();
         let position = flange.translation.vector;
         let wrist = position - Vector3::z() * g.base - rotation.column(2) * g.hand;
+        Pose { wrist, rotation }
+    }
+
+    /// The nearest of all solutions: of four at this arm angle for each side of the elbow, or, where joint limits
+    /// forbid these, of those with a joint at its limit.
+    fn search(
+        &self,
+        pose: &Pose,
+        alpha: f64,
+        hint: [f64; 7],
+        angles: &[f64; 7],
+    ) -> Result<[f64; 7], Unreachable> {
+        let g = &self.geometry;
+        let Pose { wrist, rotation } = pose;
         let bend = 1.0_f64.copysign(angles[3]);
-        let same = Triangle::new(g, &wrist, bend)?;
-        let other = Triangle::new(g, &wrist, -bend)?;
+        let same = Triangle::new(g, wrist, bend)?;
+        let other = Triangle::new(g, wrist, -bend)?;
         // The elbow bent to the other side has the same position half a turn further.
         let turned = alpha + std::f64::consts::PI;
         let sweeps = [
-            (Sweep::new(&same, &rotation), same.elbow, alpha),
-            (Sweep::new(&other, &rotation), other.elbow, turned),
+            (Sweep::new(&same, rotation), same.elbow, alpha),
+            (Sweep::new(&other, rotation), other.elbow, turned),
         ];
 
         let mut nearest = Nearest::new(hint, self.ranges);
         let mut free = Nearest::new(hint, [UNLIMITED; 7]);
         for (sweep, elbow, alpha) in &sweeps {
-            self.each(sweep, *elbow, *alpha, &angles, |solution| {
+            self.each(sweep, *elbow, *alpha, angles, |solution| {
                 nearest.offer(solution);
                 free.offer(solution);
             });
@@ -263,7 +305,7 @@ impl Srs {
             // The elbow changes its side only if the present side has no solution.
             for (sweep, elbow, _) in &sweeps {
                 self.on_limits(sweep, |alpha, joint, limit| {
-                    self.each(sweep, *elbow, alpha, &angles, |solution| {
+                    self.each(sweep, *elbow, alpha, angles, |solution| {
                         if is_turn_of(solution[joint], limit) {
                             nearest.offer(solution);
                         }
@@ -383,8 +425,38 @@ impl Kinematics for Srs {
 
     fn inverse(&self, flange: &Frame, hint: &[f64], joints: &mut [f64]) -> Result<(), Unreachable> {
         let hint: [f64; 7] = checked(flange, hint, joints)?;
-        let (_, alpha) = self.forward_alpha(&hint);
-        joints.copy_from_slice(&self.inverse_alpha(flange, alpha, &hint)?);
+        let axes = self.signed(hint);
+        let pose = self.pose(flange);
+        let side = self.side(&axes);
+        let near = side.and_then(|side| self.near(&pose, side, &hint, &axes));
+        let solution = match near {
+            Some(solution) => solution,
+            None => self.search(&pose, self.forward_alpha(&hint).1, hint, &axes)?,
+        };
+        joints.copy_from_slice(&solution);
         Ok(())
+    }
+
+    fn jacobian(&self, joints: &[f64], columns: &mut [Twist]) {
+        let g = &self.geometry;
+        let angles = self.signed(joints_or_nan(joints));
+        let mut rotation = Matrix3::identity();
+        let mut axes = [Vector3::zeros(); 7];
+        let mut links = [Vector3::zeros(); 3];
+        for (i, angle) in angles.into_iter().enumerate() {
+            let is_pivot = i % 2 == 0;
+            axes[i] = rotation.column(if is_pivot { 2 } else { 1 }) * g.signs[i];
+            rotation *= if is_pivot { rot_z(angle) } else { rot_y(angle) };
+            match i {
+                2 => links[0] = rotation.column(2) * g.upper,
+                3 => links[1] = rotation.column(2) * g.lower,
+                _ => {}
+            }
+        }
+        // From shoulder, elbow and wrist to the flange.
+        let hand = rotation.column(2) * g.hand;
+        let (forearm, arm) = (hand + links[1], hand + links[1] + links[0]);
+        let arms = [arm, arm, arm, forearm, hand, hand, hand];
+        columns_or_nan(columns, axes.into_iter().zip(arms));
     }
 }

@@ -387,3 +387,113 @@ fn turns_stay_within_range() {
     assert_eq!(Range::degrees(-90.0, 90.0).nearest_turn(3.0, 0.0), None);
     assert_eq!(range.nearest_turn(f64::NAN, 0.0), None);
 }
+
+#[test]
+fn jacobian_is_derivative_of_forward() {
+    let mut random = Random::new(11);
+    for name in [
+        "staubli_tx90",
+        "kuka_lwr4",
+        "kuka_iiwa7",
+        "kuka_iiwa14",
+        "kuka_youbot",
+    ] {
+        let arm = named(name).expect("a known arm");
+        for _ in 0..500 {
+            let joints: Vec<_> = (0..arm.joints())
+                .map(|_| random.between(-3.0, 3.0))
+                .collect();
+            let mut columns = vec![Twist::default(); arm.joints()];
+            arm.jacobian(&joints, &mut columns);
+            for (joint, column) in columns.iter().enumerate() {
+                let h = 1e-5;
+                let at = |by: f64| {
+                    let mut joints = joints.clone();
+                    joints[joint] += by;
+                    arm.forward(&joints)
+                };
+                let (before, after) = (at(-h), at(h));
+                let vel = (after.translation.vector - before.translation.vector) / (2.0 * h);
+                let rot = (after.rotation * before.rotation.inverse()).scaled_axis() / (2.0 * h);
+                assert!(
+                    (column.vel - vel).norm() < 1e-8,
+                    "{name} {joint} {joints:?}"
+                );
+                assert!(
+                    (column.rot - rot).norm() < 1e-6,
+                    "{name} {joint} {joints:?}"
+                );
+            }
+        }
+        let mut columns = vec![Twist::default(); arm.joints()];
+        arm.jacobian(&vec![f64::NAN; arm.joints()], &mut columns);
+        assert!(columns.iter().any(|c| c.vel.x.is_nan()), "{name}");
+        arm.jacobian(&vec![0.0; arm.joints()], &mut columns[1..]);
+        assert!(columns[1].vel.x.is_nan(), "{name}");
+    }
+}
+
+/// What is found without a search is what a search among all solutions finds.
+#[test]
+fn srs_solution_near_hint_is_that_of_search() {
+    let mut random = Random::new(12);
+    for arm in [Srs::kuka_lwr4(), Srs::kuka_iiwa7(), Srs::kuka_iiwa14()] {
+        let mut compared = 0;
+        for number in 0..2_000 {
+            let hint = random_joints(&mut random, &arm.ranges());
+            let spread = [0.001, 0.1, 1.0][number % 3];
+            let joints = hint.map(|q| q + random.between(-spread, spread));
+            let flange = arm.forward(&joints);
+            let Some((near, search)) = arm.both(&flange, &hint) else {
+                continue;
+            };
+            let search = search.expect("the solution without a search");
+            let farther = difference(&near, &hint) - difference(&search, &hint);
+            // Where several joints are close to their limits, the search may find one a little nearer.
+            let on_limit = near
+                .iter()
+                .zip(arm.ranges())
+                .any(|(q, r)| q - r.min < 1e-4 || r.max - q < 1e-4);
+            let most = if on_limit { 1e-2 } else { 1e-6 };
+            assert!(
+                farther < most,
+                "{number}: {farther} {near:?} {search:?} {hint:?}"
+            );
+            assert!(
+                error(&arm.forward(&near), &flange) < 1e-9,
+                "{number}: {near:?}"
+            );
+            compared += 1;
+        }
+        assert!(compared > 1_200, "{compared}");
+    }
+}
+
+/// Along a smooth path nearly every solution is found without a search, and joints move smoothly.
+#[test]
+fn srs_smooth_path_seldom_needs_search() {
+    let arm = Srs::kuka_lwr4();
+    let mut random = Random::new(13);
+    let (mut found, mut all) = (0, 0);
+    for _ in 0..40 {
+        let mut hint = random_joints(&mut random, &arm.ranges());
+        let start = arm.forward(&hint);
+        let step = Vector3::from_fn(|_, _| random.between(-7e-4, 7e-4));
+        let turn = Vector3::from_fn(|_, _| random.between(-1e-3, 1e-3));
+        for number in 0..200 {
+            let along = f64::from(number);
+            let rotation = UnitQuaternion::from_scaled_axis(turn * along) * start.rotation;
+            let position = start.translation.vector + step * along;
+            let flange = Frame::from_parts(position.into(), rotation);
+            let near = arm.both(&flange, &hint).is_some();
+            let mut joints = [0.0; 7];
+            if arm.inverse(&flange, &hint, &mut joints).is_err() {
+                break;
+            }
+            all += 1;
+            found += u32::from(near);
+            hint = joints;
+        }
+    }
+    assert!(all > 2_000 && found * 1000 > all * 995, "{found} of {all}");
+}

@@ -3,10 +3,12 @@
 //! it knows which part of the orientation matters.
 
 use nalgebra::Vector3;
-use takt_net::Frame;
 use takt_net::device::{Kinematics, Unreachable};
+use takt_net::{Frame, Twist};
 
-use super::{Nearest, Range, checked, frame, joints_or_nan, rot_y, rot_z, two_links};
+use super::{
+    Nearest, Range, checked, columns_or_nan, frame, joints_or_nan, rot_y, rot_z, two_links,
+};
 
 /// Position of axis 1 in the base, m.
 const BASE: [f64; 3] = [0.024, 0.0, 0.096];
@@ -136,5 +138,29 @@ impl Kinematics for YouBot {
         }
         joints.copy_from_slice(&nearest.result()?);
         Ok(())
+    }
+
+    fn jacobian(&self, joints: &[f64], columns: &mut [Twist]) {
+        let [a1, a2, a3, a4, _] = angles(joints_or_nan(joints));
+        let base = rot_z(a1);
+        let hand = base * rot_y(a2 + a3 + a4);
+        // From axis 4, axis 3, axis 2 and axis 1 to the flange.
+        let wrist = hand * Vector3::new(HAND[0], 0.0, HAND[1]);
+        let elbow = wrist + base * rot_y(a2 + a3).column(2) * LOWER;
+        let shoulder = elbow + base * rot_y(a2).column(2) * UPPER;
+        let whole = shoulder + base * Vector3::new(SHOULDER[0], 0.0, SHOULDER[1]);
+        let lateral = base.column(1).into_owned();
+        let axes = [
+            (Vector3::z(), whole),
+            (lateral, shoulder),
+            (lateral, elbow),
+            (lateral, wrist),
+            (hand.column(2).into_owned(), Vector3::zeros()),
+        ];
+        let signed = axes.into_iter().zip(ZERO);
+        columns_or_nan(
+            columns,
+            signed.map(|((axis, arm), (_, sign))| (axis * sign, arm)),
+        );
     }
 }

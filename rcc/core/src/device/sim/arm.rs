@@ -13,7 +13,7 @@
 use std::sync::Arc;
 
 use takt_net::device::{Answer, Interfaces, Kinematics, Layout, Order, Tool};
-use takt_net::value::{Vector, Wrench};
+use takt_net::value::{Twist, Vector, Wrench};
 use takt_net::{JointLimits, JointState};
 use takt_rt::Nanos;
 
@@ -32,8 +32,6 @@ use crate::error::Error;
 const SWITCH_DISTANCE: f64 = 0.01;
 /// A joint faster than this is not at rest, rad/s.
 const RESTING: f64 = 1e-3;
-/// Joint step for numerical differentiation, rad.
-const PROBE: f64 = 1e-6;
 /// Drive flags: motor at rest, position control, initialized.
 const DRIVE_FLAGS: [i32; 3] = [1 << 4, 1 << 10, 1 << 15];
 
@@ -372,16 +370,11 @@ impl SimulatedArm {
                 *angle = motion.position;
             }
             let count = self.joints.len();
-            let flange = kinematics.forward(&angles[..count]);
-            for i in 0..count {
+            let mut columns = [Twist::default(); ARM_JOINTS_MAX];
+            kinematics.jacobian(&angles[..count], &mut columns[..count]);
+            for (torque, column) in torques.iter_mut().zip(&columns[..count]) {
                 // Virtual work: the torque is the work of the wrench per joint angle.
-                let angle = angles[i];
-                angles[i] = angle + PROBE;
-                let moved = kinematics.forward(&angles[..count]);
-                angles[i] = angle;
-                let path = moved.translation.vector - flange.translation.vector;
-                let turn = (moved.rotation * flange.rotation.inverse()).scaled_axis();
-                torques[i] += (wrench.force.dot(&path) + wrench.torque.dot(&turn)) / PROBE;
+                *torque += wrench.force.dot(&column.vel) + wrench.torque.dot(&column.rot);
             }
         }
         torques

@@ -5,12 +5,10 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix6, Vector6};
 use takt_net::device::Kinematics;
-use takt_net::value::{Vector, Wrench};
+use takt_net::value::{Twist, Vector, Wrench};
 
 use super::protocol::{AXES, Joints};
 
-/// Joint step for numerical differentiation, rad.
-const PROBE: f64 = 1e-6;
 /// Poses with less leverage than this in a direction, m or 1, yield no estimate.
 const LEVERAGE_MIN: f64 = 0.05;
 
@@ -49,19 +47,14 @@ impl ForceByTorques {
         })
     }
 
-    /// Jacobian of the flange.
+    /// Jacobian of the flange, by columns.
     fn jacobian(&self, joints: &Joints) -> Option<[Vector6<f64>; AXES]> {
-        let kinematics = self.kinematics.as_ref()?;
-        let flange = kinematics.forward(joints);
-        let back = flange.rotation.inverse();
-        Some(std::array::from_fn(|axis| {
-            let mut probed = *joints;
-            probed[axis] += PROBE;
-            let moved = kinematics.forward(&probed);
-            let shift = (moved.translation.vector - flange.translation.vector) / PROBE;
-            let turn = (moved.rotation * back).scaled_axis() / PROBE;
-            Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
-        }))
+        let mut columns = [Twist::default(); AXES];
+        self.kinematics.as_ref()?.jacobian(joints, &mut columns);
+        Some(
+            columns
+                .map(|Twist { vel, rot }| Vector6::new(vel.x, vel.y, vel.z, rot.x, rot.y, rot.z)),
+        )
     }
 }
 
@@ -86,7 +79,7 @@ mod tests {
             let estimate = arm.estimate(&BENT, &torques(&arm, wrench)).unwrap();
             let force = estimate.force - Vector::new(10.0, -20.0, 30.0);
             let torque = estimate.torque - Vector::new(1.0, -2.0, 3.0);
-            assert!(force.norm() < 1e-4 && torque.norm() < 1e-4, "{estimate:?}");
+            assert!(force.norm() < 1e-9 && torque.norm() < 1e-9, "{estimate:?}");
         }
     }
 

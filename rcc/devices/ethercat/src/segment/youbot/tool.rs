@@ -5,10 +5,7 @@ use takt_ethercat::youbot::ARM;
 use takt_motion::kinematics::YouBot;
 use takt_net::Frame;
 use takt_net::device::Kinematics;
-use takt_net::value::{Rotation, Wrench};
-
-/// Half of the joint step for numerical differentiation, rad: sufficient for six digits.
-const STEP: f64 = 1e-5;
+use takt_net::value::{Rotation, Twist, Vector, Wrench};
 
 /// Position (rad) and speed (rad/s) of each joint.
 pub(super) type Motions = [[f64; 2]; 5];
@@ -59,13 +56,12 @@ fn offset(seen: &Rotation, from: &Frame, to: &Frame) -> Axes {
 impl Tool {
     /// Flange velocity per joint velocity (m/s and rad/s for 1 rad/s).
     fn jacobian(&self, joints: &[f64; 5], here: &Frame) -> [Axes; 5] {
-        std::array::from_fn(|n| {
-            let at = |by: f64| {
-                let mut joints = *joints;
-                joints[n] += by;
-                self.arm.forward(&joints)
-            };
-            offset(&here.rotation, &at(-STEP), &at(STEP)).map(|offset| offset / (2.0 * STEP))
+        let mut columns = [Twist::default(); 5];
+        self.arm.jacobian(joints, &mut columns);
+        columns.map(|Twist { vel, rot }| {
+            let back = |v: &Vector| here.rotation.inverse_transform_vector(v);
+            let (vel, rot) = (back(&vel), back(&rot));
+            [vel.x, vel.y, vel.z, rot.x, rot.y, rot.z]
         })
     }
 
