@@ -135,6 +135,14 @@ impl<R: Read> Iterator for Reader<R> {
     }
 }
 
+/// The time of day in UTC of a time stamp since 1970, with microseconds.
+pub fn time_of_day(at: Duration) -> String {
+    let seconds = at.as_secs() % 86_400;
+    let (hours, minutes) = (seconds / 3_600, seconds / 60 % 60);
+    let (seconds, micros) = (seconds % 60, at.subsec_micros());
+    format!("{hours:02}:{minutes:02}:{seconds:02}.{micros:06}")
+}
+
 /// A decoded datagram.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Decoded {
@@ -210,13 +218,10 @@ impl fmt::Display for Decoded {
 impl fmt::Display for Datagram {
     /// One line: time of day in UTC, addresses, content.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let seconds = self.at.as_secs() % 86_400;
-        let (hours, minutes) = (seconds / 3_600, seconds / 60 % 60);
-        let (seconds, micros) = (seconds % 60, self.at.subsec_micros());
-        write!(f, "{hours:02}:{minutes:02}:{seconds:02}.{micros:06} ")?;
         write!(
             f,
-            "{} > {} {}",
+            "{} {} > {} {}",
+            time_of_day(self.at),
             self.from,
             self.to,
             Decoded::of(&self.bytes)

@@ -200,10 +200,8 @@ impl Client {
         let reception = self.sunrise.handle_datagram(bytes, now)?;
         self.version = Some(Version::Sunrise(self.sunrise.dialect()));
         if let Some(message) = self.sunrise.message() {
-            self.observer.handle_measurement(Measurement {
-                is_due: reception.is_due,
-                ..Measurement::sunrise(now, message)
-            });
+            self.observer
+                .handle_measurement(Measurement::sunrise(now, message));
         }
         Ok(Reception {
             is_new: reception.order.is_new(),
@@ -256,6 +254,11 @@ impl Client {
     /// Records that the answer built last left at `at`.
     pub fn handle_sent(&mut self, at: Duration) {
         self.observer.handle_answer(at, self.sent_sequence());
+    }
+
+    /// Records that the last datagram, which the kernel received `delay` earlier, was handled: what this host adds.
+    pub fn handle_wake_up(&mut self, delay: Duration) {
+        self.observer.handle_wake_up(delay);
     }
 
     /// Checks the receive timeout at `now`; returns whether the controller has just become offline.

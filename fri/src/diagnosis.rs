@@ -10,11 +10,20 @@ mod measurement;
 mod recording;
 #[cfg(test)]
 mod tests;
+#[cfg(feature = "pcap")]
+mod timeline;
+
+#[cfg(feature = "pcap")]
+pub use timeline::{Change, Timeline};
 
 /// Counter jumps up to this width are loss, wider ones a restart.
 const COUNTER_WINDOW: u16 = 50;
-/// Fewer measurements than this give no verdict.
+/// Fewer measurements than this give no verdict, if that many take no longer than [`FEW_SPAN`].
 const FEW: u64 = 100;
+/// This time gives a verdict even with fewer measurements, of slow controllers.
+const FEW_SPAN: Duration = Duration::from_secs(2);
+/// Answers in the controller's own mean of FRI 1.0: before that many it says nothing.
+const ANSWER_WINDOW: u64 = 100;
 /// Share of measurements or answers above which loss or lateness is reported.
 const SHARE: f64 = 0.005;
 /// Share of the period above which irregular arrival is reported.
@@ -35,14 +44,25 @@ pub struct Observed {
     pub restarts: u64,
     /// Answers sent.
     pub answers: u64,
-    /// Measurements answered later than half a period after arrival, or not at all although an answer was due.
+    /// Answers that left later than half a command period after the arrival of the measurement that they reflect.
     pub late: u64,
+    /// Measurements that were due for an answer and got none, although the next one gave this host time for it. Those
+    /// before the first answer do not count.
+    pub unanswered: u64,
+    /// Measurements that were due for an answer and overtaken by the next one in less than half a period: they arrive in
+    /// bursts.
+    pub overtaken: u64,
     /// Measurements that reflect an answer of this host: the controller received it.
     pub acknowledged: u64,
     /// Measurements that reflect a new answer of another client.
     pub foreign: u64,
-    /// Longest time from a measurement to its answer.
+    /// Longest time from the arrival of a measurement to the answer that reflects it.
     pub answer_time_max: Duration,
+    /// Largest number of measurements by which an answer was behind the newest one.
+    pub behind_max: u32,
+    /// Longest time from the arrival of a measurement, by the kernel's stamp, until the program had it: what the host adds.
+    /// `None` if it is not measured, as in recordings.
+    pub wake_up_max: Option<Duration>,
     /// Mean deviation of the interval between arrivals from the period, each on its own clock.
     pub arrival_jitter: Duration,
     /// The same by the controller's time stamps; `None` if they are missing or too coarse.
@@ -72,10 +92,17 @@ pub enum Verdict {
     },
     /// This host answers late.
     Host {
-        /// Share of measurements answered late or never, 0..=1.
+        /// Share of answers that left late, 0..=1.
         late: f64,
         /// Longest time to an answer.
         worst: Duration,
+        /// Longest time of it until the program had the measurement, if it is measured.
+        wake_up: Option<Duration>,
+    },
+    /// This host leaves measurements unanswered.
+    Skipped {
+        /// Share of measurements left unanswered, 0..=1.
+        unanswered: f64,
     },
     /// The controller received no answer of this host.
     NotReceived,
@@ -118,11 +145,10 @@ pub fn judge(observed: &Observed) -> Verdict {
         ..
     } = *observed;
     let irregular = period.mul_f64(IRREGULAR);
-    let worse = |part: u64, of: u64| share(part, of) > SHARE;
     if measurements == 0 {
         return Verdict::Silent;
     }
-    if measurements < FEW {
+    if measurements < few(period) {
         return Verdict::TooFew { measurements };
     }
     if observed.answers == 0 {
@@ -132,16 +158,12 @@ pub fn judge(observed: &Observed) -> Verdict {
         let foreign = share(observed.foreign, measurements);
         return Verdict::SecondClient { foreign };
     }
-    let is_hither = worse(lost, measurements + lost) || worse(disordered, measurements);
-    // The host cannot answer in time a measurement that is overtaken at once.
-    let is_theirs = is_hither && lost + disordered > observed.late;
-    if worse(observed.late, measurements) && !is_theirs {
-        let late = share(observed.late, measurements);
-        let worst = observed.answer_time_max;
-        return Verdict::Host { late, worst };
-    }
-    if observed.acknowledged == 0 && observed.answers >= FEW {
+    if is_deaf(observed) {
         return Verdict::NotReceived;
+    }
+    let is_hither = worse(lost, measurements + lost) || worse(disordered, measurements);
+    if let Some(verdict) = judge_host(observed, is_hither) {
+        return verdict;
     }
     if let Some(jitter) = observed.stamp_jitter.filter(|it| *it > irregular) {
         return Verdict::Controller { jitter };
@@ -150,21 +172,70 @@ pub fn judge(observed: &Observed) -> Verdict {
         let lost = share(lost, measurements + lost);
         return Verdict::NetworkInbound { lost, disordered };
     }
-    if observed.arrival_jitter > irregular {
+    if observed.arrival_jitter > irregular || worse(observed.overtaken, measurements) {
         let jitter = observed.arrival_jitter;
         return Verdict::NetworkJitter { jitter };
     }
     judge_answers(observed)
 }
 
+/// Measurements that a verdict needs.
+fn few(period: Duration) -> u64 {
+    let in_span = FEW_SPAN.as_nanos() / period.as_nanos().max(1);
+    u64::try_from(in_span).unwrap_or(FEW).min(FEW)
+}
+
+/// Whether the controller receives no answer of this host, or no more.
+fn is_deaf(observed: &Observed) -> bool {
+    let Observed {
+        answers,
+        acknowledged,
+        ..
+    } = *observed;
+    let is_enough = answers >= few(observed.period);
+    is_enough && (acknowledged == 0 || (!observed.is_good && acknowledged < answers / 2))
+}
+
+/// What this host does wrong, if it does.
+fn judge_host(observed: &Observed, is_hither: bool) -> Option<Verdict> {
+    if worse(observed.late, observed.answers) {
+        return Some(Verdict::Host {
+            late: share(observed.late, observed.answers),
+            worst: observed.answer_time_max,
+            wake_up: observed.wake_up_max,
+        });
+    }
+    let due = observed.answers + observed.unanswered;
+    // What a network disorders may leave no time for an answer.
+    let is_theirs = is_hither && observed.lost + observed.disordered > observed.unanswered;
+    (worse(observed.unanswered, due) && !is_theirs).then(|| Verdict::Skipped {
+        unanswered: share(observed.unanswered, due),
+    })
+}
+
 fn judge_answers(observed: &Observed) -> Verdict {
-    let ours =
-        share(observed.late, observed.measurements) + share(observed.lost, observed.measurements);
-    match observed.answer_rate.map(|rate| 1.0 - rate - ours) {
+    let Observed {
+        late,
+        unanswered,
+        overtaken,
+        lost,
+        measurements,
+        ..
+    } = *observed;
+    let ours = share(late + unanswered + overtaken + lost, measurements);
+    let is_counted = observed.answers >= ANSWER_WINDOW;
+    let rate = observed.answer_rate.filter(|_| is_counted);
+    match rate.map(|rate| 1.0 - rate - ours) {
         Some(missing) if missing > 2.0 * SHARE => Verdict::NetworkOutbound { missing },
         Some(_) | None if observed.is_good => Verdict::Good,
+        Some(_) | None if !is_counted => Verdict::TooFew { measurements },
         Some(_) | None => Verdict::Unexplained,
     }
+}
+
+/// Whether so many are a pattern: one is none.
+fn worse(part: u64, of: u64) -> bool {
+    part > 1 && share(part, of) > SHARE
 }
 
 fn share(part: u64, of: u64) -> f64 {
@@ -189,9 +260,9 @@ impl Verdict {
                 "find the other client and stop it: an old driver still running, or a PC with this host's address"
             }
             Self::NotReceived => {
-                "check this host's route and netmask towards the controller, firewalls in between, and that the controller sends to this address"
+                "check this host's route and netmask towards the controller, firewalls on both sides, and that the controller expects its answers from this address and port"
             }
-            Self::Host { .. } => {
+            Self::Host { .. } | Self::Skipped { .. } => {
                 "give the driver real-time priority and a processor of its own, see `takt doctor`; lengthen the period if that does not suffice"
             }
             Self::Controller { .. } => {
@@ -223,9 +294,23 @@ impl fmt::Display for Verdict {
                 write!(f, "{:.1} % of the answers it received", percent(foreign))
             }
             Self::NotReceived => write!(f, "the controller does not receive this host's answers"),
-            Self::Host { late, worst } => {
-                write!(f, "this host is late: {:.1} % of answers, ", percent(late))?;
-                write!(f, "the worst after {worst:.1?}")
+            Self::Host {
+                late,
+                worst,
+                wake_up,
+            } => {
+                write!(f, "this host answers late: {:.1} % of ", percent(late))?;
+                write!(f, "answers, the worst after {worst:.1?}")?;
+                wake_up.map_or(Ok(()), |wake_up| {
+                    write!(f, "; the driver woke up as late as {wake_up:.1?}")
+                })
+            }
+            Self::Skipped { unanswered } => {
+                let unanswered = percent(unanswered);
+                write!(
+                    f,
+                    "this host leaves {unanswered:.1} % of measurements unanswered"
+                )
             }
             Self::Controller { jitter } => {
                 write!(
@@ -269,8 +354,8 @@ pub struct Measurement {
     pub stamp: Option<Duration>,
     /// Stated period.
     pub period: Duration,
-    /// Whether an answer is due: to every measurement, or to every `receiveMultiplier`-th.
-    pub is_due: bool,
+    /// Measurements per answer that the controller expects, from 1 (`receiveMultiplier`).
+    pub answer_every: u32,
     /// As in [`Observed::answer_rate`].
     pub answer_rate: Option<f64>,
     /// Whether the quality suffices for commands.
@@ -283,12 +368,24 @@ pub struct Observer {
     tracker: Tracker,
     observed: Observed,
     last: Option<Measurement>,
-    /// Arrival of the last measurement whose answer is due and not yet sent.
-    waiting: Option<Duration>,
+    /// The measurement whose answer is due and not yet sent.
+    waiting: Option<Waiting>,
+    /// Counter of the measurement that the newest answer reflects.
+    answered: Option<u32>,
     /// Counter of the newest answer.
     sent: Option<u32>,
+    /// The counter that the controller reflected before the first answer: no proof that it received one, even if it is
+    /// near ours, because clients and controllers begin at zero.
+    before: Option<u32>,
     arrivals: Deviation,
     stamps: Deviation,
+}
+
+/// A measurement without its answer yet.
+#[derive(Debug, Clone, Copy)]
+struct Waiting {
+    arrival: Duration,
+    sequence: u32,
 }
 
 /// Sum and number of deviations from a period.
@@ -326,7 +423,9 @@ impl Observer {
             observed: Observed::default(),
             last: None,
             waiting: None,
+            answered: None,
             sent: None,
+            before: None,
             arrivals: Deviation::default(),
             stamps: Deviation::default(),
         }
@@ -358,11 +457,32 @@ impl Observer {
         if let (Some(cycles), Some(last)) = (cycles, self.last) {
             self.compare(&last, &measurement, cycles);
         }
-        if self.waiting.take().is_some() {
-            self.observed.late += 1;
-        }
-        self.waiting = measurement.is_due.then_some(measurement.at);
+        self.await_answer(&measurement);
         self.last = Some(measurement);
+    }
+
+    /// Waits for the answer to a measurement, if it is due. That to the one before cannot come any more.
+    fn await_answer(&mut self, measurement: &Measurement) {
+        let every = measurement.answer_every.max(1);
+        let sequence = measurement.sequence;
+        let apart = |from: u32| self.tracker.distance(from, sequence);
+        let next = Waiting {
+            arrival: measurement.at,
+            sequence,
+        };
+        if let Some(waiting) = self.waiting {
+            if apart(waiting.sequence) < every {
+                return;
+            }
+            let span = measurement.at.saturating_sub(waiting.arrival);
+            let has_begun = self.sent.is_some();
+            let is_burst = span < measurement.period / 2;
+            self.observed.overtaken += u64::from(has_begun && is_burst);
+            self.observed.unanswered += u64::from(has_begun && !is_burst);
+            self.waiting = Some(next);
+        } else if self.answered.is_none_or(|last| apart(last) >= every) {
+            self.waiting = Some(next);
+        }
     }
 
     fn compare(&mut self, last: &Measurement, next: &Measurement, cycles: u32) {
@@ -376,8 +496,13 @@ impl Observer {
     /// The reflected counter belongs to a recent answer of this host, is unchanged, or belongs to another client.
     fn handle_reflection(&mut self, reflected: u32) {
         let Some(sent) = self.sent else {
+            self.before = Some(reflected);
             return;
         };
+        if self.before == Some(reflected) {
+            return;
+        }
+        self.before = None;
         // A counter newer than the newest answer is ours, too: a recording may miss answers.
         let tracker = &self.tracker;
         let apart = tracker
@@ -390,16 +515,38 @@ impl Observer {
         }
     }
 
-    /// Counts a sent answer with its counter.
+    /// Notes how long after its arrival the program had the newest measurement.
+    pub fn handle_wake_up(&mut self, delay: Duration) {
+        let worst = &mut self.observed.wake_up_max;
+        *worst = Some(worst.unwrap_or_default().max(delay));
+    }
+
+    /// Counts an answer to the newest measurement, sent `at`, with its counter.
     pub fn handle_answer(&mut self, at: Duration, sequence: u32) {
+        let newest = self.last.map_or(0, |last| last.sequence);
+        self.handle_answer_to(newest, at, sequence);
+    }
+
+    /// Counts an answer with its counter, sent `at`; `reflected` is the counter of the measurement that it answers.
+    pub fn handle_answer_to(&mut self, reflected: u32, at: Duration, sequence: u32) {
         self.observed.answers += 1;
         self.sent = Some(sequence);
-        let Some(came) = self.waiting.take() else {
+        self.answered = Some(reflected);
+        let Some(newest) = self.last else {
             return;
         };
-        let took = at.saturating_sub(came);
-        self.observed.answer_time_max = self.observed.answer_time_max.max(took);
-        self.observed.late += u64::from(took > self.observed.period / 2);
+        let behind = self.tracker.behind(reflected, newest.sequence);
+        let is_due = self.waiting.take().is_some();
+        if !is_due && behind == 0 {
+            return;
+        }
+        let since = newest.period.saturating_mul(behind);
+        let took = at.saturating_sub(newest.at).saturating_add(since);
+        let observed = &mut self.observed;
+        observed.behind_max = observed.behind_max.max(behind);
+        observed.answer_time_max = observed.answer_time_max.max(took);
+        let command_period = newest.period.saturating_mul(newest.answer_every.max(1));
+        observed.late += u64::from(took > command_period / 2);
     }
 
     /// Counters so far.

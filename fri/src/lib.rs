@@ -16,6 +16,8 @@ pub mod guard;
 pub mod linux;
 pub mod lwr;
 mod sequence;
+#[cfg(all(target_os = "linux", feature = "pcap"))]
+pub mod silence;
 pub mod sunrise;
 
 /// The transport of datagrams.

@@ -85,6 +85,12 @@ impl Tracker {
         to.wrapping_sub(from) & self.mask
     }
 
+    /// How far `number` is behind `newest`; 0 for a number that is ahead.
+    pub(crate) fn behind(&self, number: u32, newest: u32) -> u32 {
+        let behind = self.distance(number, newest);
+        if behind > self.mask / 2 { 0 } else { behind }
+    }
+
     fn classify(&self, number: u32) -> Order {
         if !self.is_known {
             return Order::First;

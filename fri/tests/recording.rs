@@ -7,7 +7,7 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::Duration;
 use takt_fri::capture::{Datagram, Decoded, Reader, Writer};
-use takt_fri::diagnosis::{Observer, Verdict};
+use takt_fri::diagnosis::{Change, Observer, Timeline, Verdict};
 use takt_fri::lwr::emulator::{Krc, KrcConfig};
 use takt_fri::lwr::wire::{Cmd, Msr};
 use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
@@ -43,18 +43,32 @@ impl Tape {
         self.0.write(&datagram).unwrap();
     }
 
-    fn verdict(self) -> Verdict {
+    fn datagrams(self) -> Vec<Datagram> {
         let file = self.0.into_inner();
-        let datagrams: Vec<_> = Reader::new(&file[..])
-            .unwrap()
-            .map(Result::unwrap)
-            .collect();
+        let datagrams = Reader::new(&file[..]).unwrap();
+        datagrams.map(Result::unwrap).collect()
+    }
+
+    fn verdict(self) -> Verdict {
+        let datagrams = self.datagrams();
         let first = Decoded::of(&datagrams[0].bytes);
         let mut observer = Observer::of(&first).unwrap();
         for datagram in &datagrams {
             observer.handle_datagram(datagram);
         }
         observer.verdict()
+    }
+
+    /// Changes of state and quality, without their times.
+    fn timeline(self) -> Vec<String> {
+        let datagrams = self.datagrams();
+        let first = Decoded::of(&datagrams[0].bytes);
+        let mut timeline = Timeline::new(&Observer::of(&first).unwrap());
+        for datagram in &datagrams {
+            timeline.handle_datagram(datagram);
+        }
+        assert_eq!(timeline.omitted(), 0);
+        timeline.changes().iter().map(Change::to_string).collect()
     }
 }
 
@@ -168,4 +182,67 @@ fn recording_outbound_loss_is_found_if_reported() {
     let verdict =
         sunrise_tape(CabinetConfig::default(), |_| SOON, |cycle| cycle % 5 != 0).verdict();
     assert_eq!(verdict, Verdict::Unexplained);
+}
+
+#[test]
+fn recording_timeline_names_reasons() {
+    // From the 1000th cycle on, no answer reaches the cabinet.
+    let tape = sunrise_tape(CabinetConfig::default(), |_| SOON, |cycle| cycle < 1_000);
+    let timeline = tape.timeline();
+    assert_eq!(
+        timeline[0], "MONITORING_WAIT, quality POOR",
+        "{timeline:#?}"
+    );
+    let says = |text: &str| timeline.iter().any(|line| line.starts_with(text));
+    assert!(says("MONITORING_READY, quality GOOD"), "{timeline:#?}");
+    assert!(
+        says("COMMANDING_ACTIVE, quality EXCELLENT"),
+        "{timeline:#?}"
+    );
+    let last = timeline.last().unwrap();
+    assert!(
+        last.starts_with("MONITORING_WAIT, quality POOR: "),
+        "{timeline:#?}"
+    );
+    let ended = "the robot program ended it, or the controller rejected a command";
+    assert!(
+        timeline.iter().any(|line| line.ends_with(ended)),
+        "{timeline:#?}"
+    );
+}
+
+#[test]
+fn recording_of_deaf_cabinet_has_not_received_verdict() {
+    for dialect in [Dialect::V1, Dialect::V2, Dialect::V3] {
+        let config = CabinetConfig {
+            dialect,
+            ..CabinetConfig::default()
+        };
+        let tape = sunrise_tape(config, |_| SOON, |_| false);
+        assert_eq!(tape.verdict(), Verdict::NotReceived);
+    }
+    let tape = lwr_tape(KrcConfig::default(), |_| false);
+    assert_eq!(tape.verdict(), Verdict::NotReceived);
+}
+
+#[test]
+fn recording_multiplier_counts_late_answers() {
+    let config = || CabinetConfig {
+        receive_multiplier: 5,
+        ..CabinetConfig::default()
+    };
+    assert_eq!(
+        sunrise_tape(config(), |_| SOON, |_| true).verdict(),
+        Verdict::Good
+    );
+    let late = |cycle: u32| {
+        let is_late = cycle.is_multiple_of(2);
+        if is_late {
+            Duration::from_millis(7)
+        } else {
+            SOON
+        }
+    };
+    let verdict = sunrise_tape(config(), late, |_| true).verdict();
+    assert!(matches!(verdict, Verdict::Host { .. }), "{verdict}");
 }

@@ -1,5 +1,5 @@
-//! The host: its monotonic clock, waiting for a descriptor, and a cable between two threads. The only module with a
-//! clock; it has no unsafe code.
+//! The host: its monotonic clock, waiting for a descriptor, its addresses and ports, captured packets, and a cable
+//! between two threads. The only module with a clock; it has no unsafe code.
 
 use std::io;
 use std::os::fd::BorrowedFd;
@@ -11,8 +11,13 @@ use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, clock_gettime};
 
 mod cable;
+pub mod host;
+mod sniffer;
+mod stamps;
 
 pub use cable::{CableEnd, cable};
+pub use sniffer::Sniffer;
+pub use stamps::{receive_frame, receive_from, stamp_arrivals};
 
 /// Time of `CLOCK_MONOTONIC`, the clock of all time stamps of links on this host.
 pub fn monotonic() -> io::Result<Duration> {

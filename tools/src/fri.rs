@@ -4,15 +4,12 @@
 mod live;
 mod monitor;
 mod motion;
-mod port;
 mod recording;
 mod report;
 mod shift;
-mod silence;
 mod stat;
 mod view;
 mod watch;
-mod wire;
 
 use clap::Subcommand;
 

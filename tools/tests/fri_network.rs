@@ -102,7 +102,9 @@ fn wrong_port_at_the_controller_is_found() {
     let _alone = alone();
     let text = fault(SOUND, "192.168.0.5:30200");
     assert!(
-        text.starts_with("192.168.0.20 sends to port 30200 of this host\nhint: listen there"),
+        text.starts_with(
+            "192.168.0.20 sends to port 30200 of this host\nhint: listen at 192.168.0.5:30200"
+        ),
         "{text}"
     );
 }
@@ -117,7 +119,7 @@ fn wrong_address_to_listen_at_is_found() {
     let output = stat(&two, "192.168.0.5:49938", "192.168.0.6:49938");
     assert_eq!(
         expect_status(&output, 1),
-        "192.168.0.20 sends to 192.168.0.5, another address of this host\nhint: --listen 192.168.0.5:49938\n"
+        "192.168.0.20 sends to 192.168.0.5, another address of this host\nhint: listen at 192.168.0.5:49938, or at 0.0.0.0:49938\n"
     );
 }
 

@@ -7,7 +7,7 @@ use std::io;
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
 use std::time::Duration;
 
-use takt_link::linux::{monotonic, readable};
+use takt_link::linux::{monotonic, readable, receive_frame, stamp_arrivals};
 
 use super::InterfaceLock;
 use crate::link::{ETHER_TYPE, Link};
@@ -89,6 +89,7 @@ impl PacketLink {
         bind(&socket, index)
             .map_err(|error| with_context(interface, "the socket cannot be bound", error))?;
         set(&socket, libc::PACKET_IGNORE_OUTGOING, &1_i32)?;
+        stamp_arrivals(&socket)?;
         let member = libc::packet_mreq {
             mr_ifindex: index,
             mr_type: u16::try_from(libc::PACKET_MR_PROMISC).unwrap_or_default(),
@@ -212,15 +213,20 @@ impl PacketLink {
     }
 
     fn take(&self, buf: &mut [u8]) -> io::Result<Option<(usize, Duration)>> {
-        match nix::unistd::read(&self.socket, buf) {
-            Ok(len) => Ok(Some((len, monotonic()?))),
+        match receive_frame(self.socket.as_fd(), buf) {
+            Ok(received) => Ok(Some(received)),
             // The interface went down: nothing is received, as with an unplugged cable.
-            Err(
-                nix::errno::Errno::EAGAIN | nix::errno::Errno::ENETDOWN | nix::errno::Errno::EINTR,
-            ) => Ok(None),
-            Err(error) => Err(error.into()),
+            Err(error) if is_transient(&error) => Ok(None),
+            Err(error) => Err(error),
         }
     }
+}
+
+fn is_transient(error: &io::Error) -> bool {
+    matches!(
+        error.raw_os_error(),
+        Some(libc::EAGAIN | libc::ENETDOWN | libc::EINTR)
+    )
 }
 
 #[cfg(test)]

@@ -126,8 +126,8 @@ impl Client {
     pub fn status(&self) -> Status {
         let reported = match self.version {
             None => None,
-            Some(Version::Lwr) => self.lwr.measurement().map(of_lwr),
-            Some(Version::Sunrise(_)) => self.sunrise.message().map(of_sunrise),
+            Some(Version::Lwr) => self.lwr.measurement().map(Status::of_lwr),
+            Some(Version::Sunrise(_)) => self.sunrise.message().map(Status::of_sunrise),
         };
         Status {
             version: self.version,
@@ -148,38 +148,43 @@ impl Client {
     }
 }
 
-fn of_lwr(msr: &lwr_wire::Msr) -> Status {
-    let statistics = msr.statistics;
-    Status {
-        state: Some(State::Lwr(msr.interface.state)),
-        quality: Some(Quality::Lwr(msr.interface.quality)),
-        has_power: Some(msr.robot.power != 0),
-        measured: Some(msr.measured_joints.map(f64::from)),
-        set_point: Some(msr.set_point()),
-        external_torque: Some(msr.external_torque.map(f64::from)),
-        statistics: Some(AnswerStatistics {
-            answer_rate: statistics.answer_rate,
-            latency_s: statistics.latency_s,
-            jitter_s: statistics.jitter_s,
-            missed: statistics.miss_counter,
-        }),
-        ..Status::default()
+impl Status {
+    /// What one measurement of an LWR reports.
+    pub(crate) fn of_lwr(msr: &lwr_wire::Msr) -> Self {
+        let statistics = msr.statistics;
+        Self {
+            state: Some(State::Lwr(msr.interface.state)),
+            quality: Some(Quality::Lwr(msr.interface.quality)),
+            has_power: Some(msr.robot.power != 0),
+            measured: Some(msr.measured_joints.map(f64::from)),
+            set_point: Some(msr.set_point()),
+            external_torque: Some(msr.external_torque.map(f64::from)),
+            statistics: Some(AnswerStatistics {
+                answer_rate: statistics.answer_rate,
+                latency_s: statistics.latency_s,
+                jitter_s: statistics.jitter_s,
+                missed: statistics.miss_counter,
+            }),
+            ..Self::default()
+        }
     }
-}
 
-fn of_sunrise(message: &wire::Monitoring) -> Status {
-    let drives = message.robot.and_then(|robot| robot.drives);
-    let data = message.monitor;
-    let ipo = message.ipo.and_then(|ipo| ipo.joints);
-    Status {
-        state: Some(State::Sunrise(message.state())),
-        overlay: Some(message.command_mode()).filter(|mode| *mode != wire::CommandMode::None),
-        quality: Some(Quality::Sunrise(message.quality())),
-        has_power: drives.map(|drives| drives.iter().all(|drive| *drive == wire::Drive::Active)),
-        measured: message.measured(),
-        set_point: ipo.or_else(|| data.and_then(|data| data.commanded)),
-        external_torque: data.and_then(|data| data.external_torque),
-        ..Status::default()
+    /// What one message of Sunrise reports.
+    pub(crate) fn of_sunrise(message: &wire::Monitoring) -> Self {
+        let drives = message.robot.and_then(|robot| robot.drives);
+        let data = message.monitor;
+        let ipo = message.ipo.and_then(|ipo| ipo.joints);
+        Self {
+            state: Some(State::Sunrise(message.state())),
+            overlay: Some(message.command_mode()).filter(|mode| *mode != wire::CommandMode::None),
+            quality: Some(Quality::Sunrise(message.quality())),
+            has_power: drives
+                .map(|drives| drives.iter().all(|drive| *drive == wire::Drive::Active)),
+            measured: message.measured(),
+            set_point: ipo.or_else(|| data.and_then(|data| data.commanded)),
+            external_torque: data.and_then(|data| data.external_torque),
+            ..Self::default()
+        }
     }
 }
 

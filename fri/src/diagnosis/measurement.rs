@@ -25,13 +25,13 @@ impl Measurement {
             reflected: msr.header.reflected.into(),
             stamp: stamp(msr, period),
             period,
-            is_due: true,
+            answer_every: 1,
             answer_rate: Some(msr.statistics.answer_rate.into()),
             is_good: msr.interface.quality.code() >= LwrQuality::Bad.code(),
         }
     }
 
-    /// Converts a message of Sunrise. `is_due` is right for a receiveMultiplier of 1 only; the session knows better.
+    /// Converts a message of Sunrise.
     pub fn sunrise(at: Duration, message: &Monitoring) -> Self {
         let stamp = message.monitor.and_then(|data| data.stamp);
         let connection = message.connection;
@@ -46,7 +46,7 @@ impl Measurement {
                 Duration::from_secs(it.seconds.into()) + Duration::from_nanos(it.nanoseconds.into())
             }),
             period: Duration::from_millis(period_ms.into()),
-            is_due: times <= 1,
+            answer_every: times.max(1),
             answer_rate: None,
             is_good: message.quality().code() >= Quality::Good.code(),
         }

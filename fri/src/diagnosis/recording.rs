@@ -26,10 +26,12 @@ impl Observer {
                 self.handle_measurement(Measurement::sunrise(datagram.at, &message));
             }
             Decoded::LwrCommand(cmd) => {
-                self.handle_answer(datagram.at, cmd.header.sequence.into());
+                let header = cmd.header;
+                self.handle_answer_to(header.reflected.into(), datagram.at, header.sequence.into());
             }
             Decoded::SunriseCommand { message, .. } => {
-                self.handle_answer(datagram.at, message.header.sequence);
+                let header = message.header;
+                self.handle_answer_to(header.reflected, datagram.at, header.sequence);
             }
             Decoded::Foreign { .. } | Decoded::Refused(_) => {}
         }

@@ -23,7 +23,7 @@ fn good() -> Observed {
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table")]
 fn verdict_has_figures_and_remedy() {
-    let cases: [(Observed, Verdict, &str); 15] = [
+    let cases: [(Observed, Verdict, &str); 21] = [
         (good(), Verdict::Good, "good"),
         (
             Observed {
@@ -78,13 +78,79 @@ fn verdict_has_figures_and_remedy() {
             Verdict::Host {
                 late: 0.006,
                 worst: US * 1_900,
+                wake_up: None,
             },
-            "this host is late: 0.6 % of answers, the worst after 1.9ms",
+            "this host answers late: 0.6 % of answers, the worst after 1.9ms",
+        ),
+        (
+            Observed {
+                late: 6,
+                answer_time_max: US * 1_900,
+                wake_up_max: Some(US * 1_800),
+                ..good()
+            },
+            Verdict::Host {
+                late: 0.006,
+                worst: US * 1_900,
+                wake_up: Some(US * 1_800),
+            },
+            "this host answers late: 0.6 % of answers, the worst after 1.9ms; the driver woke up as late as 1.8ms",
         ),
         (Observed { late: 5, ..good() }, Verdict::Good, "good"),
         (
             Observed {
-                late: 10,
+                unanswered: 250,
+                ..good()
+            },
+            Verdict::Skipped { unanswered: 0.2 },
+            "this host leaves 20.0 % of measurements unanswered",
+        ),
+        (
+            Observed {
+                overtaken: 32,
+                ..good()
+            },
+            Verdict::NetworkJitter { jitter: US * 20 },
+            "the network is irregular: 20.0µs on arrival",
+        ),
+        (
+            Observed {
+                period: Duration::from_millis(100),
+                measurements: 25,
+                answers: 25,
+                acknowledged: 24,
+                late: 1,
+                answer_rate: Some(0.25),
+                ..good()
+            },
+            Verdict::Good,
+            "good",
+        ),
+        (
+            Observed {
+                period: Duration::from_millis(100),
+                measurements: 25,
+                answers: 25,
+                acknowledged: 24,
+                is_good: false,
+                ..good()
+            },
+            Verdict::TooFew { measurements: 25 },
+            "only 25 measurements received",
+        ),
+        (
+            Observed {
+                acknowledged: 400,
+                answer_rate: Some(0.0),
+                is_good: false,
+                ..good()
+            },
+            Verdict::NotReceived,
+            "the controller does not receive this host's answers",
+        ),
+        (
+            Observed {
+                unanswered: 10,
                 lost: 50,
                 measurements: 950,
                 ..good()
@@ -174,7 +240,7 @@ fn run(change: impl Fn(u32, &mut Measurement) -> (bool, Option<Duration>)) -> Ve
             reflected: i.wrapping_sub(1),
             stamp: Some(at),
             period: PERIOD,
-            is_due: true,
+            answer_every: 1,
             answer_rate: None,
             is_good: true,
         };
@@ -200,17 +266,12 @@ fn observer_finds_each_fault() {
         late,
         Verdict::Host {
             late: 0.1,
-            worst: US * 1_100
+            worst: US * 1_100,
+            wake_up: None,
         }
     );
     let missing = run(|i, _| (true, soon.filter(|_| i % 10 != 5)));
-    assert_eq!(
-        missing,
-        Verdict::Host {
-            late: 0.1,
-            worst: US * 50
-        }
-    );
+    assert_eq!(missing, Verdict::Skipped { unanswered: 0.1 });
     let lost = run(|i, _| (i % 20 != 7, soon.filter(|_| i % 20 != 7)));
     assert!(
         matches!(lost, Verdict::NetworkInbound { lost, disordered: 0 } if (lost - 0.05).abs() < 1e-9),
@@ -265,6 +326,121 @@ fn observer_reflection_identifies_received_client() {
         (true, soon)
     });
     assert_eq!(taken_over, Verdict::Good);
+}
+
+/// What an observer makes of a client that answers `behind` measurements late, to every `every`-th one, except those
+/// that `skips` names.
+fn answering(behind: u32, every: u32, skips: impl Fn(u32) -> bool) -> Observed {
+    let mut observer = Observer::sunrise();
+    let mut answers = 0;
+    for i in 0..2_000 {
+        let at = PERIOD * i;
+        observer.handle_measurement(Measurement {
+            at,
+            sequence: i,
+            reflected: answers,
+            stamp: Some(at),
+            period: PERIOD,
+            answer_every: every,
+            answer_rate: None,
+            is_good: true,
+        });
+        if i % every == 0 && i >= behind && !skips(i) {
+            answers += 1;
+            observer.handle_answer_to(i - behind, at + US * 50, answers);
+        }
+    }
+    observer.observed()
+}
+
+#[test]
+fn observer_answers_to_old_measurements_are_late() {
+    let observed = answering(900, 1, |_| false);
+    assert_eq!(observed.behind_max, 900);
+    assert_eq!(observed.answer_time_max, PERIOD * 900 + US * 50);
+    assert_eq!((observed.late, observed.unanswered), (1_100, 0));
+    let verdict = judge(&observed);
+    assert!(
+        verdict
+            .to_string()
+            .starts_with("this host answers late: 100.0 % of answers, the worst after 1.8s"),
+        "{verdict}"
+    );
+}
+
+#[test]
+fn observer_multiplier_counts_command_periods() {
+    let sound = answering(0, 5, |_| false);
+    assert_eq!((sound.late, sound.unanswered, sound.answers), (0, 0, 400));
+    assert_eq!(judge(&sound), Verdict::Good);
+    // One of four command periods without an answer; the first ones belong to the start.
+    let skipping = answering(0, 5, |i| i % 20 == 10);
+    assert_eq!((skipping.late, skipping.unanswered), (0, 100));
+    assert_eq!(judge(&skipping), Verdict::Skipped { unanswered: 0.25 });
+}
+
+#[test]
+fn observer_zero_counters_prove_no_reception() {
+    // A cabinet that receives nothing reflects 0 for ever, which is near the counters of a client that just began.
+    for first in [0, 1, 65_500] {
+        let mut observer = Observer::lwr();
+        for i in 0..1_000 {
+            let at = PERIOD * i;
+            observer.handle_measurement(Measurement {
+                at,
+                sequence: i,
+                reflected: 0,
+                stamp: None,
+                period: PERIOD,
+                answer_every: 1,
+                answer_rate: None,
+                is_good: false,
+            });
+            observer.handle_answer(at + US * 50, (first + i) & 0xffff);
+        }
+        assert_eq!(observer.observed().acknowledged, 0);
+        assert_eq!(observer.verdict(), Verdict::NotReceived);
+    }
+}
+
+#[test]
+fn observer_start_after_controller_is_nobodys_fault() {
+    let verdict = run(|i, _| (true, (i >= 300).then_some(US * 50)));
+    assert_eq!(verdict, Verdict::Good);
+}
+
+#[test]
+fn observer_bursts_are_not_unanswered() {
+    // Every 20th measurement is held back until 100 us before the next one.
+    let mut observer = Observer::sunrise();
+    for i in 0..1_000 {
+        let is_held = i % 20 == 7;
+        let at = PERIOD * i
+            + if is_held {
+                PERIOD - US * 100
+            } else {
+                Duration::ZERO
+            };
+        observer.handle_measurement(Measurement {
+            at,
+            sequence: i,
+            reflected: i,
+            stamp: None,
+            period: PERIOD,
+            answer_every: 1,
+            answer_rate: None,
+            is_good: true,
+        });
+        if !is_held {
+            observer.handle_answer(at + US * 50, i + 1);
+        }
+    }
+    let observed = observer.observed();
+    assert_eq!(
+        (observed.overtaken, observed.unanswered, observed.late),
+        (50, 0, 0)
+    );
+    assert!(matches!(observer.verdict(), Verdict::NetworkJitter { .. }));
 }
 
 #[test]

@@ -1,14 +1,17 @@
-//! A UDP socket as a [`Link`]. It does not allocate after opening, and uses no kernel time stamps: NTP adjusts their clock.
+//! A UDP socket as a [`Link`]. It does not allocate after opening. Times of arrival are those of the kernel.
 
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::AsFd;
 use std::time::Duration;
 use takt_link::Link;
-use takt_link::linux::{monotonic, readable};
+use takt_link::linux::host::{Transport, bind_error};
+use takt_link::linux::{readable, receive_from, stamp_arrivals};
 
 /// Datagrams of other senders skipped per call.
 const FOREIGN_MAX: usize = 16;
+/// Most datagrams discarded at once: more than the buffer of a socket holds.
+const DISCARD_MAX: u32 = 4_096;
 
 /// A UDP socket with one peer.
 #[derive(Debug)]
@@ -21,9 +24,14 @@ pub struct UdpLink {
 
 impl UdpLink {
     /// The client's endpoint: listens on `local` and answers the sender of the last datagram, as every FRI client does.
+    ///
+    /// # Errors
+    /// If the address cannot be bound; the text names the program that has the port, or this host's addresses.
     pub fn bind(local: SocketAddr) -> io::Result<Self> {
-        let socket = UdpSocket::bind(local)?;
+        let socket =
+            UdpSocket::bind(local).map_err(|error| bind_error(Transport::Udp, local, &error))?;
         socket.set_nonblocking(true)?;
+        stamp_arrivals(&socket)?;
         Ok(Self {
             socket,
             peer: None,
@@ -65,20 +73,37 @@ impl UdpLink {
         self.foreign
     }
 
+    /// Discards the datagrams that are waiting, and returns their number: those that arrived before the client began are
+    /// no concern of it.
+    ///
+    /// # Errors
+    /// Of the operating system.
+    pub fn discard_queued(&mut self) -> io::Result<u32> {
+        for count in 0..DISCARD_MAX {
+            match self.socket.recv(&mut [0]) {
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(count),
+                Err(error) if is_transient(error.kind()) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(DISCARD_MAX)
+    }
+
     fn take(&mut self, buf: &mut [u8]) -> io::Result<Option<(usize, Duration)>> {
         for _ in 0..FOREIGN_MAX {
-            let (len, from) = match self.socket.recv_from(buf) {
-                Ok(received) => received,
+            let (len, from, at) = match receive_from(self.socket.as_fd(), buf) {
+                Ok((len, Some(from), at)) => (len, from, at),
+                Ok((_, None, _)) => continue,
                 Err(error) if is_transient(error.kind()) => return Ok(None),
                 Err(error) => return Err(error),
             };
-            let now = monotonic()?;
             if self.fixed && self.peer != Some(from) {
                 self.foreign += 1;
                 continue;
             }
             self.peer = Some(from);
-            return Ok(Some((len, now)));
+            return Ok(Some((len, at)));
         }
         Ok(None)
     }
@@ -117,6 +142,7 @@ impl Link for UdpLink {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::linux::monotonic;
     use std::net::Ipv4Addr;
 
     const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
@@ -129,10 +155,12 @@ mod tests {
         assert_eq!(pc.send(&[1]).unwrap(), 0);
         for byte in 1..3 {
             let mut krc = UdpLink::connect(ANY, pc.local_addr().unwrap()).unwrap();
-            krc.send(&[byte]).unwrap();
             let before = monotonic().unwrap();
+            krc.send(&[byte]).unwrap();
             let (len, stamp) = pc.receive(&mut buf, TIMEOUT).unwrap().unwrap();
-            assert!(stamp >= before);
+            // Two clocks are read one after the other.
+            let error = Duration::from_millis(1);
+            assert!(stamp + error >= before && stamp <= monotonic().unwrap());
             assert_eq!(buf[..len], [byte]);
             assert_eq!(pc.send(&[byte + 10]).unwrap(), 1);
             assert!(krc.receive(&mut buf, TIMEOUT).unwrap().is_some());
@@ -171,6 +199,21 @@ mod tests {
         let received = (0..2).find_map(|_| krc.receive(&mut buf, TIMEOUT).unwrap());
         assert_eq!(received.map(|(len, _)| buf[..len].to_vec()), Some(vec![5]));
         assert_eq!(krc.foreign(), 1);
+    }
+
+    #[test]
+    fn udp_queue_is_discarded_before_start() {
+        let mut pc = UdpLink::bind(ANY).unwrap();
+        let mut krc = UdpLink::connect(ANY, pc.local_addr().unwrap()).unwrap();
+        for byte in 0..10 {
+            krc.send(&[byte; 900]).unwrap();
+        }
+        assert_eq!(pc.discard_queued().unwrap(), 10);
+        krc.send(&[77]).unwrap();
+        let mut buf = [0; 8];
+        let received = pc.receive(&mut buf, TIMEOUT).unwrap();
+        assert_eq!(received.map(|(len, _)| buf[..len].to_vec()), Some(vec![77]));
+        assert_eq!(pc.discard_queued().unwrap(), 0);
     }
 
     #[test]

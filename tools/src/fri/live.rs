@@ -19,7 +19,6 @@ use takt_rt::latest::{LatestReader, LatestWriter, latest};
 use takt_rt::stats::{Recorder, RecorderReader};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
 
-use super::port;
 use crate::output::complain;
 
 /// The priority of the drivers, so that measurements are valid for them.
@@ -78,6 +77,8 @@ pub(super) struct Live {
     pub(super) answer_time: RecorderReader,
     /// Deviation of arrivals from the previous arrival plus the period.
     pub(super) deviation: RecorderReader,
+    /// From the arrival of a measurement to the wake-up of the thread: what this host adds.
+    pub(super) wake_up: RecorderReader,
     pub(super) local: SocketAddr,
     /// Memory and processor settings of `takt run`, while this lives.
     _host: Host,
@@ -90,14 +91,14 @@ impl Live {
         mut config: ClientConfig,
         task: impl Task,
     ) -> anyhow::Result<Self> {
-        let link = port::open(listen)?;
+        let link = UdpLink::bind(listen).with_context(|| format!("cannot listen at {listen}"))?;
         let local = link
             .local_addr()
             .context("the socket has no local address")?;
         config.lwr.first_sequence = first_sequence()?;
         let (writer, seen) = latest(1, Seen::default);
-        let (answer_time, deviation) = (Recorder::new(), Recorder::new());
-        let readers = (answer_time.reader(), deviation.reader());
+        let [answer_time, deviation, wake_up] = [(); 3].map(|()| Recorder::new());
+        let readers = [&answer_time, &deviation, &wake_up].map(Recorder::reader);
         let host = prepare(&HostConfig::default());
         let stop = Arc::new(AtomicBool::new(false));
         let stopping = Arc::clone(&stop);
@@ -112,6 +113,7 @@ impl Live {
             writer,
             answer_time,
             deviation,
+            wake_up,
         });
         let config = ThreadConfig {
             priority: Some(PRIORITY),
@@ -119,6 +121,8 @@ impl Live {
         };
         let thread = spawn(config, move || {
             let scope = takt_rt::alloc::enter_real_time();
+            // A controller that was there first filled the socket while this thread was made.
+            let _failed = worker.link.discard_queued();
             while !stopping.load(Ordering::Relaxed) {
                 worker.serve();
             }
@@ -129,12 +133,14 @@ impl Live {
         for grant in grants.filter(|grant| grant.is_refused()) {
             complain(&format!("warning: {grant}"));
         }
+        let [answer_time, deviation, wake_up] = readers;
         Ok(Self {
             thread,
             stop,
             seen,
-            answer_time: readers.0,
-            deviation: readers.1,
+            answer_time,
+            deviation,
+            wake_up,
             local,
             _host: host,
         })
@@ -175,6 +181,7 @@ struct Worker<T> {
     writer: LatestWriter<Seen>,
     answer_time: Recorder,
     deviation: Recorder,
+    wake_up: Recorder,
 }
 
 impl<T: Task> Worker<T> {
@@ -217,6 +224,11 @@ impl<T: Task> Worker<T> {
         }
         if !received.is_new {
             return;
+        }
+        if let Ok(now) = monotonic() {
+            let delay = now.saturating_sub(at);
+            self.partner.handle_wake_up(delay);
+            self.wake_up.record(delay.into());
         }
         let cycles = 1 + u32::from(received.lost);
         self.cycles = self.cycles.saturating_add(cycles);

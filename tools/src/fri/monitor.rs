@@ -13,6 +13,7 @@ use takt_rt::stats::Summary;
 
 use super::live::{Live, Seen, Watch};
 use super::recording::Recording;
+use super::report::Connection;
 use super::view::{Scene, View};
 use super::watch::{Port, Watched};
 use crate::Verdict;
@@ -26,7 +27,8 @@ const COMPLAINTS_MAX: usize = 3;
 /// Answer a robot as FRI client and show the state of the connection, or show the datagrams of a recording.
 ///
 /// It answers every measurement and never commands motion: in command mode the robot is held where it is. On a terminal
-/// it takes the screen; elsewhere it prints a line per second. Without measurements it reports the cause.
+/// it takes the screen; elsewhere it prints a line per second. Without measurements it reports the cause. At the end it
+/// prints the verdict of `takt fri stat`. Exit status: 0 the connection is good; 1 it is not; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt fri monitor --listen 0.0.0.0:49938
@@ -89,9 +91,18 @@ impl Monitor {
     fn watch(&self, listen: SocketAddr) -> anyhow::Result<Verdict> {
         let mut watched = Watched::start(&self.port, listen, ClientConfig::default(), Watch)?;
         let shown = self.show(&mut watched);
+        let seen = watched.live.seen();
+        let connection = Connection::of_live(&seen, &watched.live);
         watched.live.stop()?;
         shown?;
-        Ok(Verdict::Good)
+        for line in connection.lines(true) {
+            say(&line)?;
+        }
+        Ok(if connection.is_good() {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        })
     }
 
     fn show(&self, watched: &mut Watched) -> anyhow::Result<()> {

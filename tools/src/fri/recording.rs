@@ -12,6 +12,8 @@ use crate::output::complain;
 pub(super) struct Recording {
     name: String,
     reader: Reader<File>,
+    /// Whether a datagram was read.
+    has_begun: bool,
 }
 
 impl Recording {
@@ -21,15 +23,34 @@ impl Recording {
         let reader = Reader::new(file).with_context(|| {
             format!("cannot read {name}; `tcpdump -i any -w FILE udp` writes one")
         })?;
-        Ok(Self { name, reader })
+        Ok(Self {
+            name,
+            reader,
+            has_begun: false,
+        })
     }
 
+    /// The next datagram; `None` at the end, which is where the file is cut or damaged.
     pub(super) fn next(&mut self) -> anyhow::Result<Option<Datagram>> {
-        let next = self.reader.next().transpose();
-        let next = next.with_context(|| format!("cannot read {}", self.name))?;
+        let next = match self.reader.next().transpose() {
+            Ok(next) => next,
+            Err(error) if self.has_begun => {
+                complain(&format!("note: {}: {error}; read up to there", self.name));
+                return Ok(None);
+            }
+            Err(error) => {
+                return Err(error).with_context(|| format!("cannot read {}", self.name));
+            }
+        };
+        self.has_begun |= next.is_some();
         if let (None, Some(cut)) = (&next, self.reader.cut()) {
             complain(&format!("note: {}: {cut}", self.name));
         }
         Ok(next)
+    }
+
+    /// Packets that hold no whole UDP datagram.
+    pub(super) const fn skipped(&self) -> u64 {
+        self.reader.skipped()
     }
 }

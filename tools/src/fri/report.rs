@@ -4,14 +4,18 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
+use takt_fri::capture::time_of_day;
 use takt_fri::client::Status;
-use takt_fri::diagnosis::{Observed, Verdict, judge};
+use takt_fri::diagnosis::{Change, Observed, Timeline, Verdict, judge};
 use takt_rt::Nanos;
 use takt_rt::stats::Summary;
 
 use super::live::{Live, Seen};
 use super::watch;
 use crate::output::time;
+
+/// Changes of a timeline that are printed; JSON has all.
+const CHANGES_SHOWN: usize = 40;
 
 /// A connection.
 pub(super) struct Connection {
@@ -21,6 +25,8 @@ pub(super) struct Connection {
     pub(super) observed: Observed,
     /// Figures that only the client has.
     pub(super) live: Option<Answered>,
+    /// What the controller reported, of a recording.
+    pub(super) timeline: Option<Timeline>,
 }
 
 /// A connection whose client is this process.
@@ -28,6 +34,8 @@ pub(super) struct Answered {
     status: Status,
     /// From the arrival of a measurement to the departure of its answer.
     latency: Summary,
+    /// From the arrival of a measurement to the wake-up of this process: what this host adds.
+    wake_up: Summary,
     /// Faults other than of timing.
     faults: Vec<String>,
 }
@@ -61,8 +69,10 @@ impl Connection {
             live: Some(Answered {
                 status,
                 latency: live.answer_time.read().summary(),
+                wake_up: live.wake_up.read().summary(),
                 faults,
             }),
+            timeline: None,
         }
     }
 
@@ -118,11 +128,22 @@ impl Connection {
                 seen.answers, seen.late, seen.answer_time_max
             ),
             format!(
-                "  jitter        {:.1?} on arrival, {stamps} by the controller's stamps",
+                "  without one   {} left unanswered, {} overtaken by the next within half a period",
+                seen.unanswered, seen.overtaken
+            ),
+            format!(
+                "  network       jitter {:.1?} on arrival, {stamps} by the controller's stamps",
                 seen.arrival_jitter
             ),
         ];
+        if seen.behind_max > 0 {
+            let behind = seen.behind_max;
+            lines.push(format!(
+                "  behind        an answer was {behind} measurements behind the newest"
+            ));
+        }
         lines.extend(self.live.iter().flat_map(Answered::figures));
+        lines.extend(self.timeline.iter().flat_map(changes));
         lines
     }
 
@@ -141,21 +162,53 @@ impl Connection {
             "restarts": seen.restarts,
             "answers": seen.answers,
             "late": seen.late,
+            "unanswered": seen.unanswered,
+            "overtaken": seen.overtaken,
+            "behind_max": seen.behind_max,
             "heard": seen.acknowledged,
             "strange": seen.foreign,
             "answer_time_max_us": us(seen.answer_time_max),
+            "wake_up_us": live.map(|live| quantiles(&live.wake_up)),
             "arrival_jitter_us": us(seen.arrival_jitter),
             "stamp_jitter_us": seen.stamp_jitter.map(us),
             "answer_rate": seen.answer_rate,
             "latency_us": live.map(|live| quantiles(&live.latency)),
             "state": live.and_then(|live| live.status.state).map(|it| it.to_string()),
             "quality": live.and_then(|live| live.status.quality).map(|it| it.to_string()),
+            "timeline": self.timeline.as_ref().map(timeline_json),
             "faults": self.faults(),
             "good": self.is_good(),
             "verdict": verdict.to_string(),
             "remedy": verdict.remedy(),
         })
     }
+}
+
+/// The changes of a timeline, each in a line.
+fn changes(timeline: &Timeline) -> Vec<String> {
+    let all = timeline.changes();
+    let shown = all.iter().take(CHANGES_SHOWN);
+    let line = |change: &Change| format!("  {} {change}", time_of_day(change.at));
+    let mut lines: Vec<_> = shown.map(line).collect();
+    let rest = all.len().saturating_sub(CHANGES_SHOWN);
+    let omitted = u64::try_from(rest).unwrap_or(u64::MAX) + timeline.omitted();
+    if omitted > 0 {
+        lines.push(format!("  and {omitted} more changes"));
+    }
+    lines
+}
+
+fn timeline_json(timeline: &Timeline) -> Value {
+    let changes = timeline.changes().iter().map(|change| {
+        json!({
+            "at_s": change.at.as_secs_f64(),
+            "state": change.state.to_string(),
+            "quality": change.quality.to_string(),
+            "power": change.has_power,
+            "reason": change.reason(),
+        })
+    });
+    changes.collect()
 }
 
 fn quantiles(times: &Summary) -> Value {
@@ -169,17 +222,20 @@ fn quantiles(times: &Summary) -> Value {
 
 impl Answered {
     fn figures(&self) -> Vec<String> {
-        let Summary {
-            p50,
-            p99,
-            p999,
-            max,
-            ..
-        } = self.latency;
-        let [p50, p99, p999, max] = [p50, p99, p999, max].map(|it| time(it.0));
-        let mut lines = vec![format!(
-            "  latency       p50 {p50}, p99 {p99}, p99.9 {p999}, max {max} from measurement to answer"
-        )];
+        let times = |of: &Summary| {
+            let [p50, p99, p999, max] = [of.p50, of.p99, of.p999, of.max].map(|it| time(it.0));
+            format!("p50 {p50}, p99 {p99}, p99.9 {p999}, max {max}")
+        };
+        let mut lines = vec![
+            format!(
+                "  latency       {} from arrival to answer",
+                times(&self.latency)
+            ),
+            format!(
+                "  host          {} of it until this process woke up",
+                times(&self.wake_up)
+            ),
+        ];
         let text = |it: Option<String>| it.unwrap_or_else(|| "?".to_owned());
         let mut line = format!(
             "  controller    {}, quality {}",

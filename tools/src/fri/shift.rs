@@ -32,8 +32,10 @@ const BY_MAX_DEG: f64 = 15.0;
 const SPEED_MAX_DEG_PER_S: f64 = 20.0;
 /// Speed that the guard of the session accepts, as a share of the requested one.
 const SPEED_SLACK: f64 = 1.05;
-/// Measurements after which quality is valid.
+/// Answers after which quality is valid, if they take no longer than [`SETTLED_SPAN`].
 const SETTLED: u64 = 150;
+/// Time after which quality is valid with slow controllers, too.
+const SETTLED_SPAN: Duration = Duration::from_secs(3);
 /// Time for the robot to come to rest at its goal.
 const REST: Duration = Duration::from_millis(300);
 /// Timeout of braking.
@@ -200,8 +202,11 @@ impl Shift {
             if let Some(fault) = faults.into_iter().next() {
                 return Ok(Err(fault));
             }
+            if let Some(why) = wrong_overlay(&seen) {
+                return Ok(Err(why));
+            }
             let is_sound = seen.status.quality.is_some_and(Quality::is_sound);
-            if is_there && is_sound && seen.observed.answers >= SETTLED {
+            if is_there && is_sound && seen.observed.answers >= settled(&seen) {
                 return Ok(Ok(seen));
             }
             if started.elapsed() >= self.ready_timeout {
@@ -234,6 +239,11 @@ impl Shift {
             let seen = watched.live.seen();
             if state.is_end() {
                 return Ok(ended(state, control.cause(), &seen));
+            }
+            if state == MotionState::Idle
+                && let Some(why) = wrong_overlay(&seen)
+            {
+                return Ok(Err(why));
             }
             if state == MotionState::Idle && started.elapsed() >= self.ready_timeout {
                 return Ok(Err(idle(&seen)));
@@ -291,9 +301,36 @@ fn plan(
     Ok((name, text))
 }
 
+/// Answers after which quality is valid.
+fn settled(seen: &Seen) -> u64 {
+    let period = seen.status.period.unwrap_or_default().as_nanos().max(1);
+    let in_span = SETTLED_SPAN.as_nanos() / period;
+    u64::try_from(in_span).unwrap_or(SETTLED).min(SETTLED)
+}
+
+/// That the overlay of the robot program accepts no positions: waiting does not help.
+fn wrong_overlay(seen: &Seen) -> Option<String> {
+    let status = &seen.status;
+    let mode = status
+        .overlay
+        .filter(|mode| !accepts_positions(Some(*mode)))?;
+    let state = status.state;
+    let state = state.map_or_else(|| "unknown".to_owned(), |it| it.to_string());
+    Some(format!(
+        "the overlay of the robot program accepts {mode} (state {state})\n\
+         hint: use one of joint positions (FRIJointOverlay, POSITION)"
+    ))
+}
+
 /// Why the connection is not sound.
 fn unsound(seen: &Seen) -> String {
     let quality = seen.status.quality;
+    if quality.is_some_and(Quality::is_sound) {
+        let (answers, needed) = (seen.observed.answers, settled(seen));
+        return format!(
+            "only {answers} answers of {needed} left before the timeout\nhint: give it longer (--ready-timeout)"
+        );
+    }
     let quality = quality.map_or_else(|| "unknown".to_owned(), |it| it.to_string());
     let verdict = judge(&seen.observed);
     let because = if verdict.is_good() {
@@ -314,14 +351,8 @@ fn idle(seen: &Seen) -> String {
             "the drives have no power (state {state})\nhint: release the brakes at the controller"
         );
     }
-    if let Some(mode) = status
-        .overlay
-        .filter(|mode| !accepts_positions(Some(*mode)))
-    {
-        return format!(
-            "the overlay of the robot program accepts {mode} (state {state})\n\
-             hint: use one of joint positions (FRIJointOverlay, POSITION)"
-        );
+    if let Some(why) = wrong_overlay(seen) {
+        return why;
     }
     let remedy = match status.version {
         Some(Version::Sunrise(_)) => {
@@ -464,5 +495,16 @@ mod tests {
             bad.starts_with("quality is unknown, too bad for a motion: no measurement received"),
             "{bad}"
         );
+        let slow = Seen {
+            status: Status {
+                quality: Some(Quality::Sunrise(3.into())),
+                period: Some(Duration::from_millis(100)),
+                ..Status::default()
+            },
+            ..Seen::default()
+        };
+        assert_eq!(settled(&slow), 30);
+        let early = unsound(&slow);
+        assert!(early.starts_with("only 0 answers of 30"), "{early}");
     }
 }

@@ -11,7 +11,7 @@ use clap::Args;
 use serde_json::json;
 use takt_fri::capture::{Datagram, Decoded};
 use takt_fri::client::{ClientConfig, Phase};
-use takt_fri::diagnosis::Observer;
+use takt_fri::diagnosis::{Observer, Timeline};
 
 use super::live::Watch;
 use super::recording::Recording;
@@ -142,10 +142,12 @@ fn recorded(path: &Path) -> anyhow::Result<Findings> {
     }
     anyhow::ensure!(
         !seen.observers.is_empty(),
-        "{}: no FRI datagram among {} others and {} damaged ones\nhint: record on the interface that the robot is on",
+        "{}: no FRI datagram among {} others, {} damaged ones and {} packets without a whole one\n\
+         hint: record whole packets (`tcpdump -s 0`) on the interface that the robot is on",
         path.display(),
         seen.foreign,
-        seen.refused
+        seen.refused,
+        recording.skipped()
     );
     Ok(Findings {
         foreign: seen.foreign,
@@ -158,9 +160,16 @@ fn recorded(path: &Path) -> anyhow::Result<Findings> {
 /// What a recording holds.
 #[derive(Default)]
 struct Recorded {
-    observers: BTreeMap<Endpoints, (&'static str, Observer)>,
+    observers: BTreeMap<Endpoints, Observed>,
     foreign: u64,
     refused: u64,
+}
+
+/// A connection of a recording.
+struct Observed {
+    generation: &'static str,
+    observer: Observer,
+    timeline: Timeline,
 }
 
 /// The endpoints of a connection.
@@ -207,24 +216,30 @@ impl Recorded {
             );
             let observer =
                 Observer::of(&decoded).context("an FRI datagram without a generation")?;
-            self.observers.insert(endpoints, (generation, observer));
+            let observed = Observed {
+                generation,
+                timeline: Timeline::new(&observer),
+                observer,
+            };
+            self.observers.insert(endpoints, observed);
         }
-        if let Some((_, observer)) = self.observers.get_mut(&endpoints) {
-            observer.handle_datagram(datagram);
+        if let Some(observed) = self.observers.get_mut(&endpoints) {
+            observed.observer.handle_datagram(datagram);
+            observed.timeline.handle_datagram(datagram);
         }
         Ok(())
     }
 
     fn connections(&self) -> Vec<Connection> {
         let all = self.observers.iter();
-        let connection =
-            |(endpoints, (generation, observer)): (&Endpoints, &(&str, Observer))| Connection {
-                controller: endpoints.controller.to_string(),
-                host: endpoints.host.to_string(),
-                generation: (*generation).to_owned(),
-                observed: observer.observed(),
-                live: None,
-            };
+        let connection = |(endpoints, observed): (&Endpoints, &Observed)| Connection {
+            controller: endpoints.controller.to_string(),
+            host: endpoints.host.to_string(),
+            generation: observed.generation.to_owned(),
+            observed: observed.observer.observed(),
+            live: None,
+            timeline: Some(observed.timeline.clone()),
+        };
         all.map(connection).collect()
     }
 }

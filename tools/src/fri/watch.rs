@@ -7,13 +7,12 @@ use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use nix::errno::Errno;
 use takt_fri::client::{ClientConfig, Phase, Version};
+use takt_fri::silence;
 use takt_fri::sunrise::wire::Dialect;
+use takt_link::linux::host::{addresses, list};
 use takt_rt::interface::{LinkFault, Medium, interface_of, local_address_to};
 
 use super::live::{Live, Seen, Task};
-use super::port::{addresses, is_taken, list};
-use super::silence::Evidence;
-use super::wire::{Wire, has_route};
 use crate::jitter::Interrupt;
 use crate::output::span;
 
@@ -84,8 +83,7 @@ struct Silence {
     since: Instant,
     /// Datagrams refused before it began.
     refused: u64,
-    evidence: Evidence,
-    wire: Option<Wire>,
+    watch: Option<silence::Watch>,
     is_reported: bool,
 }
 
@@ -94,8 +92,7 @@ impl Silence {
         Self {
             since: Instant::now(),
             refused,
-            evidence: Evidence::default(),
-            wire: None,
+            watch: None,
             is_reported: false,
         }
     }
@@ -103,10 +100,10 @@ impl Silence {
     /// Why nothing arrives, once, after the timeout.
     fn poll(&mut self, seen: &Seen, listen: SocketAddr, timeout: Duration) -> Option<String> {
         let silent = self.since.elapsed();
-        if silent >= WIRE_AFTER.min(timeout) {
-            self.wire
-                .get_or_insert_with(Wire::open)
-                .look(&mut self.evidence);
+        if silent >= WIRE_AFTER.min(timeout) && !self.is_reported {
+            self.watch
+                .get_or_insert_with(|| silence::Watch::new(listen))
+                .poll();
         }
         let refusal = seen.status.last_error;
         let refusal = refusal.filter(|_| seen.status.counters.refused > self.refused);
@@ -115,10 +112,9 @@ impl Silence {
             return None;
         }
         self.is_reported = true;
-        let cause = self
-            .evidence
-            .judge(listen, refusal, addresses(), has_route, is_taken);
-        Some(cause.to_string())
+        let watch = self.watch.take();
+        let watch = watch.unwrap_or_else(|| silence::Watch::new(listen));
+        Some(watch.cause(refusal).to_string())
     }
 }
 

@@ -21,19 +21,26 @@ pub enum IoLevel {
 #[non_exhaustive]
 pub enum IoError {
     /// The last message does not list it.
-    #[error("not listed by the controller: let the robot program add it to the FRI configuration")]
+    #[error(
+        "the controller does not share it\nhint: add it to the FRI configuration of the robot program"
+    )]
     NotListed,
     /// It is an input.
-    #[error("an input for this client: let the robot program share it as output")]
+    #[error("it is an input for this client\nhint: let the robot program share it as output")]
     Input,
     /// It has another type.
-    #[error("of type {actual}, not {given}")]
+    #[error(
+        "it is of type {actual}, not {given}\nhint: write it as {actual}, or change the robot program"
+    )]
     Type {
         /// Type on the controller.
         actual: IoType,
         /// Type of the value given.
         given: IoType,
     },
+    /// It is of type digital, and the value is negative, too large or no number.
+    #[error("it takes whole numbers from 0 to 2^53\nhint: limit the value in the net")]
+    Range,
     /// All output slots are in use.
     #[error("more than 10 outputs")]
     Full,
@@ -92,6 +99,18 @@ impl IoLevel {
     }
 }
 
+/// The nearest whole number, up to the largest below which every whole number is an f64.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "within 0 and 2^53"
+)]
+fn whole(value: f64) -> Option<u64> {
+    const MAX: f64 = 9_007_199_254_740_992.0;
+    let rounded = value.round();
+    (0.0..=MAX).contains(&rounded).then_some(rounded as u64)
+}
+
 impl Session {
     fn listed(&self, name: &[u8]) -> Option<&IoValue> {
         let data = self.message.monitor.as_ref()?;
@@ -124,6 +143,19 @@ impl Session {
             return Ok(());
         }
         self.outputs.push(output).map_err(|_| IoError::Full)
+    }
+
+    /// Writes a number to an output, as [`write`](Self::write) does: to a digital one the nearest whole number.
+    pub fn write_number(&mut self, name: &str, value: f64) -> Result<(), IoError> {
+        let is_digital = self
+            .listed(name.as_bytes())
+            .is_some_and(|io| io.kind == IoType::Digital);
+        let level = if is_digital {
+            IoLevel::Digital(whole(value).ok_or(IoError::Range)?)
+        } else {
+            IoLevel::Analog(value)
+        };
+        self.write(name, level)
     }
 
     /// Sends a requested frame with every answer from now on, while the robot program requests it.

@@ -670,10 +670,19 @@ fn session_outputs_sent_while_listed() {
         Err(IoError::Input)
     );
     let wrong = session.write("G.level", on).unwrap_err();
-    assert_eq!(wrong.to_string(), "of type analog, not bool");
+    assert!(
+        wrong
+            .to_string()
+            .starts_with("it is of type analog, not bool\nhint: "),
+        "{wrong}"
+    );
+    assert_eq!(session.write_number("G.in", -1.0), Err(IoError::Range));
+    assert_eq!(session.write_number("G.in", f64::NAN), Err(IoError::Range));
+    assert_eq!(session.write_number("G.in", 3.4), Err(IoError::Input));
+    assert!(session.write_number("G.out", 1.0).is_err());
     session.write("G.out", IoLevel::Boolean(false)).unwrap();
     session.write("G.out", on).unwrap();
-    session.write("G.level", IoLevel::Analog(1.5)).unwrap();
+    session.write_number("G.level", 1.5).unwrap();
     bench.receive(SessionState::MonitoringReady);
     let data = bench.answer(&Demand::Hold).0.data.unwrap();
     let sent: Vec<_> = data

@@ -130,7 +130,7 @@ pub struct IiwaIo {
     pub bool_out: Vec<String>,
     /// Numeric signals from the cabinet, analogue or digital.
     pub real_in: Vec<String>,
-    /// Analogue signals that nets write.
+    /// Numeric signals that nets write: analogue ones, and digital ones as whole numbers from 0.
     pub real_out: Vec<String>,
 }
 

@@ -8,6 +8,7 @@ mod events;
 mod force;
 pub(super) mod orders;
 mod protocol;
+mod silence;
 #[cfg(test)]
 mod tests;
 
@@ -30,13 +31,14 @@ use takt_rt::stats::{RecorderReader, StallReader, StallWriter, stalls};
 
 use driver::Driver;
 use events::{EventReceiver, advice, event_channel};
+use silence::SilenceWatch;
 use takt_core::Error;
 use takt_core::device::DeviceDescription;
 use takt_core::device::driver::{DeviceDriver, DriverEnds, DriverEvent, DriverThread};
 use takt_core::device::link_watch::{LinkErrors, LinkWatch};
 
 pub use orders::Orders;
-pub use protocol::{AXES, Joints, Protocol, Reception, Totals};
+pub use protocol::{AXES, Joints, Protocol, Reception, RefusedOutput, Totals};
 
 /// Buffer for any datagram, with one extra byte to detect longer ones.
 const ROOM: usize = MESSAGE_MAX + 1;
@@ -90,6 +92,8 @@ pub struct FriFigures<Q> {
     pub decode_error: Option<DecodeError>,
     /// The last command that was withheld: which joint, which limit.
     pub violation: Option<Violation>,
+    /// The last output that could not be written.
+    pub refused_output: Option<RefusedOutput>,
     /// Measurements of controllers other than the peer.
     pub foreign: u64,
 }
@@ -105,7 +109,8 @@ pub struct FriArm<P> {
     pub set_point_age: RecorderReader,
     /// Time between the arrival of a measurement and its instant on the robot's clock, either sign.
     pub phase_error: RecorderReader,
-    event_receiver: EventReceiver,
+    event_receiver: Arc<EventReceiver>,
+    silence: SilenceWatch,
     stalls: StallReader,
     watch: LinkWatch,
     thread: DriverThread,
@@ -159,6 +164,7 @@ impl<P: Protocol> FriArm<P> {
             .map_err(|source| refused(&name, settings.listen, source))?;
         let shared = Arc::new(Shared::default());
         let (event_sender, event_receiver) = event_channel(session.observer());
+        let event_receiver = Arc::new(event_receiver);
         // Boxed, so that the thread's small stack does not hold it while it is moved there.
         let parts = (end, clock, Arc::clone(&shared));
         let driver = Driver::new(session, &description, event_sender, parts);
@@ -180,6 +186,8 @@ impl<P: Protocol> FriArm<P> {
         let Settings { priority, cpus, .. } = &settings;
         let thread = DriverThread::start(&name, *priority, cpus, move |stopping| {
             let scope = takt_rt::alloc::enter_real_time();
+            // A controller that was there first filled the socket while this thread was made.
+            let _failed = exchange.link.discard_queued();
             while !stopping.load(Ordering::Relaxed) {
                 exchange.serve();
             }
@@ -187,6 +195,8 @@ impl<P: Protocol> FriArm<P> {
             drop(scope);
             exchange.driver.into_clock()
         })?;
+        let events = Arc::clone(&event_receiver);
+        let silence = SilenceWatch::start(&name, address, Arc::clone(&shared), events);
         Ok(Self {
             address,
             shared,
@@ -194,6 +204,7 @@ impl<P: Protocol> FriArm<P> {
             set_point_age,
             phase_error,
             event_receiver,
+            silence,
             stalls,
             watch,
             thread,
@@ -234,6 +245,7 @@ impl<P: Protocol> FriArm<P> {
             verdict: diagnostics.verdict,
             decode_error: diagnostics.decode_error,
             violation: diagnostics.violation,
+            refused_output: diagnostics.refused_output,
             foreign: diagnostics.foreign,
         }
     }
@@ -264,6 +276,9 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
         if let Some(violation) = figures.violation {
             reported.push(("withheld", violation.to_string()));
         }
+        if let Some(output) = figures.refused_output {
+            reported.push(("output", output.to_string().replace('\n', "; ")));
+        }
         if figures.foreign > 0 {
             reported.push(("foreign", figures.foreign.to_string()));
         }
@@ -290,7 +305,9 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
         if let Some(event) = self.watch.poll(Instant::now()) {
             return Some(event);
         }
-        let event = self.event_receiver.poll()?;
+        let Some(event) = self.event_receiver.poll() else {
+            return self.silence.poll();
+        };
         Some(DriverEvent {
             severity: event.severity(),
             text: event.text(|code| format!("{:?}", P::quality(code))),
@@ -332,7 +349,7 @@ impl<P: Protocol> Exchange<P> {
                 newest = Some(at);
             }
             // After a stall several are waiting: only the newest is answered.
-            if !self.driver.is_late(at.into()) {
+            if !self.driver.is_late(takt_rt::monotonic()) {
                 break;
             }
             wait = Duration::ZERO;

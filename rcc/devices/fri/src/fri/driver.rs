@@ -271,8 +271,22 @@ impl<P: Protocol> Driver<P> {
             let at = Duration::from_nanos(at.0.unsigned_abs());
             self.event_sender.send(Event::Withheld(violation), at);
         }
+        self.report_output(at);
         self.publish(at);
         self.count();
+    }
+
+    /// Reports an output that cannot be written, once.
+    fn report_output(&mut self, at: Nanos) {
+        let Some(output) = self.session.refused_output() else {
+            return;
+        };
+        let at = Duration::from_nanos(at.0.unsigned_abs());
+        self.event_sender.note_refused_output(output);
+        // Another one was reported a moment ago: this one follows.
+        if self.event_sender.send(Event::Output(output), at) {
+            self.session.confirm_refused_output();
+        }
     }
 
     /// Reads the commands of nets.

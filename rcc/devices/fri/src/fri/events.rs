@@ -12,6 +12,7 @@ use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 use takt_rt::ring::{Consumer, Producer, ring};
 
+use super::RefusedOutput;
 use takt_core::device::driver::Severity;
 
 /// Measurements after which the older of two observers is restarted: verdicts cover one to two windows.
@@ -21,7 +22,7 @@ const WAITING: usize = 64;
 /// Shortest time between two events of one kind.
 const PAUSE: Duration = Duration::from_secs(1);
 /// Number of event kinds.
-const KINDS: usize = 6;
+const KINDS: usize = 7;
 
 /// An event on the connection.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,6 +37,8 @@ pub(super) enum Event {
     Foreign(SocketAddr),
     /// The controller was lost.
     Lost,
+    /// An output that cannot be written as nets command it.
+    Output(RefusedOutput),
 }
 
 impl Event {
@@ -53,6 +56,7 @@ impl Event {
             },
             Self::Foreign(_) => 3,
             Self::Lost => 4,
+            Self::Output(_) => 6,
         }
     }
 
@@ -60,7 +64,7 @@ impl Event {
     pub(super) const fn severity(&self) -> Severity {
         match self {
             Self::Quality { .. } | Self::Refused(_) | Self::Foreign(_) => Severity::Warning,
-            Self::Withheld(_) | Self::Lost => Severity::Error,
+            Self::Withheld(_) | Self::Lost | Self::Output(_) => Severity::Error,
         }
     }
 
@@ -82,6 +86,7 @@ impl Event {
             Self::Lost => {
                 "the controller stopped sending\nhint: check its program, its cable, and the address that it sends to".to_owned()
             }
+            Self::Output(output) => output.to_string(),
         }
     }
 }
@@ -115,6 +120,8 @@ pub(super) struct Diagnostics {
     pub(super) decode_error: Option<DecodeError>,
     /// The last command that was withheld.
     pub(super) violation: Option<Violation>,
+    /// The last output that could not be written.
+    pub(super) refused_output: Option<RefusedOutput>,
     /// Datagrams of peers other than the controller.
     pub(super) foreign: u64,
 }
@@ -125,6 +132,7 @@ impl Default for Diagnostics {
             verdict: Verdict::Silent,
             decode_error: None,
             violation: None,
+            refused_output: None,
             foreign: 0,
         }
     }
@@ -239,6 +247,10 @@ impl EventSender {
 
     pub(super) const fn note_decode_error(&mut self, error: DecodeError) {
         self.diagnostics.decode_error = Some(error);
+    }
+
+    pub(super) const fn note_refused_output(&mut self, output: RefusedOutput) {
+        self.diagnostics.refused_output = Some(output);
     }
 
     pub(super) const fn note_foreign(&mut self) {

@@ -7,6 +7,8 @@ use takt_fri::diagnosis::{Measurement, Observer};
 use takt_fri::error::DecodeError;
 use takt_fri::guard::{Guarded, Violation};
 use takt_fri::lwr::Order;
+use takt_fri::sunrise::IoError;
+use takt_fri::sunrise::wire::Name;
 use takt_net::device::Interfaces;
 use takt_net::value::Wrench;
 
@@ -54,6 +56,21 @@ pub struct Totals {
     pub malformed: u64,
 }
 
+/// An output of the controller that cannot be written as nets command it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RefusedOutput {
+    /// Its name.
+    pub name: Name,
+    /// Why it is not written.
+    pub error: IoError,
+}
+
+impl fmt::Display for RefusedOutput {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "output `{}` is not written: {}", self.name, self.error)
+    }
+}
+
 /// A value of each joint.
 pub type Joints = [f64; AXES];
 
@@ -79,6 +96,15 @@ pub trait Protocol: fmt::Debug + Send + 'static {
 
     /// Why the last answer held the robot or added nothing; `None` if it carried what was commanded.
     fn violation(&self) -> Option<Violation>;
+
+    /// An output whose commands are refused since it was last asked for; `None` if there is none. It stays until
+    /// [`confirm_refused_output`](Self::confirm_refused_output).
+    fn refused_output(&self) -> Option<RefusedOutput> {
+        None
+    }
+
+    /// The output that [`refused_output`](Self::refused_output) returned was reported.
+    fn confirm_refused_output(&mut self) {}
 
     /// Handles the time `now` without a datagram; returns whether the controller was lost just now.
     fn handle_silence(&mut self, now: Duration) -> bool;

@@ -6,16 +6,16 @@ use std::time::Duration;
 use takt_fri::diagnosis::{Measurement, Observer};
 use takt_fri::error::DecodeError;
 use takt_fri::guard::{Guard, Guarded, Violation};
-use takt_fri::sunrise::wire::{CommandMode, ControlMode, MonitorData, Quality};
+use takt_fri::sunrise::wire::{CommandMode, ControlMode, MonitorData, Name, Quality};
 use takt_fri::sunrise::{
-    AXES, Demand, IoLevel, JOINT_NAMES, Phase, Session, SessionConfig, Withheld,
+    AXES, Demand, IoError, IoLevel, JOINT_NAMES, Phase, Session, SessionConfig, Withheld,
 };
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, Io, JointImpedance};
 use takt_net::value::Wrench;
 
 use crate::config::{IiwaIo, IiwaModel};
 use crate::fri::orders::{Gate, answer, error, first, from_wire, to_wire};
-use crate::fri::{Joints, Orders, Protocol, Reception, Totals, guard};
+use crate::fri::{Joints, Orders, Protocol, Reception, RefusedOutput, Totals, guard};
 use takt_core::device::DeviceStatus;
 use takt_core::device::on_end::OutputsOnEnd;
 
@@ -36,7 +36,58 @@ pub struct End {
     wrench_gate: Gate,
     answers: Answers,
     io: IiwaIo,
+    outputs: Refusals,
     on_end: OutputsOnEnd,
+}
+
+/// Which outputs are refused, digital ones before numbers.
+#[derive(Debug)]
+struct Refusals {
+    names: Vec<Name>,
+    refused: Vec<Refusal>,
+}
+
+/// Whether an output is written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Refusal {
+    /// It is, or nothing was commanded.
+    #[default]
+    None,
+    /// It is not, which is to be reported.
+    New(IoError),
+    /// It is not, which was reported.
+    Reported(IoError),
+}
+
+impl Refusals {
+    fn new(io: &IiwaIo) -> Self {
+        let names = io.bool_out.iter().chain(&io.real_out);
+        let names: Vec<_> = names
+            .map(|name| Name::new(name).unwrap_or_default())
+            .collect();
+        let refused = vec![Refusal::None; names.len()];
+        Self { names, refused }
+    }
+
+    /// Notes whether the output of that number was written; the same error is reported once.
+    fn note(&mut self, number: usize, written: Result<(), IoError>) {
+        let Some(refused) = self.refused.get_mut(number) else {
+            return;
+        };
+        *refused = match (written, *refused) {
+            (Ok(()), _) => Refusal::None,
+            (Err(error), Refusal::Reported(before)) if before == error => *refused,
+            (Err(error), _) => Refusal::New(error),
+        };
+    }
+
+    fn first_new(&self) -> Option<(usize, IoError)> {
+        let mut all = self.refused.iter().enumerate();
+        all.find_map(|(number, refused)| match refused {
+            Refusal::New(error) => Some((number, *error)),
+            Refusal::None | Refusal::Reported(_) => None,
+        })
+    }
 }
 
 /// Answers to the last orders.
@@ -68,6 +119,7 @@ impl End {
             wrench: [0.0; 6],
             wrench_gate: Gate::default(),
             answers: Answers::default(),
+            outputs: Refusals::new(&io),
             io,
             on_end: OutputsOnEnd::default(),
         }
@@ -162,21 +214,26 @@ impl End {
         verdict(refused, is_fixed, needed)
     }
 
-    /// Writes the outputs that nets command. An output that the robot program does not share is not written, and its
-    /// state stays null.
+    /// Writes the outputs that nets command. One that the robot program does not share, or shares with another type, is
+    /// reported; its state stays null.
     fn write(&mut self, io: &Io, orders: &Orders<'_>) {
+        if self.session.phase() == Phase::Offline {
+            return;
+        }
         let outputs = self.io.bool_out.iter().zip(io.bool_out.iter());
         for (port, (name, output)) in outputs.enumerate() {
             let given = output.command.read(orders.words);
             if let Some(value) = self.on_end.truth(port, given) {
-                let _not_shared = self.session.write(name, IoLevel::Boolean(value));
+                let written = self.session.write(name, IoLevel::Boolean(value));
+                self.outputs.note(port, written);
             }
         }
         let outputs = self.io.real_out.iter().zip(io.real_out.iter());
         for (port, (name, output)) in outputs.enumerate() {
             let given = output.command.read(orders.words);
             if let Some(value) = self.on_end.number(port, given) {
-                let _not_shared = self.session.write(name, IoLevel::Analog(value));
+                let written = self.session.write_number(name, value);
+                self.outputs.note(self.io.bool_out.len() + port, written);
             }
         }
     }
@@ -277,10 +334,7 @@ impl Protocol for End {
 
     fn measurement(&self, at: Duration) -> Option<Measurement> {
         let received = self.session.message();
-        received.map(|message| Measurement {
-            is_due: self.session.is_pending(),
-            ..Measurement::sunrise(at, message)
-        })
+        received.map(|message| Measurement::sunrise(at, message))
     }
 
     fn sent_sequence(&self) -> u32 {
@@ -289,6 +343,21 @@ impl Protocol for End {
 
     fn violation(&self) -> Option<Violation> {
         self.violation.or(self.beyond)
+    }
+
+    fn refused_output(&self) -> Option<RefusedOutput> {
+        let (number, error) = self.outputs.first_new()?;
+        let name = *self.outputs.names.get(number)?;
+        Some(RefusedOutput { name, error })
+    }
+
+    fn confirm_refused_output(&mut self) {
+        let reported = self.outputs.first_new();
+        if let Some((number, error)) = reported
+            && let Some(refused) = self.outputs.refused.get_mut(number)
+        {
+            *refused = Refusal::Reported(error);
+        }
     }
 
     fn handle_silence(&mut self, now: Duration) -> bool {

@@ -142,3 +142,121 @@ fn iiwa_net_ends_outputs_follow_stated_policy() {
         outputs_follow_their_policy(&description, expected, 8, rig);
     }
 }
+
+/// An iiwa with these outputs, which shares `shared`, led by a net that writes them.
+fn iiwa_writing(io: &IiwaIo, shared: Vec<Io>) -> Rig<Cabinet, iiwa::End> {
+    let description = iiwa::describe("arm", IiwaModel::Iiwa14).with(&iiwa::parts(io));
+    let config = CabinetConfig {
+        send_period: MS,
+        joints: POSTURE,
+        ios: shared,
+        ..CabinetConfig::default()
+    };
+    let cabinet = Cabinet::new(config, Duration::ZERO);
+    let end = iiwa::End::new(IiwaModel::Iiwa14, io.clone());
+    let mut rig = Rig::new(cabinet, end, &description);
+    rig.follow();
+    rig
+}
+
+/// Commands the outputs of an arm with I/O alone: first the digital ones, then the numbers.
+fn command_outputs(rig: &mut Rig<Cabinet, iiwa::End>, io: &IiwaIo, bools: bool, number: f64) {
+    let before = iiwa::parts(&IiwaIo::default());
+    let mut layout = takt_net::device::Layout::default();
+    let _places = takt_core::device::parts::lay(&before, AXES, &mut layout);
+    let cycle = rig.wanted.cycle;
+    let words = [u64::from(bools), number.to_bits()];
+    let kinds = std::iter::repeat_n(words[0], io.bool_out.len())
+        .chain(std::iter::repeat_n(words[1], io.real_out.len()));
+    // A stamp of three words, then the value.
+    for (output, value) in kinds.enumerate() {
+        let at = layout.commands + output * 4;
+        rig.wanted.words[at..at + 4].copy_from_slice(&[cycle, cycle, 1, value]);
+    }
+}
+
+fn shared(name: &str, direction: IoDirection, level: IoLevel) -> Io {
+    Io {
+        name: name.to_owned(),
+        direction,
+        level,
+    }
+}
+
+#[test]
+fn iiwa_refused_outputs_are_reported_once() {
+    let names = |all: &[&str]| all.iter().map(|name| (*name).to_owned()).collect();
+    let io = IiwaIo {
+        bool_out: names(&["Media.Absent", "Media.Count"]),
+        real_out: names(&["Media.Lamp", "Media.Level"]),
+        ..IiwaIo::default()
+    };
+    let output = IoDirection::Output;
+    let mut rig = iiwa_writing(
+        &io,
+        vec![
+            shared("Media.Count", output, IoLevel::Digital(0)),
+            shared("Media.Lamp", output, IoLevel::Boolean(false)),
+            shared("Media.Level", IoDirection::Input, IoLevel::Analog(0.0)),
+        ],
+    );
+    assert_eq!(rig.events(), Vec::<String>::new());
+    // One event of a kind in a second.
+    for _ in 0..6_000 {
+        command_outputs(&mut rig, &io, true, 1.0);
+        rig.step();
+    }
+    let events = rig.events();
+    let [absent, count, lamp, level] = &events[..] else {
+        panic!("{events:#?}");
+    };
+    for (event, cause) in [
+        (
+            absent,
+            "output `Media.Absent` is not written: the controller does not share it\nhint: ",
+        ),
+        (
+            count,
+            "output `Media.Count` is not written: it is of type digital, not bool\nhint: ",
+        ),
+        (
+            lamp,
+            "output `Media.Lamp` is not written: it is of type bool, not analog\nhint: ",
+        ),
+        (
+            level,
+            "output `Media.Level` is not written: it is an input for this client\nhint: ",
+        ),
+    ] {
+        assert!(event.starts_with(cause), "{event}");
+    }
+    assert_eq!(rig.controller.io("Media.Count"), Some(IoLevel::Digital(0)));
+}
+
+#[test]
+fn iiwa_digital_output_takes_whole_numbers() {
+    let io = IiwaIo {
+        real_out: vec!["Media.Count".to_owned()],
+        ..IiwaIo::default()
+    };
+    let output = IoDirection::Output;
+    let mut rig = iiwa_writing(
+        &io,
+        vec![shared("Media.Count", output, IoLevel::Digital(0))],
+    );
+    for (value, expected) in [(5.0, 5), (6.6, 7), (-1.0, 7), (f64::NAN, 7), (0.0, 0)] {
+        for _ in 0..5 {
+            command_outputs(&mut rig, &io, false, value);
+            rig.step();
+        }
+        let found = rig.controller.io("Media.Count");
+        assert_eq!(found, Some(IoLevel::Digital(expected)), "{value}");
+    }
+    let events = rig.events();
+    assert!(
+        events
+            .iter()
+            .any(|event| event.contains("whole numbers from 0")),
+        "{events:#?}"
+    );
+}

@@ -1,16 +1,17 @@
 //! Why no measurement arrives: compares the packets on the wire with the address this host listens at, and names the
-//! cause with a hint. Sockets are read in `wire`.
+//! cause with a remedy, for tools and drivers alike. It answers nothing and sends nothing.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV4};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use takt_fri::capture::Datagram;
-use takt_fri::client::DatagramError;
-use takt_fri::generation::Kind;
+use takt_link::linux::Sniffer;
+use takt_link::linux::host::{Address, Transport, addresses, has_route, is_port_taken, list};
 
-use super::port::{Address, list};
+use crate::capture::Datagram;
+use crate::client::DatagramError;
+use crate::generation::Kind;
 
 /// Types of packets (IEEE 802 numbers).
 const IPV4: u16 = 0x0800;
@@ -20,53 +21,146 @@ const KINDS_MAX: usize = 64;
 /// Unanswered ARP requests after which an address counts as unassigned.
 const UNANSWERED: u32 = 2;
 
+/// How often [`analyse`] polls the captured packets.
+const POLL_EVERY: Duration = Duration::from_millis(50);
+
+/// Captures packets for a while and returns why no measurement arrives at `listen`. `refusal` is the error of the last
+/// datagram that arrived there and was rejected, if any did. It blocks for `capture`: not for a real-time thread.
+///
+/// A controller that gets no answer to its ARP requests repeats them every second: capture for three seconds.
+pub fn analyse(listen: SocketAddr, capture: Duration, refusal: Option<DatagramError>) -> Cause {
+    let mut watch = Watch::new(listen);
+    let until = Instant::now() + capture;
+    loop {
+        watch.poll();
+        let left = until.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return watch.cause(refusal);
+        }
+        std::thread::sleep(left.min(POLL_EVERY));
+    }
+}
+
+/// Captures packets while no measurement arrives at an address. Drop it as soon as one does: each packet of the host costs
+/// a copy.
+#[derive(Debug)]
+pub struct Watch {
+    listen: SocketAddr,
+    sniffer: Sniffer,
+    evidence: Evidence,
+}
+
+impl Watch {
+    /// Starts to capture, if this user is permitted to (CAP_NET_RAW).
+    pub fn new(listen: SocketAddr) -> Self {
+        let sniffer = Sniffer::open();
+        let evidence = Evidence {
+            is_allowed: sniffer.is_permitted(),
+            ..Evidence::default()
+        };
+        Self {
+            listen,
+            sniffer,
+            evidence,
+        }
+    }
+
+    /// Takes the packets captured since the last call; call it at least ten times a second.
+    pub fn poll(&mut self) {
+        let Self {
+            sniffer, evidence, ..
+        } = self;
+        sniffer.poll(|kind, packet| evidence.handle_packet(kind, packet));
+    }
+
+    /// Why nothing arrives, by what was captured so far; `refusal` as in [`analyse`].
+    pub fn cause(&self, refusal: Option<DatagramError>) -> Cause {
+        let is_taken = |port| is_port_taken(Transport::Udp, port);
+        self.evidence
+            .judge(self.listen, refusal, addresses(), has_route, is_taken)
+    }
+}
+
 /// Packets observed on the wire.
 #[derive(Debug, Default)]
-pub(super) struct Evidence {
+struct Evidence {
     /// Whether this user may capture packets.
-    pub(super) is_allowed: bool,
+    is_allowed: bool,
     /// ARP requests: sender and requested address, and how often.
     requests: BTreeMap<(Ipv4Addr, Ipv4Addr), u32>,
     /// Measurements: sender and destination, and how many.
     measurements: BTreeMap<(SocketAddrV4, SocketAddrV4), u32>,
 }
 
-/// Why nothing arrives.
+/// Why nothing arrives. Its text names cause and remedy, the remedy as `hint:` on its own line.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Cause {
+#[non_exhaustive]
+pub enum Cause {
     /// Datagrams arrive, but no measurements, or of another version than expected.
     Refused(DatagramError),
     /// Sent to another port of this host.
-    Port { from: Ipv4Addr, to: SocketAddrV4 },
+    Port {
+        /// The controller.
+        from: Ipv4Addr,
+        /// Where it sends to.
+        to: SocketAddrV4,
+    },
     /// Sent to another address of this host.
-    Interface { from: Ipv4Addr, to: SocketAddrV4 },
+    Interface {
+        /// The controller.
+        from: Ipv4Addr,
+        /// Where it sends to.
+        to: SocketAddrV4,
+    },
     /// Arrives at this host, which has no route back to its sender.
-    NoRoute { from: Ipv4Addr, ours: Vec<Address> },
+    NoRoute {
+        /// The controller.
+        from: Ipv4Addr,
+        /// This host's addresses.
+        ours: Vec<Address>,
+    },
     /// Arrives at this host, which drops it.
-    Dropped { from: Ipv4Addr, port: u16 },
+    Dropped {
+        /// The controller.
+        from: Ipv4Addr,
+        /// The port it sends to.
+        port: u16,
+    },
     /// A host requests an address that is not ours, without an answer.
     Target {
+        /// The host that requests it, likely the controller.
         asker: Ipv4Addr,
+        /// The requested address.
         wanted: Ipv4Addr,
+        /// This host's addresses.
         ours: Vec<Address>,
     },
     /// A host outside of our netmask requests our address.
-    Mask { asker: Ipv4Addr, ours: Address },
+    Mask {
+        /// The host that requests it, likely the controller.
+        asker: Ipv4Addr,
+        /// The requested address.
+        ours: Address,
+    },
     /// No trace of a controller.
     Nothing {
+        /// Where this host listens.
         listen: SocketAddr,
+        /// This host's addresses.
         ours: Vec<Address>,
     },
     /// This user may not capture packets.
     Blind {
+        /// Where this host listens.
         listen: SocketAddr,
+        /// This host's addresses.
         ours: Vec<Address>,
     },
 }
 
 impl Evidence {
     /// Handles a packet of a type, without its link header.
-    pub(super) fn handle_packet(&mut self, kind: u16, packet: &[u8]) {
+    fn handle_packet(&mut self, kind: u16, packet: &[u8]) {
         match kind {
             IPV4 => self.handle_ip(packet),
             ARP => self.handle_arp(packet),
@@ -91,7 +185,7 @@ impl Evidence {
 
     /// The cause for a client at `listen` on a host with the addresses `ours`. `has_route` and `is_taken` describe the
     /// host: where it has routes to, and which other ports are in use, which have controllers of their own.
-    pub(super) fn judge(
+    fn judge(
         &self,
         listen: SocketAddr,
         refusal: Option<DatagramError>,
@@ -186,14 +280,15 @@ impl fmt::Display for Cause {
             Self::Refused(refusal) => refusal.fmt(f),
             Self::Port { from, to } => write!(
                 f,
-                "{from} sends to port {} of this host\nhint: listen there (--listen {to}), or correct the port that the \
-                 controller sends to",
+                "{from} sends to port {} of this host\nhint: listen at {to}, or correct the port that the controller sends \
+                 to",
                 to.port()
             ),
             Self::Interface { from, to } => write!(
                 f,
-                "{from} sends to {}, another address of this host\nhint: --listen {to}",
-                to.ip()
+                "{from} sends to {}, another address of this host\nhint: listen at {to}, or at 0.0.0.0:{}",
+                to.ip(),
+                to.port()
             ),
             Self::NoRoute { from, ours } => write!(
                 f,
@@ -241,8 +336,8 @@ impl fmt::Display for Cause {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use takt_fri::lwr::emulator::{Krc, KrcConfig};
-    use takt_fri::lwr::wire::Msr;
+    use crate::lwr::emulator::{Krc, KrcConfig};
+    use crate::lwr::wire::Msr;
 
     const ROBOT: Ipv4Addr = Ipv4Addr::new(192, 168, 0, 20);
     const HOST: Ipv4Addr = Ipv4Addr::new(192, 168, 0, 5);
@@ -299,13 +394,13 @@ mod tests {
         let all = "0.0.0.0:49938";
         let port = cause(all, 24, &sent("192.168.0.5:30200"));
         assert!(
-            port.starts_with("192.168.0.20 sends to port 30200 of this host\nhint: listen there (--listen 192.168.0.5:30200)"),
+            port.starts_with("192.168.0.20 sends to port 30200 of this host\nhint: listen at 192.168.0.5:30200, or"),
             "{port}"
         );
         let interface = cause("127.0.0.1:49938", 24, &sent("192.168.0.5:49938"));
         assert_eq!(
             interface,
-            "192.168.0.20 sends to 192.168.0.5, another address of this host\nhint: --listen 192.168.0.5:49938"
+            "192.168.0.20 sends to 192.168.0.5, another address of this host\nhint: listen at 192.168.0.5:49938, or at 0.0.0.0:49938"
         );
         let dropped = cause(all, 24, &sent("192.168.0.5:49938"));
         assert!(
