@@ -155,7 +155,8 @@ pub struct SlaveSpec {
     pub optional: bool,
     /// Slaves of one group share a datagram and its working counter, 0 to 7.
     pub group: u8,
-    /// Its goal: PRE-OP, SAFE-OP or OP, but not farther than the segment.
+    /// Its goal: PRE-OP, SAFE-OP or OP, but not farther than the segment; or INIT or BOOT, without process data, whatever
+    /// the goal of the segment is.
     pub goal: AlState,
     /// PDOs that it is to receive; `None` leaves what the slave has assigned.
     pub outputs: Option<Vec<PdoSpec>>,
@@ -278,7 +279,7 @@ pub enum ConfigError {
         /// The given value.
         group: u8,
     },
-    /// A goal is not one of the three states.
+    /// A goal is no state to bring a slave or a segment to.
     #[error("slave \"{slave}\": goal {goal}; write PRE-OP, SAFE-OP or OP")]
     Goal {
         /// Its name, or "segment".
@@ -352,7 +353,9 @@ impl SlaveSpec {
                 group: self.group,
             });
         }
-        check_goal(&self.name, self.goal)?;
+        if !matches!(self.goal, AlState::Init | AlState::Boot) {
+            check_goal(&self.name, self.goal)?;
+        }
         if self.optional && matches!(self.location, Location::Position(_)) {
             return Err(ConfigError::OptionalPosition(slave()));
         }
@@ -418,10 +421,10 @@ mod tests {
             ),
             (
                 vec![SlaveSpec {
-                    goal: AlState::Boot,
+                    goal: AlState::Other(5),
                     ..first.clone()
                 }],
-                "goal BOOT",
+                "goal ",
             ),
             (
                 vec![SlaveSpec {

@@ -7,6 +7,7 @@ mod al;
 pub mod coe;
 mod command;
 mod datagram;
+pub mod foe;
 mod frame;
 mod mailbox;
 pub mod register;

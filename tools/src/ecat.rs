@@ -8,9 +8,12 @@ mod directions;
 mod drive;
 mod dump;
 mod finding;
+mod foe;
 mod frames;
 mod pdos;
 mod recording;
+mod reg;
+mod ring;
 mod scan;
 mod sdo;
 mod session;
@@ -18,6 +21,7 @@ mod sii;
 mod sim;
 mod stat;
 mod target;
+mod state;
 #[cfg(test)]
 mod tests;
 mod trips;
@@ -37,6 +41,9 @@ pub(crate) enum Ecat {
     Scan(scan::Scan),
     Sdo(sdo::Sdo),
     Sii(sii::Sii),
+    Reg(reg::Reg),
+    State(state::State),
+    Foe(foe::Foe),
     Sim(sim::Sim),
     Drive(drive::Drive),
     Youbot(youbot::YouBot),
@@ -52,6 +59,9 @@ impl Ecat {
             Self::Scan(scan) => scan.run(),
             Self::Sdo(sdo) => sdo.run(),
             Self::Sii(sii) => sii.run(),
+            Self::Reg(reg) => reg.run(),
+            Self::State(state) => state.run(),
+            Self::Foe(foe) => foe.run(),
             Self::Sim(sim) => sim.run(),
             Self::Drive(drive) => drive.run(),
             Self::Youbot(youbot) => youbot.run(),

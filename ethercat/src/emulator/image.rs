@@ -57,6 +57,8 @@ pub struct SiiImage {
     pub tx_pdos: Vec<PdoImage>,
     /// Spare bytes for outputs and inputs beyond the PDOs above.
     pub spare: u16,
+    /// It has FoE and BOOT.
+    pub files: bool,
     /// Explicit layout instead of the derived one.
     pub layout: Option<SiiLayout>,
 }
@@ -78,6 +80,8 @@ pub struct SiiLayout {
     pub others: Vec<(u16, Vec<u8>)>,
 }
 
+/// The bit of FoE in the mailbox protocols.
+const FOE: u16 = 0x0008;
 /// Start addresses of mailboxes and process data.
 const MAILBOX: u16 = 0x1000;
 
@@ -159,6 +163,10 @@ impl SiiImage {
             let (areas, protocols) = self.mailboxes();
             for (i, value) in (0..).zip(areas) {
                 put(sii::word::MAILBOX + i, value);
+            }
+            let boot = self.boot_mailbox();
+            let boot = [boot.receive, boot.receive_len, boot.send, boot.send_len];
+            for (i, value) in (0..).zip(boot) {
                 put(sii::word::BOOT_MAILBOX + i, value);
             }
             put(sii::word::MAILBOX + 4, protocols);
@@ -230,8 +238,34 @@ impl SiiImage {
             None => {
                 let len = self.mailbox_len;
                 let protocols = if self.coe > 0 { 0x0004 } else { 0 };
+                let protocols = protocols | if self.files { FOE } else { 0 };
                 ([MAILBOX, len, MAILBOX + len, len], protocols)
             }
+        }
+    }
+
+    /// Whether it has FoE.
+    pub(crate) fn speaks_foe(&self) -> bool {
+        self.mailbox_len > 0 && self.mailboxes().1 & FOE != 0
+    }
+
+    /// The mailboxes in BOOT. Those with FoE are longer there, as no process data needs memory; except with a layout.
+    pub(crate) fn boot_mailbox(&self) -> MailboxAreas {
+        let ([receive, receive_len, send, send_len], _) = self.mailboxes();
+        if self.files && self.layout.is_none() {
+            let len = receive_len + 0x40;
+            return MailboxAreas {
+                receive,
+                receive_len: len,
+                send: receive + len,
+                send_len: len,
+            };
+        }
+        MailboxAreas {
+            receive,
+            receive_len,
+            send,
+            send_len,
         }
     }
 
@@ -265,7 +299,7 @@ impl SiiImage {
         };
         let mut bytes = [0; 32];
         (bytes[0], bytes[2], bytes[3]) = (general.group, general.order, general.name);
-        (bytes[5], bytes[11]) = (general.coe, general.flags);
+        (bytes[5], bytes[6], bytes[11]) = (general.coe, u8::from(self.files), general.flags);
         bytes[12..14].copy_from_slice(&general.ebus_ma.to_le_bytes());
         bytes[16..18].copy_from_slice(&general.ports.to_le_bytes());
         bytes

@@ -5,6 +5,7 @@ mod al;
 mod chip;
 mod eeprom;
 mod faults;
+mod file;
 mod logical;
 mod mailbox;
 mod sync;
@@ -23,6 +24,8 @@ use super::memory::{Memory, ecat_event};
 pub use chip::{Chip, ClockUnit};
 use eeprom::Eeprom;
 pub use faults::SlaveFaults;
+use file::FileServer;
+pub use file::{FileStore, Files};
 use mailbox::Post;
 pub use times::{Span, Times};
 
@@ -157,6 +160,8 @@ pub struct Slave {
     request: Option<Request>,
     faults: SlaveFaults,
     post: Post,
+    /// `None` for a slave without FoE, which has no BOOT either.
+    files: Option<FileServer>,
     random: Random,
     channels: Channels,
     /// Time of the last outputs; `None` before the first.
@@ -179,6 +184,7 @@ pub struct Slave {
 impl Slave {
     /// A slave after power-on.
     pub fn new(config: SlaveConfig, application: Box<dyn Application>) -> Self {
+        let files = config.sii.speaks_foe().then(FileServer::default);
         let mut slave = Self {
             eeprom: Eeprom::new(config.sii.encode()),
             memory: config.memory(),
@@ -192,6 +198,7 @@ impl Slave {
             request: None,
             faults: SlaveFaults::default(),
             post: Post::default(),
+            files,
             outputs_at: None,
             ran: 0,
             fresh: false,
@@ -316,6 +323,21 @@ impl Slave {
         *self.eeprom.bytes_mut() = self.config.sii.encode();
         self.power_on(0);
         self
+    }
+
+    /// The same with FoE, BOOT and mailboxes of other lengths there. Its EEPROM is reset.
+    #[must_use]
+    pub fn with_files(mut self) -> Self {
+        self.config.sii.files = true;
+        *self.eeprom.bytes_mut() = self.config.sii.encode();
+        self.files = Some(FileServer::default());
+        self.power_on(0);
+        self
+    }
+
+    /// Its files; `None` without FoE.
+    pub fn files(&self) -> Option<Files> {
+        self.files.as_ref().map(|server| server.files.clone())
     }
 
     /// Gives it another name, whose first word is its order code. Its EEPROM is reset; the change takes effect at the
@@ -524,7 +546,7 @@ impl Slave {
     pub(super) fn poll(&mut self, now: u64) {
         self.poll_al_control(now);
         self.poll_sii(now);
-        if matches!(self.state, AlState::PreOp | AlState::SafeOp | AlState::Op) {
+        if !matches!(self.state, AlState::Init | AlState::Other(_)) {
             self.poll_mailbox(now);
         }
         match self.state {

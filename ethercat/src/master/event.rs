@@ -6,6 +6,7 @@ use std::fmt;
 use std::time::Duration;
 
 use super::job::Reply;
+use crate::foe::FoeError;
 use crate::{AlState, AlStatus, AlStatusCode, Emergency, MailboxError};
 use takt_cia402::dictionary::{AbortCode, Address, Mapped};
 
@@ -237,6 +238,9 @@ pub enum JobError {
     /// The slave could not process the message.
     #[error("{0}")]
     Mailbox(MailboxError),
+    /// The slave refused a file.
+    #[error("the slave refuses the file: {0}")]
+    File(FoeError),
     /// The answer timed out.
     #[error("no answer within {0:?}; is the slave in PRE-OP or higher, and its firmware running?")]
     Timeout(Duration),
@@ -268,6 +272,11 @@ pub enum JobError {
     /// The register did not answer.
     #[error("the register did not answer (working counter 0)")]
     NoAnswer,
+    /// The EEPROM acknowledged no command in the whole time (0502h bit 13).
+    #[error(
+        "its EEPROM acknowledges no command (0502h bit 13): firmware holds it, or it is write-protected or broken"
+    )]
+    NoAcknowledge,
     /// The slave was lost, or fell to INIT.
     #[error("the slave is offline")]
     Absent,

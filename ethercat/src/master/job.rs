@@ -5,6 +5,7 @@ use takt_cia402::dictionary::Address;
 
 use super::event::JobError;
 use crate::coe::{Information, Whole};
+use crate::foe::FileName;
 
 /// The kind of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +33,20 @@ pub enum JobKind {
     DescribeEntry(Address),
     /// Write `data` to the mailbox unchanged and return the next message, both without mailbox header.
     RawMailbox,
+    /// Read a file (FoE) into `data`, as far as its capacity goes. `data` of a refused request is the slave's text.
+    ReadFile {
+        /// The file.
+        name: FileName,
+        /// 0 for none.
+        password: u32,
+    },
+    /// Write `data` to a file (FoE). `data` of a refused request is the slave's text.
+    WriteFile {
+        /// The file.
+        name: FileName,
+        /// 0 for none.
+        password: u32,
+    },
     /// Read a register of the slave controller.
     ReadRegister {
         /// The register address.
@@ -68,6 +83,8 @@ impl JobKind {
             Self::Upload { .. }
             | Self::Download { .. }
             | Self::RawMailbox
+            | Self::ReadFile { .. }
+            | Self::WriteFile { .. }
             | Self::ReadRegister { .. }
             | Self::WriteRegister { .. }
             | Self::ReadSii { .. }
@@ -83,7 +100,9 @@ impl JobKind {
             | Self::List(_)
             | Self::DescribeObject(_)
             | Self::DescribeEntry(_)
-            | Self::RawMailbox => true,
+            | Self::RawMailbox
+            | Self::ReadFile { .. }
+            | Self::WriteFile { .. } => true,
             Self::ReadRegister { .. }
             | Self::WriteRegister { .. }
             | Self::ReadSii { .. }

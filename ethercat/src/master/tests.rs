@@ -4,6 +4,7 @@ use super::*;
 use crate::emulator::{Coupler, Entry, Io, Segment};
 
 mod clocks;
+mod files;
 mod fuzz;
 mod mailbox;
 mod more;

@@ -4,6 +4,7 @@
 
 mod clock;
 mod datagram;
+mod file;
 mod identity;
 mod info;
 mod jobs;
@@ -116,11 +117,22 @@ impl Unit {
 
     /// The state to bring it to.
     pub(super) fn goal(&self, config: &MasterConfig) -> AlState {
-        if config.goal.raw() < self.spec.goal.raw() {
-            config.goal
+        let own = self.spec.goal;
+        if self.is_apart() || own.raw() <= config.goal.raw() {
+            own
         } else {
-            self.spec.goal
+            config.goal
         }
+    }
+
+    /// Whether it is held in INIT or BOOT, apart from the process data of the segment.
+    pub(super) const fn is_apart(&self) -> bool {
+        matches!(self.spec.goal, AlState::Init | AlState::Boot)
+    }
+
+    /// Whether process data and clocks are set up.
+    pub(super) fn goes_on(&self, config: &MasterConfig) -> bool {
+        matches!(self.goal(config), AlState::SafeOp | AlState::Op)
     }
 
     /// Longest datagram of its mailbox, bytes; zero without a mailbox.

@@ -92,6 +92,11 @@ impl<'a> SlaveView<'a> {
         self.unit.clock.start_ns
     }
 
+    /// Bytes of the object or file that is transferred at present; `None` without a transfer.
+    pub fn transferred(&self) -> Option<usize> {
+        self.unit.transferred()
+    }
+
     /// Unsolicited messages of its mailbox, and repeat requests.
     pub const fn mailbox_counters(&self) -> (u32, u32) {
         self.unit.mailbox_counters()

@@ -44,6 +44,12 @@ impl MailboxKind {
         found.map_or(0, |(_, raw, _)| *raw)
     }
 
+    /// The name of the protocol.
+    pub(crate) fn name(self) -> &'static str {
+        let found = KINDS.iter().find(|(kind, ..)| *kind == self);
+        found.map_or("such mailbox protocol", |(.., name)| name)
+    }
+
     /// From the lowest four bits.
     pub fn from_raw(raw: u8) -> Self {
         let raw = raw & 0x0F;

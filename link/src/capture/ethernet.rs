@@ -18,6 +18,8 @@ pub struct EthernetFrame {
     pub port: Option<u8>,
     /// Whether the probe found a checksum error.
     pub is_corrupt: bool,
+    /// Whether only the beginning of the frame was recorded (`tcpdump -s`).
+    pub is_truncated: bool,
     /// The frame from its destination address on, as far as recorded.
     pub bytes: Vec<u8>,
 }
@@ -52,6 +54,8 @@ impl<R: Read> Frames<R> {
             interface: packet.interface,
             port: None,
             is_corrupt: false,
+            is_truncated: usize::try_from(packet.original_len)
+                .is_ok_and(|len| len > packet.data.len()),
             bytes: packet.data,
         };
         match packet.link {

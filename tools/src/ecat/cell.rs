@@ -41,10 +41,25 @@ pub(super) fn master(segment: &EthercatConfig, cycle: Duration, goal: AlState) -
     }
 }
 
-/// The interface at the other end of a segment that is a ring. Without a link there, it is a line.
-pub(super) fn other_end(segment: &EthercatConfig) -> Option<String> {
-    let second = segment.second.clone();
-    second.filter(|second| crate::link::fault(second).is_none())
+/// The interfaces at both ends of a segment: those that the command line names, else those of the cell. The other end of
+/// a ring counts if it has a link; without one the ring is a line.
+pub(super) fn ends(
+    segment: &EthercatConfig,
+    interface: Option<String>,
+    second: Option<String>,
+) -> (Option<String>, Option<String>) {
+    let interface = interface.unwrap_or_else(|| segment.interface.clone());
+    // A ring is entered at either end.
+    let of_cell = [&segment.second, &Some(segment.interface.clone())];
+    let other = || {
+        let mut ends = of_cell.into_iter().flatten();
+        let other = ends.find(|end| **end != interface && segment.second.is_some());
+        other
+            .filter(|end| crate::link::fault(end).is_none())
+            .cloned()
+    };
+    let second = second.or_else(other);
+    (Some(interface), second)
 }
 
 #[cfg(test)]
@@ -81,6 +96,19 @@ mod tests {
         assert!(least > -2000 && most < 2000, "{text}");
         assert!(text.contains("from the middle between two SYNC0"), "{text}");
         assert!(session.master().slave(1).unwrap().sync_start_ns().is_some());
+    }
+
+    #[test]
+    fn segment_ends_default_to_those_of_cell() {
+        let text = "[[ethercat]]\nname = 'ring'\ninterface = 'nowhere0'\nsecond = 'lo'\n";
+        let cell = takt_devices::parse_cell(text).unwrap();
+        let segment = segment(&cell, None).unwrap();
+        let name = |text: &str| Some(text.to_owned());
+        assert_eq!(ends(segment, None, None), (name("nowhere0"), name("lo")));
+        // The first interface has no link, so that from its other end the ring is a line.
+        assert_eq!(ends(segment, name("lo"), None), (name("lo"), None));
+        let given = ends(segment, name("eth7"), name("eth8"));
+        assert_eq!(given, (name("eth7"), name("eth8")));
     }
 
     #[test]

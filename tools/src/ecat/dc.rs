@@ -25,7 +25,7 @@ use crate::output::{say, span, time};
 #[command(after_help = "Examples:
   takt ecat dc enp2s0
   takt ecat dc enp2s0 --duration 1min --window 200ns --json
-  takt ecat dc enp2s0 --config /etc/takt/cell.toml
+  takt ecat dc --config /etc/takt/cell.toml
   takt ecat dc --from run.pcap
 
 Differences are those of register 092Ch, positive where the slave is ahead of the reference.")]

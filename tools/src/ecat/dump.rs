@@ -6,7 +6,6 @@ mod meaning;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::ensure;
 use clap::Args;
 
 use super::directions::{Direction, directions};
@@ -52,11 +51,7 @@ impl Dump {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let name = self.from.display();
         let capture = Capture::read(&self.from)?;
-        ensure!(
-            !capture.frames.is_empty() || capture.cut.is_some(),
-            "{name}: no EtherCAT frames, {} others\nhint: record at the interface of the segment",
-            capture.others
-        );
+        capture.check(&name.to_string())?;
         let mut decoder = Decoder::default();
         let filter = Filter {
             returned: self.returned,

@@ -5,9 +5,9 @@ use std::io::Read;
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, ensure};
 use takt_ethercat::link::{ETHER_TYPE, HEADER_LEN};
-use takt_ethercat::{Datagram, DecodeError, Frame};
+use takt_ethercat::{Datagram, DecodeError, Frame, FrameHeader};
 use takt_link::capture::{Cut, EthernetFrame, Frames};
 
 /// Equal frames within this time were recorded twice; on the wire none is repeated that soon.
@@ -46,6 +46,45 @@ pub(super) fn datagrams<'a>(
         .filter(move |datagram| !datagram.as_ref().is_err_and(is_padding))
 }
 
+/// Length of a datagram without data: header and working counter, bytes.
+const DATAGRAM_MIN: usize = 12;
+
+/// Shortens a frame of which only the beginning was recorded to its whole datagrams; whether it was longer. Both directions
+/// are cut at the same length, so that answers still fit their frames.
+fn end_with_whole_datagram(bytes: &mut Vec<u8>) -> bool {
+    let word = |bytes: &[u8], at: usize| {
+        let two = bytes.get(at..)?.first_chunk()?;
+        Some(u16::from_le_bytes(*two))
+    };
+    let begin = HEADER_LEN + FrameHeader::LEN;
+    let announced = word(bytes, HEADER_LEN).map_or(0, |header| usize::from(header & 0x07FF));
+    if bytes.len() >= begin + announced {
+        return false;
+    }
+    let (mut end, mut last) = (begin, None);
+    while let Some(len) = word(bytes, end + 6) {
+        let next = end + DATAGRAM_MIN + usize::from(len & 0x07FF);
+        if next > bytes.len() {
+            break;
+        }
+        last = Some(end + 7);
+        end = next;
+        if len & 0x8000 == 0 {
+            break;
+        }
+    }
+    // No datagram follows the last whole one.
+    if let Some(flags) = last.and_then(|at| bytes.get_mut(at)) {
+        *flags &= 0x7F;
+    }
+    bytes.truncate(end);
+    let len = u16::try_from(end - begin).unwrap_or_default();
+    if let Some(header) = bytes.get_mut(HEADER_LEN..begin) {
+        header.copy_from_slice(&(len | 0x1000).to_le_bytes());
+    }
+    true
+}
+
 /// The EtherCAT frames of a recording.
 #[derive(Debug, Default)]
 pub(super) struct Capture {
@@ -54,6 +93,8 @@ pub(super) struct Capture {
     pub(super) others: u64,
     /// Frames with a wrong checksum at the probe.
     pub(super) corrupt: u64,
+    /// Frames of which only the beginning was recorded; they end with their last whole datagram.
+    pub(super) truncated: u64,
     /// Each frame was recorded twice; the copies are left out.
     pub(super) is_doubled: bool,
     /// Number of probe lines that are left out.
@@ -79,7 +120,8 @@ impl Capture {
                 at,
                 port,
                 is_corrupt,
-                bytes,
+                is_truncated,
+                mut bytes,
                 ..
             } = frame?;
             if bytes.get(12..HEADER_LEN) != Some(&ETHER_TYPE.to_be_bytes()) {
@@ -87,6 +129,12 @@ impl Capture {
                 continue;
             }
             all.corrupt += u64::from(is_corrupt);
+            let is_cut = is_truncated && end_with_whole_datagram(&mut bytes);
+            all.truncated += u64::from(is_cut);
+            // Without a whole datagram neither direction nor answer is known.
+            if is_cut && bytes.len() <= HEADER_LEN + FrameHeader::LEN {
+                continue;
+            }
             lined.push((port.map(|port| port / 2), Taken { at, bytes }));
         }
         all.cut = frames.cut();
@@ -129,11 +177,37 @@ impl Capture {
         }
     }
 
+    /// Checks that there is something to evaluate.
+    ///
+    /// # Errors
+    /// With what the recording has instead.
+    pub(super) fn check(&self, name: &str) -> anyhow::Result<()> {
+        ensure!(
+            !self.frames.is_empty() || self.truncated == 0,
+            "{name}: {} frames are recorded in part, none up to the end of its first datagram\nhint: record whole frames \
+             (`tcpdump -s 0`)",
+            self.truncated
+        );
+        ensure!(
+            !self.frames.is_empty() || self.cut.is_some(),
+            "{name}: no EtherCAT frames, {} others\nhint: record at the interface of the segment",
+            self.others
+        );
+        Ok(())
+    }
+
     /// Notes on how the recording was made.
     pub(super) fn notes(&self) -> Vec<String> {
         let mut notes: Vec<String> = self.cut.iter().map(ToString::to_string).collect();
         if self.is_doubled {
             notes.push("each frame was recorded twice; the copies are left out".to_owned());
+        }
+        if self.truncated > 0 {
+            let truncated = self.truncated;
+            notes.push(format!(
+                "{truncated} frames are recorded in part; datagrams behind the cut are left out\nhint: record whole frames \
+                 (`tcpdump -s 0`)"
+            ));
         }
         if self.other_lines > 0 {
             let lines = self.other_lines;

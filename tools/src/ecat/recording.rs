@@ -14,7 +14,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::ensure;
 use takt_ethercat::master::FrameCounters;
 use takt_ethercat::{Address, Command, Datagram, Frame, register};
 
@@ -125,13 +124,9 @@ impl Recording {
         let frames = &capture.frames;
         let (Some(first), Some(last)) = (frames.first(), frames.iter().map(|it| it.at).max())
         else {
-            ensure!(
-                capture.cut.is_none(),
-                "{name}: no EtherCAT frames: the recording is cut off before the first\nhint: check for a full disk and record again"
-            );
+            capture.check(name)?;
             anyhow::bail!(
-                "{name}: no EtherCAT frames, {} others\nhint: record at the interface of the segment",
-                capture.others
+                "{name}: no EtherCAT frames: the recording is cut off before the first\nhint: check for a full disk and record again"
             );
         };
         let mut all = Self {

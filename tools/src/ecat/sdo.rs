@@ -135,7 +135,8 @@ pub(super) fn perform<W: Wire>(
             let data_type = match (complete, data_type) {
                 (true, _) => None,
                 (false, Some(data_type)) => Some(*data_type),
-                (false, None) => type_of(session, slave, *address)?,
+                // The value is read; without its type it is shown as bytes.
+                (false, None) => type_of(session, slave, *address)?.unwrap_or_default(),
             };
             let shown = data_type.unwrap_or(DataType::OctetString).show(&bytes);
             if !json {
@@ -180,9 +181,13 @@ fn download<W: Wire>(
     let data_type = match (complete, data_type) {
         (true, _) => DataType::OctetString,
         (false, Some(data_type)) => data_type,
-        (false, None) => type_of(session, slave, address)?.with_context(|| {
-            format!("slave {slave} does not report the data type of {address}\nhint: give it with --type")
-        })?,
+        (false, None) => match type_of(session, slave, address)? {
+            Ok(reported) => reported.with_context(|| {
+                format!("slave {slave} does not report the data type of {address}\nhint: give it with --type")
+            })?,
+            // A mailbox that fails is not a slave without types.
+            Err(error) => return Ok(Err(error)),
+        },
     };
     let bytes = data_type.read(value).with_context(|| address.to_string())?;
     let text = format!("{address} <- {}", data_type.show(&bytes));
@@ -198,14 +203,27 @@ fn type_of<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
     address: Address,
-) -> anyhow::Result<Option<DataType>> {
-    let kind = JobKind::DescribeEntry(address);
+) -> anyhow::Result<Result<Option<DataType>, JobError>> {
+    let bytes = described(session, slave, JobKind::DescribeEntry(address))?;
+    Ok(bytes.map(|bytes| {
+        let entry = EntryDescription::decode(&bytes?)?.data_type;
+        Some(DataType::from_raw(entry))
+    }))
+}
+
+/// A description; `None` if the slave answers that it has none. Any other error ends the dialogue: what follows a failed
+/// mailbox says nothing about the slave's objects.
+fn described<W: Wire>(
+    session: &mut Session<W>,
+    slave: usize,
+    kind: JobKind,
+) -> anyhow::Result<Result<Option<Vec<u8>>, JobError>> {
     let answer = session.request(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))?;
-    let Ok(bytes) = answer else {
-        return Ok(None);
-    };
-    let entry = EntryDescription::decode(&bytes);
-    Ok(entry.map(|entry| DataType::from_raw(entry.data_type)))
+    Ok(match answer {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(JobError::Abort(_) | JobError::Mailbox(_)) => Ok(None),
+        Err(error) => Err(error),
+    })
 }
 
 fn list<W: Wire>(
@@ -227,10 +245,11 @@ fn list<W: Wire>(
         let bytes = session.request(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))?;
         let object = match &bytes {
             Ok(bytes) => ObjectDescription::decode(bytes),
-            Err(error) => {
+            Err(error @ (JobError::Abort(_) | JobError::Mailbox(_))) => {
                 let _ = writeln!(text, "{index:04X}h     {error}");
                 continue;
             }
+            Err(error) => return Ok(Err(*error)),
         };
         let Some(object) = object else {
             let _ = writeln!(text, "{index:04X}h     its description is truncated");
@@ -240,7 +259,10 @@ fn list<W: Wire>(
         let highest = if entries { Some(object.highest) } else { None };
         for sub in 0..=highest.unwrap_or(0) {
             if highest.is_some() {
-                text.push_str(&entry_line(session, slave, Address::new(index, sub))?);
+                match entry_line(session, slave, Address::new(index, sub))? {
+                    Ok(line) => text.push_str(&line),
+                    Err(error) => return Ok(Err(error)),
+                }
             }
         }
     }
@@ -266,18 +288,18 @@ fn entry_line<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
     address: Address,
-) -> anyhow::Result<String> {
-    let kind = JobKind::DescribeEntry(address);
-    let Ok(bytes) = session.request(slave, kind, Vec::with_capacity(DESCRIPTION_MAX))? else {
-        return Ok(String::new());
+) -> anyhow::Result<Result<String, JobError>> {
+    let bytes = match described(session, slave, JobKind::DescribeEntry(address))? {
+        Ok(bytes) => bytes.unwrap_or_default(),
+        Err(error) => return Ok(Err(error)),
     };
     let Some(entry) = EntryDescription::decode(&bytes) else {
-        return Ok(String::new());
+        return Ok(Ok(String::new()));
     };
     let data_type = DataType::from_raw(entry.data_type).to_string();
     let bits = entry.access;
     let flag = |bit: u16, text: &'static str| if bits >> bit & 1 == 1 { text } else { "-" };
-    Ok(format!(
+    Ok(Ok(format!(
         "{address} {:>4} bit {data_type:<16} {}{}{}{}{}{}  {}{}  {}\n",
         entry.bits,
         flag(0, "r"),
@@ -289,5 +311,5 @@ fn entry_line<W: Wire>(
         flag(6, "R"),
         flag(7, "T"),
         entry.name
-    ))
+    )))
 }

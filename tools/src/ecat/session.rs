@@ -5,7 +5,7 @@ use std::io;
 use std::time::Duration;
 
 use anyhow::{bail, ensure};
-use takt_ethercat::config::MasterConfig;
+use takt_ethercat::config::{Location, MasterConfig, SlaveSpec, Timeouts};
 use takt_ethercat::dc::{self, Sample};
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::{PacketLink, monotonic};
@@ -45,7 +45,7 @@ const SILENT_AFTER: Duration = Duration::from_secs(1);
 const TRIED: Duration = Duration::from_secs(3);
 /// Most events that are stored; later ones repeat them.
 const EVENTS_MAX: usize = 1000;
-/// Longest wait for the answer to a job, in addition to the master's own time-outs.
+/// Longest wait for progress of a job, in addition to the master's own time-outs.
 const JOB: Duration = Duration::from_secs(60);
 
 /// How far behind the middle between two SYNC0 a frame was sent, ns; SYNC0 lies on whole cycles of the system time.
@@ -355,6 +355,18 @@ impl<W: Wire> Session<W> {
         kind: JobKind,
         data: Vec<u8>,
     ) -> anyhow::Result<Result<Vec<u8>, JobError>> {
+        let (result, data) = self.transfer(slave, kind, data, |_| ())?;
+        Ok(result.map(|()| data))
+    }
+
+    /// The same, with the data of an error, and the number of bytes transferred as it changes.
+    pub(super) fn transfer(
+        &mut self,
+        slave: usize,
+        kind: JobKind,
+        data: Vec<u8>,
+        mut progress: impl FnMut(usize),
+    ) -> anyhow::Result<(Result<(), JobError>, Vec<u8>)> {
         let job = Job {
             slave,
             kind,
@@ -362,22 +374,57 @@ impl<W: Wire> Session<W> {
             token: 0,
         };
         if let Err(refused) = self.master.submit(job) {
-            return Ok(refused.result.map(|()| refused.job.data));
+            return Ok((refused.result, refused.job.data));
         }
-        let begin = self.port.link().now()?;
+        let (mut begin, mut before) = (self.port.link().now()?, 0);
         loop {
             self.cycle()?;
             // Late uploads of a proof have another token.
             if let Some(reply) = self.master.poll_reply()
                 && reply.job.token == 0
             {
-                return Ok(reply.result.map(|()| reply.job.data));
+                return Ok((reply.result, reply.job.data));
             }
-            let passed = self.port.link().now()?.saturating_sub(begin);
+            let now = self.port.link().now()?;
+            let slave = self.master.slave(slave);
+            let done = slave.and_then(|slave| slave.transferred()).unwrap_or(0);
+            if done != before {
+                (begin, before) = (now, done);
+                progress(done);
+            }
+            let passed = now.saturating_sub(begin);
             if passed >= JOB {
-                return Ok(Err(JobError::Timeout(passed)));
+                return Ok((Err(JobError::Timeout(passed)), Vec::new()));
             }
         }
+    }
+
+    /// Restarts with one slave in a state and all others in PRE-OP, and waits for that.
+    pub(super) fn hold(
+        &mut self,
+        slave: usize,
+        goal: AlState,
+        timeouts: Option<Timeouts>,
+        timeout: Duration,
+    ) -> anyhow::Result<()> {
+        let at = |number: usize| {
+            let position = u16::try_from(number).unwrap_or(u16::MAX);
+            let mut spec = SlaveSpec::new(format!("{number}"), Location::Position(position));
+            spec.goal = AlState::PreOp;
+            if number == slave {
+                (spec.goal, spec.timeouts) = (goal, timeouts);
+            }
+            spec
+        };
+        let slaves = (0..self.master.len()).map(at).collect();
+        let is_up = matches!(goal, AlState::SafeOp | AlState::Op);
+        self.restart(MasterConfig {
+            slaves,
+            goal: if is_up { goal } else { AlState::PreOp },
+            cycle: self.master.config().cycle,
+            ..MasterConfig::default()
+        })?;
+        self.bring_up(timeout)
     }
 
     /// Leaves all slaves in INIT, so that no watchdog has to detect the end of this master.

@@ -16,6 +16,7 @@ use takt_ethercat::sii::{self, Identity};
 use super::session::{Session, Wire};
 use super::{REQUEST_CYCLE, Target};
 use crate::output::{complain, say, span};
+use crate::signal::Stop;
 use crate::{Verdict, confirm};
 
 pub(super) use decode::text;
@@ -93,7 +94,9 @@ impl Sii {
                 let change =
                     format!("this overwrites {count} words of the EEPROM of slave {slave}");
                 confirm::change(&change, self.yes)?;
-                print(slave, write(&mut session, slave, &changes)?)
+                // Ctrl-C does not interrupt the write.
+                let _stop = Stop::listen()?;
+                print(slave, write(&mut session, slave, &changes, &present)?)
             }
             Err(error) => print(slave, Err(error.to_string())),
         }
@@ -270,45 +273,81 @@ fn aliased(present: &[u8], alias: u16) -> anyhow::Result<Vec<u8>> {
     Ok(image)
 }
 
-/// Writes words and reads them back.
+/// Attempts for each word; each lasts as long as the master repeats commands that the EEPROM does not acknowledge.
+const ATTEMPTS: usize = 5;
+
+/// Writes words and reads them back. If that fails, the words written so far get their present values again: a slave with
+/// half of a change would not load its configuration.
 pub(super) fn write<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
     words: &[Word],
+    present: &[u8],
 ) -> anyhow::Result<Result<String, String>> {
-    for (done, (word, bytes)) in words.iter().enumerate() {
-        let kind = JobKind::WriteSii { word: *word };
-        if let Err(error) = submit(session, slave, kind, bytes)? {
-            return Ok(Err(format!(
-                "cannot write word {word:04X}h after {done} of {} words: {error}\nhint: write again before the slave is \
-                 switched off",
-                words.len()
-            )));
-        }
-    }
-    for (word, bytes) in words {
-        let kind = JobKind::ReadSii {
-            word: *word,
-            words: 1,
+    for (done, word) in words.iter().enumerate() {
+        let Err(why) = put(session, slave, *word)? else {
+            continue;
         };
-        match submit(session, slave, kind, &[])? {
-            Ok(found) if found == bytes => {}
-            Ok(found) => {
-                return Ok(Err(format!(
-                    "word {word:04X}h was written as {:02X}{:02X}h but reads as {found:02X?}; the EEPROM is \
-                     write-protected or worn out",
-                    bytes[1], bytes[0]
-                )));
-            }
-            Err(error) => {
-                return Ok(Err(format!("cannot read word {word:04X}h back: {error}")));
-            }
-        }
+        // The word that failed may be stored nevertheless.
+        let touched = words.get(..=done).unwrap_or_default();
+        let count = words.len();
+        return Ok(Err(match restore(session, slave, touched, present)? {
+            Ok(()) => format!("{why}\nits EEPROM has its former content again"),
+            Err(error) => format!(
+                "{why}\nits EEPROM holds {done} of {count} new words, and the former ones cannot be restored: {error}\n\
+                 hint: repeat the command before the slave is switched off; else it does not load its configuration"
+            ),
+        }));
     }
     Ok(Ok(format!(
         "slave {slave}: {} words written and verified; it loads them at its next power-on",
         words.len()
     )))
+}
+
+/// Writes the present values of these words again, the last written first.
+fn restore<W: Wire>(
+    session: &mut Session<W>,
+    slave: usize,
+    words: &[Word],
+    present: &[u8],
+) -> anyhow::Result<Result<(), String>> {
+    for (word, _) in words.iter().rev() {
+        let at = 2 * usize::from(*word);
+        let former = present.get(at..).and_then(|rest| rest.first_chunk());
+        let former = former.copied().unwrap_or([0xFF; 2]);
+        if let Err(why) = put(session, slave, (*word, former))? {
+            return Ok(Err(why));
+        }
+    }
+    Ok(Ok(()))
+}
+
+/// Writes a word until it reads as written.
+fn put<W: Wire>(
+    session: &mut Session<W>,
+    slave: usize,
+    (word, bytes): Word,
+) -> anyhow::Result<Result<(), String>> {
+    let mut why = String::new();
+    for _ in 0..ATTEMPTS {
+        let written = submit(session, slave, JobKind::WriteSii { word }, &bytes)?;
+        if let Err(error) = written {
+            why = format!("cannot write word {word:04X}h: {error}");
+            continue;
+        }
+        let kind = JobKind::ReadSii { word, words: 1 };
+        why = match submit(session, slave, kind, &[])? {
+            Ok(found) if found == bytes => return Ok(Ok(())),
+            Ok(found) => format!(
+                "word {word:04X}h was written as {:02X}{:02X}h but reads as {found:02X?}; the EEPROM is write-protected or \
+                 worn out",
+                bytes[1], bytes[0]
+            ),
+            Err(error) => format!("cannot read word {word:04X}h back: {error}"),
+        };
+    }
+    Ok(Err(why))
 }
 
 #[cfg(test)]

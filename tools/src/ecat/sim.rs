@@ -30,6 +30,7 @@ use plan::{Emulation, Plan};
   takt ecat sim near --devices ek1100,el1004,el2004,el2889,el3004,akd --slower 2
   takt ecat sim tap:ecat0 --devices line.toml --strict
   takt ecat sim near --config /etc/takt/cell.toml --segment cell1
+  takt ecat sim near --second near2 --devices tx90    a ring for `takt ecat scan far --second far2`
   echo 'cut 2' | takt ecat sim near --devices youbot --duration 1min
 
 A file has one [[slave]] for each slave: kind = coupler, digital, analogue, drive, tx90 or a device; outputs, inputs,
@@ -42,6 +43,9 @@ pub(crate) struct Sim {
     /// name for the master.
     #[arg(value_name = "IFACE")]
     interface: String,
+    /// The interface behind the last slave, for a ring of two ends; also `tap:NAME`.
+    #[arg(long, value_name = "IFACE")]
+    second: Option<String>,
     /// The segment: tx90, youbot, devices in their order, or a file.
     #[arg(
         long,
@@ -82,7 +86,10 @@ impl Sim {
         };
         segment::serve(
             &shared,
-            &self.interface,
+            segment::Ends {
+                first: &self.interface,
+                second: self.second.as_deref(),
+            },
             self.duration,
             between_cycles,
             || {

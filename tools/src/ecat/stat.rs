@@ -23,7 +23,7 @@ use crate::{Verdict, confirm};
 #[command(after_help = "Examples:
   takt ecat stat enp2s0
   takt ecat stat enp2s0 --duration 1min --json
-  takt ecat stat enp2s0 --config /etc/takt/cell.toml --segment cell1
+  takt ecat stat --config /etc/takt/cell.toml --segment cell1
   takt ecat stat --from fault.pcap
   takt ecat stat enp2s0 --state op --yes    with working counters; all outputs are zero")]
 pub(crate) struct Stat {

@@ -9,8 +9,8 @@ use takt_ethercat::config::MasterConfig;
 use takt_ethercat::linux::PacketLink;
 use takt_rt::interface::Medium;
 
-use super::cell;
 use super::session::Session;
+use super::{cell, ring};
 use crate::output::span;
 
 /// A segment and the timeout of its start.
@@ -30,8 +30,8 @@ pub(super) struct Target {
 /// A segment that is measured, or a recording of one.
 #[derive(Clone, Debug, Args)]
 pub(super) struct Source {
-    /// The network interface, as `ip link` lists it.
-    #[arg(value_name = "IFACE", required_unless_present = "from")]
+    /// The network interface, as `ip link` lists it; with `--config` that of the cell.
+    #[arg(value_name = "IFACE", required_unless_present_any = ["from", "config"])]
     pub(super) interface: Option<String>,
     /// The interface at the other end of a ring; with `--config` that of the cell, if it has a link.
     #[arg(long, value_name = "IFACE", conflicts_with = "from")]
@@ -62,15 +62,15 @@ impl Source {
             cycle: cycle.unwrap_or(Duration::from_millis(1)),
             ..MasterConfig::default()
         };
-        let mut second = self.second.clone();
+        let (mut interface, mut second) = (self.interface.clone(), self.second.clone());
         if let Some(path) = &self.config {
             let cell = takt_devices::read_cell(path)?;
             let segment = cell::segment(&cell, self.segment.as_deref())?;
             config = cell::master(segment, cycle.unwrap_or(segment.cycle), goal);
-            second = second.or_else(|| cell::other_end(segment));
+            (interface, second) = cell::ends(segment, interface, second);
         }
         let target = Target {
-            interface: self.interface.clone().unwrap_or_default(),
+            interface: interface.unwrap_or_default(),
             second,
             timeout: self.timeout,
         };
@@ -80,11 +80,7 @@ impl Source {
 
 impl Target {
     /// Opens the segment and brings it to a state.
-    pub(super) fn bring_up(
-        &self,
-        goal: AlState,
-        cycle: Duration,
-    ) -> anyhow::Result<Session<PacketLink>> {
+    pub(super) fn bring_up(&self, goal: AlState, cycle: Duration) -> anyhow::Result<Session<PacketLink>> {
         self.open(MasterConfig {
             goal,
             cycle,
@@ -116,8 +112,14 @@ impl Target {
         let ends = std::iter::once(self.interface.as_str()).chain(self.second.as_deref());
         crate::link::ready(ends, Medium::Ethernet)?;
         session.listen()?;
-        session.bring_up(self.timeout)?;
-        Ok(session)
+        match session.bring_up(self.timeout) {
+            Ok(()) => Ok(session),
+            // A segment that ends at another interface of this host is a ring.
+            Err(error) => match self.second.is_none().then(|| ring::other_end(&mut session)) {
+                Some(Some(other)) => Err(ring::one_end_of(&self.interface, &other)),
+                Some(None) | None => Err(error),
+            },
+        }
     }
 }
 

@@ -38,7 +38,8 @@ pub(crate) struct Tx90 {
 impl Tx90 {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let segment = SharedSegment::new(tx90(self.strict)?);
-        serve(&segment, &self.interface, self.duration, || {}, || Ok(()))
+        let ends = Ends::line(&self.interface);
+        serve(&segment, ends, self.duration, || {}, || Ok(()))
     }
 }
 
@@ -56,28 +57,70 @@ pub(crate) fn tx90(strict: bool) -> anyhow::Result<Segment> {
     Ok(Segment::line([Coupler::slave(), terminal, drives]))
 }
 
-/// Serves a segment at an interface, or behind one that is made (`tap:NAME`), until it is to end. `between` is called
-/// after each frame by the thread that serves, `poll` ten times a second by this one.
+/// The interfaces at which a segment is served.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ends<'a> {
+    /// Before the first slave.
+    pub(crate) first: &'a str,
+    /// Behind the last slave of a ring.
+    pub(crate) second: Option<&'a str>,
+}
+
+impl<'a> Ends<'a> {
+    /// One interface.
+    pub(crate) const fn line(first: &'a str) -> Self {
+        Self {
+            first,
+            second: None,
+        }
+    }
+
+    /// What the user is shown.
+    fn text(self, slaves: usize) -> String {
+        let shown = |interface: &'a str| interface.strip_prefix("tap:").unwrap_or(interface);
+        match (self.second, self.first.strip_prefix("tap:")) {
+            (Some(second), _) => format!(
+                "{slaves} slaves in a ring between {} and {}",
+                shown(self.first),
+                shown(second)
+            ),
+            (None, Some(name)) => format!(
+                "{slaves} slaves behind {name}; bring it up (`ip link set {name} up`), their master works on it"
+            ),
+            (None, None) => format!("{slaves} slaves at {}", self.first),
+        }
+    }
+}
+
+/// Opens an interface, or makes one (`tap:NAME`).
+fn open(interface: &str) -> anyhow::Result<Box<dyn Link + Send>> {
+    Ok(match interface.strip_prefix("tap:") {
+        Some(name) => Box::new(TapLink::open(name)?),
+        None => Box::new(PacketLink::open_locked(interface)?),
+    })
+}
+
+/// Serves a segment at its interfaces, until it is to end. `between` is called after each frame by the thread that serves,
+/// `poll` ten times a second by this one.
 pub(crate) fn serve(
     segment: &SharedSegment,
-    interface: &str,
+    ends: Ends<'_>,
     duration: Option<Duration>,
     mut between: impl FnMut() + Send + 'static,
     mut poll: impl FnMut() -> anyhow::Result<()>,
 ) -> anyhow::Result<Verdict> {
-    let link: Box<dyn Link + Send> = match interface.strip_prefix("tap:") {
-        Some(name) => Box::new(TapLink::open(name)?),
-        None => Box::new(PacketLink::open_locked(interface)?),
-    };
     let slaves = segment.lock().len();
-    let server = Server::new(segment.clone(), link);
-    say(&match interface.strip_prefix("tap:") {
-        Some(name) => format!(
-            "{slaves} slaves behind {name}; bring it up (`ip link set {name} up`), their master works on it"
-        ),
-        None => format!("{slaves} slaves at {interface}"),
-    })?;
-    let name = interface.to_owned();
+    let mut server = Server::new(segment.clone(), open(ends.first)?);
+    if let Some(second) = ends.second {
+        anyhow::ensure!(
+            second != ends.first,
+            "{second} is given as both ends of the ring
+hint: a ring ends at two interfaces"
+        );
+        server = server.with_second(open(second)?);
+    }
+    say(&ends.text(slaves))?;
+    let name = ends.first.to_owned();
     let service = Service::start("segment", server, move |server| {
         let turn = server.turn(WAIT, &mut monotonic);
         between();

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use takt_ethercat::emulator::{self, DriveHandle, SharedSegment, YouBot as Slaves, YouBotConfig};
 use takt_ethercat::youbot::Flags;
 
-use super::segment::serve;
+use super::segment::{Ends, serve};
 use crate::Verdict;
 use crate::output::{say, span};
 
@@ -74,7 +74,13 @@ impl YouBot {
         let mut watched = watched(bot);
         let segment = SharedSegment::new(segment);
         let poll = || watched.iter_mut().try_for_each(Watched::poll);
-        serve(&segment, &self.interface, self.duration, || {}, poll)
+        serve(
+            &segment,
+            Ends::line(&self.interface),
+            self.duration,
+            || {},
+            poll,
+        )
     }
 }
 

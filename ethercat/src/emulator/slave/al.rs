@@ -5,7 +5,7 @@
 //! INIT <---------> PRE-OP <---> SAFE-OP <-----> OP        down from any to any
 //!   ^ 4 IB
 //!   v
-//! BOOT (refused: 0013h)
+//! BOOT (without FoE refused: 0013h)
 //! ```
 
 use crate::register;
@@ -161,7 +161,13 @@ impl Slave {
             AlState::Boot | AlState::Other(_) => None,
         };
         if wanted == AlState::Boot {
-            return Err(AlStatusCode(0x0013));
+            return self.check_boot();
+        }
+        if self.state == AlState::Boot && wanted != AlState::Init {
+            return Err(AlStatusCode(0x0011));
+        }
+        if self.state == AlState::Boot {
+            return Ok(());
         }
         let (Some(to), Some(from)) = (level(wanted), level(self.state)) else {
             return Err(AlStatusCode(0x0012));
@@ -199,6 +205,28 @@ impl Slave {
             sync0: active(0x03).then_some(cycle),
             sync1: active(0x05),
         }
+    }
+
+    /// BOOT is entered from INIT, with the mailboxes for it.
+    fn check_boot(&self) -> Result<(), AlStatusCode> {
+        if self.files.is_none() {
+            return Err(AlStatusCode(0x0013));
+        }
+        if let Some((_, code)) = self.faults.refused.filter(|(it, _)| *it == AlState::Boot) {
+            return Err(code);
+        }
+        if !matches!(self.state, AlState::Init | AlState::Boot) {
+            return Err(AlStatusCode(0x0011));
+        }
+        let own = self.config.sii.boot_mailbox();
+        let own = [(own.receive, own.receive_len), (own.send, own.send_len)];
+        for (number, own) in own.into_iter().enumerate() {
+            let set = self.memory.sync_manager(number);
+            if (set.start, set.len) != own || set.activate & 0x01 == 0 {
+                return Err(AlStatusCode(0x0015));
+            }
+        }
+        Ok(())
     }
 
     /// SyncManagers 0 and 1 must match the SII.
@@ -283,6 +311,9 @@ impl Slave {
         }
         if to == AlState::Init {
             self.post.reset();
+            if let Some(files) = &mut self.files {
+                files.reset();
+            }
         }
         if to != AlState::Op {
             self.missed = 0;

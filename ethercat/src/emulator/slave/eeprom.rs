@@ -104,6 +104,10 @@ impl Slave {
             self.set_sii_status(control & 0x0700 | bit::COMMAND_ERROR);
             return;
         }
+        if command == 2 && self.faults.refuses_sii_write() {
+            self.set_sii_status(control & 0x0700 | bit::COMMAND_ERROR);
+            return;
+        }
         let times = self.config.times;
         let busy = match command {
             2 => times.sii_write.draw(&mut self.random),

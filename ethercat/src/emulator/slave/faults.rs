@@ -22,6 +22,8 @@ pub struct SlaveFaults {
     pub late_outputs: u32,
     /// The firmware owns the SII: commands of the master are refused.
     pub sii_held: bool,
+    /// Number of write commands that its EEPROM acknowledges, and number of those after them that it does not.
+    pub refuse_sii_writes: (u32, u32),
 }
 
 /// Counts a fault down; returns whether it happens.
@@ -29,4 +31,12 @@ pub(super) const fn happens(left: &mut u32) -> bool {
     let some = *left > 0;
     *left = left.saturating_sub(1);
     some
+}
+
+impl SlaveFaults {
+    /// Whether the EEPROM does not acknowledge this write command.
+    pub(super) const fn refuses_sii_write(&mut self) -> bool {
+        let (acknowledged, refused) = &mut self.refuse_sii_writes;
+        !happens(acknowledged) && happens(refused)
+    }
 }

@@ -137,7 +137,20 @@ impl Slave {
             self.queue(MailboxKind::Error, &error);
             return;
         }
-        if header.kind != MailboxKind::Coe || self.config.sii.coe == 0 {
+        if header.kind == MailboxKind::Foe && self.files.is_some() {
+            let len = |number| self.memory.sync_manager(number).len;
+            let (state, lens) = (self.state, (len(0), len(1)));
+            let answer = self.files.as_mut();
+            let answer = answer.and_then(|server| server.answer(inside, state, lens));
+            if let Some(answer) = answer.filter(|_| !happens(&mut self.faults.lose_answers)) {
+                self.queue(MailboxKind::Foe, &answer);
+            }
+            return;
+        }
+        if header.kind != MailboxKind::Coe
+            || self.config.sii.coe == 0
+            || self.state == crate::AlState::Boot
+        {
             self.queue(MailboxKind::Error, &MailboxError(0x0002).encode());
             return;
         }

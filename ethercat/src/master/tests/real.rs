@@ -366,7 +366,7 @@ fn eeprom_that_never_acknowledges_is_reported() {
     assert!(job(&mut rig, write, vec![1, 2]).is_ok());
     let begin = rig.now;
     let refused = job(&mut rig, write, vec![1, 2]);
-    assert_eq!(refused, Err(JobError::Protocol("SII access (0502h)")));
+    assert_eq!(refused, Err(JobError::NoAcknowledge));
     assert!(rig.now - begin >= rig.master.config().timeouts.sii);
 }
 

@@ -8,7 +8,7 @@ use super::steps::Prepared;
 use super::watch::difference;
 use super::{Context, Unit};
 use crate::config::{MasterConfig, Unlocked};
-use crate::{AlState, dc, register};
+use crate::{dc, register};
 
 /// Consecutive differences within the window after which a clock counts as locked.
 const LOCKED: u8 = 16;
@@ -20,7 +20,7 @@ impl Unit {
             && self.mapped
             && !self.has_failed()
             && self.info.has_clock()
-            && self.goal(config) != AlState::PreOp
+            && self.goes_on(config)
     }
 
     /// Whether its clock is synchronised.

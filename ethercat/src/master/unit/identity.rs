@@ -5,6 +5,7 @@ use super::super::event::{Fault, Outbox};
 use super::op::Op;
 use super::start::{Gate, Step};
 use super::{Context, ProcessData, Unit, info};
+use crate::AlState;
 use crate::sii::{self, Sii};
 
 /// Maximum number of SII words to read: 4 KiB.
@@ -100,6 +101,14 @@ impl Unit {
             Vec::new()
         };
         self.gate = Gate::Process;
+        if self.is_apart() {
+            self.process = ProcessData::default();
+            if self.spec.goal == AlState::Boot {
+                let areas = self.info.boot_mailbox;
+                self.mailbox.configure(areas, self.info.protocols);
+            }
+            return;
+        }
         if let Err(fault) = planned {
             self.fail(fault, cx, out);
         }

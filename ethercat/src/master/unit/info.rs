@@ -31,6 +31,8 @@ pub struct SlaveInfo {
     pub dl_status: u16,
     /// Mailboxes; lengths of zero if it has none.
     pub mailbox: MailboxAreas,
+    /// Mailboxes in BOOT; lengths of zero if it has none.
+    pub boot_mailbox: MailboxAreas,
     /// Protocols of the mailbox: bit 0 AoE, 1 EoE, 2 CoE, 3 FoE, 4 SoE, 5 VoE.
     pub protocols: u16,
     /// CoE details: bit 0 SDO, 1 information, 2 PDO assignment, 3 PDO configuration, 5 complete access.
@@ -117,6 +119,7 @@ impl SlaveInfo {
         self.identity = sii.identity().unwrap_or_default();
         self.alias = sii.word(word::ALIAS).unwrap_or(0);
         self.mailbox = sii.mailbox(word::MAILBOX).unwrap_or_default();
+        self.boot_mailbox = sii.mailbox(word::BOOT_MAILBOX).unwrap_or_default();
         self.protocols = sii.protocols().unwrap_or(0);
         self.sii_checked = sii.is_checked();
         let general = sii.general().unwrap_or_default();

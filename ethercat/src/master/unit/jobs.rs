@@ -65,6 +65,11 @@ impl Unit {
         }
     }
 
+    /// Bytes of the current transfer so far; `None` without one.
+    pub(in crate::master) fn transferred(&self) -> Option<usize> {
+        self.mailbox.transferred()
+    }
+
     /// Unsolicited messages of the mailbox, and repeat requests.
     pub(in crate::master) const fn mailbox_counters(&self) -> (u32, u32) {
         (self.mailbox.ignored, self.mailbox.repeated)

@@ -118,7 +118,26 @@ impl Mailbox {
     }
 
     pub(super) fn speaks_coe(&self) -> bool {
-        self.exists() && self.protocols & 0x04 != 0
+        self.speaks(MailboxKind::Coe)
+    }
+
+    /// Whether its SII announces a protocol.
+    fn speaks(&self, kind: MailboxKind) -> bool {
+        let bit = match kind {
+            MailboxKind::Aoe => 0x01,
+            MailboxKind::Eoe => 0x02,
+            MailboxKind::Coe => 0x04,
+            MailboxKind::Foe => 0x08,
+            MailboxKind::Soe => 0x10,
+            MailboxKind::Voe => 0x20,
+            MailboxKind::Error | MailboxKind::Other(_) => 0,
+        };
+        self.exists() && self.protocols & bit != 0
+    }
+
+    /// Bytes of the current transfer so far; `None` without one.
+    pub(super) fn transferred(&self) -> Option<usize> {
+        self.transfer.as_ref().map(Transfer::transferred)
     }
 
     /// Whether a transfer can begin.
@@ -184,7 +203,7 @@ impl Mailbox {
         now: Duration,
     ) -> Option<Output> {
         let missing = match protocol(kind) {
-            Some(_) if !self.speaks_coe() => Some("CoE"),
+            Some(kind) if !self.speaks(kind) => Some(kind.name()),
             None if !self.exists() => Some("mailbox"),
             Some(_) | None => None,
         };
@@ -233,7 +252,7 @@ impl Mailbox {
             let (header, inside) = message.split_first_chunk_mut::<{ MailboxHeader::LEN }>()?;
             let len = u16::try_from(transfer.write(inside)?).ok()?;
             self.counters.0 = MailboxHeader::next_counter(self.counters.0);
-            let (kind, counter) = (MailboxKind::Coe, self.counters.0);
+            let (kind, counter) = (transfer.mailbox_kind(), self.counters.0);
             *header = MailboxHeader {
                 len,
                 address: 0,
@@ -418,7 +437,7 @@ impl Mailbox {
         }
         self.phase = Phase::Poll;
         let ends = self.transfer.as_ref().and_then(Transfer::ends)?;
-        self.end(Err(ends))
+        self.end(ends)
     }
 
     fn received(&mut self, mailbox: &[u8], now: Duration) -> Option<Output> {
@@ -457,6 +476,12 @@ impl Mailbox {
                     None
                 }
             },
+            MailboxKind::Foe if self.transfer.is_some() => {
+                let len = usize::from(self.areas.send_len);
+                let transfer = self.transfer.as_mut();
+                let progress = transfer.map(|transfer| transfer.handle_file(inside, len));
+                self.proceed(progress.unwrap_or(Progress::Ignored), now)
+            }
             MailboxKind::Aoe
             | MailboxKind::Eoe
             | MailboxKind::Foe

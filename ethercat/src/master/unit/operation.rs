@@ -351,8 +351,7 @@ impl Unit {
             Op::Sii { word, .. } if waited > timeouts.sii => {
                 let refused = self.operation.sii_status & SII_NO_ACKNOWLEDGE != 0;
                 let (status, error) = if refused {
-                    let error = JobError::Protocol("SII access (0502h)");
-                    (self.operation.sii_status, error)
+                    (self.operation.sii_status, JobError::NoAcknowledge)
                 } else {
                     (SII_BUSY, JobError::Timeout(timeouts.sii))
                 };
@@ -408,6 +407,8 @@ impl Unit {
             | JobKind::List(_)
             | JobKind::DescribeObject(_)
             | JobKind::DescribeEntry(_)
+            | JobKind::ReadFile { .. }
+            | JobKind::WriteFile { .. }
             | JobKind::RawMailbox => {
                 let (size, capacity) = (job.data.len(), 128);
                 return self

@@ -105,6 +105,8 @@ impl Unit {
             Step::ClearSyncManagers => Step::ClearSync,
             Step::ClearSync => Step::Mailboxes,
             Step::Mailboxes => Step::PreOp,
+            // INIT and BOOT have no PDOs.
+            Step::PreOp if self.is_apart() => Step::Configured,
             Step::PreOp => Step::Startup(0),
             Step::Startup(at) if more(at.into(), self.spec.startup.len()) => Step::Startup(at + 1),
             Step::Startup(_) => Step::Assign(0),
@@ -145,7 +147,7 @@ impl Unit {
     #[expect(clippy::too_many_lines, reason = "a table, one line per step")]
     fn prepare(&mut self, step: Step, cx: &Context<'_>, out: &mut Outbox) -> Prepared {
         use Prepared::{Do, Skip, Wait};
-        let goes_on = self.goal(cx.config) != AlState::PreOp;
+        let goes_on = self.goes_on(cx.config);
         match step {
             Step::Absent | Step::Failed => Wait,
             Step::Init => {
@@ -191,11 +193,13 @@ impl Unit {
                 Do(self.operation.write(register::DC_ACTIVATION, &[0]))
             }
             Step::ClearSync => Skip,
-            Step::Mailboxes if self.mailbox.exists() => {
+            Step::Mailboxes if self.mailbox.exists() && self.spec.goal != AlState::Init => {
                 let bytes = self.mailbox.sync_managers();
                 Do(self.operation.write(register::SYNC_MANAGER, &bytes))
             }
             Step::Mailboxes => Skip,
+            Step::PreOp if self.spec.goal == AlState::Init => Skip,
+            Step::PreOp if self.spec.goal == AlState::Boot => Do(self.status.change(AlState::Boot)),
             Step::PreOp | Step::Fallback => Do(self.status.change(AlState::PreOp)),
             Step::Startup(at) => self.startup(at.into()),
             Step::Assign(at) => self.assignment(at.into()),
@@ -362,7 +366,7 @@ impl Unit {
         self.take_status(data);
         let kept = self.start.set_up && self.recovery.failures < 3;
         let step = match self.status.al.state {
-            AlState::SafeOp | AlState::Op if kept && self.goal(cx.config) != AlState::PreOp => {
+            AlState::SafeOp | AlState::Op if kept && self.goes_on(cx.config) => {
                 // Its clock continued, and all others follow it again.
                 self.clock.locked |= cx.reference == Some(self.number);
                 // SYNC0 is restarted: while the slave was offline its clock ran freely.

@@ -5,8 +5,10 @@ use takt_cia402::dictionary::{AbortCode, Address};
 
 use super::super::event::JobError;
 use super::super::job::{Job, JobKind};
+use super::file::FileTransfer;
 use super::queue::OWN;
 use crate::coe::{Information, SDO_LEN, Sdo};
+use crate::foe::Foe;
 use crate::{CoeService, MailboxKind};
 
 /// The result of a message of the slave.
@@ -42,11 +44,16 @@ pub(in crate::master) struct Transfer {
     count: usize,
     /// Length of the last written segment, bytes.
     part: usize,
+    /// Of a file.
+    file: FileTransfer,
 }
 
 impl Transfer {
     pub(in crate::master) fn new(mut job: Job) -> Self {
-        if !matches!(job.kind, JobKind::Download { .. } | JobKind::RawMailbox) {
+        if !matches!(
+            job.kind,
+            JobKind::Download { .. } | JobKind::RawMailbox | JobKind::WriteFile { .. }
+        ) {
             job.data.clear();
         }
         Self {
@@ -54,6 +61,26 @@ impl Transfer {
             phase: Phase::Begin,
             count: 0,
             part: 0,
+            file: FileTransfer::default(),
+        }
+    }
+
+    /// The protocol of its messages.
+    pub(super) const fn mailbox_kind(&self) -> MailboxKind {
+        match protocol(self.job.kind) {
+            Some(kind) => kind,
+            None => MailboxKind::Coe,
+        }
+    }
+
+    /// Bytes of the file or object that were transferred so far.
+    pub(in crate::master) fn transferred(&self) -> usize {
+        if matches!(self.job.kind, JobKind::WriteFile { .. }) {
+            self.file.done()
+        } else if matches!(self.job.kind, JobKind::Download { .. }) {
+            self.count
+        } else {
+            self.job.data.len()
         }
     }
 
@@ -74,6 +101,8 @@ impl Transfer {
                 self.count == 0
             }
             JobKind::RawMailbox
+            | JobKind::ReadFile { .. }
+            | JobKind::WriteFile { .. }
             | JobKind::ReadRegister { .. }
             | JobKind::WriteRegister { .. }
             | JobKind::ReadSii { .. }
@@ -102,6 +131,8 @@ impl Transfer {
             JobKind::DescribeObject(index) => Address::new(index, 0),
             JobKind::List(_)
             | JobKind::RawMailbox
+            | JobKind::ReadFile { .. }
+            | JobKind::WriteFile { .. }
             | JobKind::ReadRegister { .. }
             | JobKind::WriteRegister { .. }
             | JobKind::ReadSii { .. }
@@ -112,6 +143,9 @@ impl Transfer {
     /// Writes the next message without mailbox header to `to`, which is as long as the mailbox allows; returns its
     /// length.
     pub(super) fn write(&mut self, to: &mut [u8]) -> Option<usize> {
+        if self.mailbox_kind() == MailboxKind::Foe {
+            return self.file.write(&self.job, to);
+        }
         let (service, inside) = to.split_first_chunk_mut::<{ CoeService::LEN }>()?;
         let service_of = self
             .job
@@ -158,6 +192,8 @@ impl Transfer {
                 inform(Information::ENTRY, &[low, high, address.sub, 0], to)
             }
             JobKind::RawMailbox
+            | JobKind::ReadFile { .. }
+            | JobKind::WriteFile { .. }
             | JobKind::ReadRegister { .. }
             | JobKind::WriteRegister { .. }
             | JobKind::ReadSii { .. }
@@ -194,9 +230,23 @@ impl Transfer {
         Progress::Done(Err(JobError::Mailbox(error)))
     }
 
+    /// Handles a FoE message from a mailbox of `len` bytes.
+    pub(super) fn handle_file(&mut self, bytes: &[u8], len: usize) -> Progress {
+        if self.mailbox_kind() != MailboxKind::Foe {
+            return Progress::Ignored;
+        }
+        match Foe::decode(bytes) {
+            Some(message) => self.file.handle(&message, &mut self.job, len),
+            None => Progress::Done(Err(JobError::Protocol("FoE message"))),
+        }
+    }
+
     /// Handles a CoE message other than an emergency.
     pub(super) fn handle(&mut self, service: CoeService, bytes: &[u8]) -> Progress {
         let informs = self.job.kind.information().is_some();
+        if self.mailbox_kind() != MailboxKind::Coe {
+            return Progress::Ignored;
+        }
         match service {
             CoeService::SdoInformation if informs => self.handle_information(bytes),
             // An abort has the service of a request.
@@ -327,11 +377,11 @@ impl Transfer {
         Progress::Next
     }
 
-    /// The error with which it ends once the pending message is sent; `None` while it continues.
-    pub(super) const fn ends(&self) -> Option<JobError> {
+    /// The result with which it ends once the pending message is sent; `None` while it continues.
+    pub(super) const fn ends(&self) -> Option<Result<(), JobError>> {
         match self.phase {
-            Phase::Abort(_, error) => Some(error),
-            Phase::Begin | Phase::Segments { .. } => None,
+            Phase::Abort(_, error) => Some(Err(error)),
+            Phase::Begin | Phase::Segments { .. } => self.file.ends(),
         }
     }
 
@@ -400,6 +450,7 @@ pub(super) const fn protocol(kind: JobKind) -> Option<MailboxKind> {
         | JobKind::List(_)
         | JobKind::DescribeObject(_)
         | JobKind::DescribeEntry(_) => Some(MailboxKind::Coe),
+        JobKind::ReadFile { .. } | JobKind::WriteFile { .. } => Some(MailboxKind::Foe),
         JobKind::RawMailbox
         | JobKind::ReadRegister { .. }
         | JobKind::WriteRegister { .. }

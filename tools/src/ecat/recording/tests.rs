@@ -140,3 +140,48 @@ fn recording_shows_clocks_and_sync0_phase() {
     let narrow = dc(&read, Duration::ZERO);
     assert!(narrow.findings.is_empty() || verdict_of(&narrow.findings) == Verdict::Failed);
 }
+
+/// The recording as `tcpdump -s` makes it: at most `len` bytes of each frame.
+fn snapped(bytes: &[u8], len: usize) -> Vec<u8> {
+    let (head, mut rest) = bytes.split_at(24);
+    let mut out = head.to_vec();
+    while let Some((record, behind)) = rest.split_first_chunk::<16>() {
+        let full = u32::from_le_bytes([record[8], record[9], record[10], record[11]]);
+        let kept = full.min(u32::try_from(len).unwrap());
+        out.extend_from_slice(&record[..8]);
+        out.extend_from_slice(&kept.to_le_bytes());
+        out.extend_from_slice(&record[12..]);
+        let (frame, next) = behind.split_at(full as usize);
+        out.extend_from_slice(&frame[..kept as usize]);
+        rest = next;
+    }
+    out
+}
+
+#[test]
+fn recording_with_snap_length_is_cut_not_broken() {
+    let mut session = up(tree(), AlState::Op);
+    session.run_for(300 * MS).unwrap();
+    session.leave().unwrap();
+    let whole = recorded(&mut session);
+    for len in [15, 24, 47, 60, 90, 120] {
+        let capture = Capture::of(&snapped(&whole, len)[..]).unwrap();
+        assert!(capture.truncated > 0, "{len}");
+        let notes = capture.notes().join("\n");
+        assert!(notes.contains("frames are recorded in part"), "{notes}");
+        if len < 30 {
+            let error = Recording::of("snapped", &capture).unwrap_err().to_string();
+            assert!(
+                error.contains("none up to the end of its first datagram"),
+                "{error}"
+            );
+            continue;
+        }
+        let read = Recording::of("snapped", &capture).unwrap();
+        assert_eq!(
+            (read.broken, read.frames.lost, read.frames.foreign),
+            (0, 0, 0),
+            "{len}"
+        );
+    }
+}

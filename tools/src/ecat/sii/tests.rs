@@ -16,8 +16,9 @@ fn image(session: &mut Session<Emulated>) -> Vec<u8> {
 
 /// Writes a change and reads the whole EEPROM back.
 fn changed(session: &mut Session<Emulated>, change: &Change) -> Vec<u8> {
-    let words = change.words(&image(session)).unwrap();
-    write(session, DRIVE, &words).unwrap().unwrap();
+    let present = image(session);
+    let words = change.words(&present).unwrap();
+    write(session, DRIVE, &words, &present).unwrap().unwrap();
     image(session)
 }
 
@@ -90,6 +91,43 @@ fn sii_alias_changes_only_alias_and_checksum() {
     assert!(again.is_empty());
 }
 
+/// Changes the alias while the EEPROM accepts one write and refuses the following.
+fn refused(refuses: u32) -> (Vec<u8>, Vec<u8>, Result<String, String>) {
+    let mut session = up(tree(), AlState::PreOp);
+    let before = image(&mut session);
+    let words = Change::Alias(0x1234).words(&before).unwrap();
+    let slave = session.wire().segment.slave(2).unwrap();
+    slave.faults().refuse_sii_writes = (1, refuses);
+    let done = write(&mut session, DRIVE, &words, &before).unwrap();
+    let slave = session.wire().segment.slave(2).unwrap();
+    (before, slave.eeprom().to_vec(), done)
+}
+
+#[test]
+fn sii_write_repeats_until_eeprom_acknowledges() {
+    let (before, after, done) = refused(600);
+    done.unwrap();
+    assert_ne!(before, after);
+    assert!(Sii::new(&after).is_checked());
+}
+
+#[test]
+fn sii_write_that_fails_restores_former_content() {
+    let (before, after, done) = refused(2000);
+    let text = done.unwrap_err();
+    assert_eq!(before, after);
+    assert!(text.contains("acknowledges no command"), "{text}");
+    assert!(text.ends_with("has its former content again"), "{text}");
+    let (before, after, done) = refused(u32::MAX);
+    let text = done.unwrap_err();
+    assert_ne!(before, after);
+    assert!(
+        text.contains("the former ones cannot be restored"),
+        "{text}"
+    );
+    assert!(text.contains("hint: repeat the command before"), "{text}");
+}
+
 #[test]
 fn sii_of_erased_eeprom_is_written() {
     let mut session = up(tree(), AlState::PreOp);
@@ -117,7 +155,9 @@ fn sii_of_erased_eeprom_is_written() {
     let words = Change::Image(good.clone()).words(&erased).unwrap();
     let (first, last) = (words.first().unwrap().0, words.last().unwrap().0);
     assert!(first >= 8 && last == 7, "{first} {last}");
-    write(&mut session, drive, &words).unwrap().unwrap();
+    write(&mut session, drive, &words, &erased)
+        .unwrap()
+        .unwrap();
     assert_eq!(read(&mut session, drive).unwrap().unwrap(), good);
 }
 
