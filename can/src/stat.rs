@@ -6,15 +6,17 @@ mod emergency;
 mod finding;
 mod heartbeat;
 mod interval;
+mod life;
 mod sdo;
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 pub use emergency::{CODES_MAX, Emergencies, EmergencyStat};
-pub use finding::{Finding, Limits, Severity};
+pub use finding::{DuplicateSign, Finding, Limits, Severity};
 pub use heartbeat::Heartbeat;
-pub use interval::Intervals;
+pub use interval::{Interleaved, Intervals};
+pub use life::Life;
 pub use sdo::{Aborts, SdoStat};
 
 use crate::bits::{Bits, Rates, bounds};
@@ -102,6 +104,12 @@ pub struct Report {
     pub silent: Vec<(NodeId, Duration)>,
     /// The emergencies of each node.
     pub emergencies: BTreeMap<NodeId, Emergencies>,
+    /// The life cycle of each node.
+    pub lives: BTreeMap<NodeId, Life>,
+    /// SYNC messages, if they are those of two producers.
+    pub syncs: Interleaved,
+    /// SYNC messages of this host and of others.
+    pub sync_sources: (u64, u64),
     /// The SDO dialogues of each node.
     pub sdos: BTreeMap<NodeId, SdoStat>,
     /// Frames typical of CANopen: heartbeats and NMT commands.
@@ -185,6 +193,11 @@ impl Meter {
         self.report.refused = frames;
     }
 
+    /// Sets the total number of frames lost by the socket, also after the last received frame.
+    pub fn handle_dropped(&mut self, frames: u64) {
+        self.report.dropped = self.report.dropped.max(frames);
+    }
+
     /// Sets the total number of frames lost by the interface before any socket.
     pub const fn handle_lost(&mut self, frames: u64) {
         self.lost = frames;
@@ -241,7 +254,7 @@ impl Meter {
         self.window.1 += busy;
         self.identifier(frame, busy, at);
         if let AnyFrame::Classic(frame) = frame {
-            self.message(&Message::decode(frame), at);
+            self.message(&Message::decode(frame), at, received.origin != Origin::Bus);
         }
     }
 
@@ -282,10 +295,21 @@ impl Meter {
         stat.intervals.record(at);
     }
 
-    fn message(&mut self, message: &Message, at: Duration) {
+    fn message(&mut self, message: &Message, at: Duration, is_own: bool) {
         let report = &mut self.report;
         match message {
-            Message::Heartbeat(node, state, _) => self.heartbeat(*node, *state, at),
+            Message::Heartbeat(node, state, _) => {
+                self.heartbeat(*node, *state, at);
+                self.beat(*node).own = is_own;
+            }
+            Message::Tpdo(node, number) => {
+                report.lives.entry(*node).or_default().pdo(*number, at);
+            }
+            Message::Sync(_) => {
+                let (own, others) = &mut report.sync_sources;
+                *(if is_own { own } else { others }) += 1;
+                report.syncs.record(at);
+            }
             Message::Emergency(node, emergency) => {
                 let emergencies = report.emergencies.entry(*node).or_default();
                 emergencies.handle(emergency, at);
@@ -304,9 +328,7 @@ impl Meter {
                 }
             }
             Message::Nmt(command, node) => self.nmt(*command, *node, at),
-            Message::Sync(_)
-            | Message::Time(..)
-            | Message::Tpdo(..)
+            Message::Time(..)
             | Message::Rpdo(..)
             | Message::Guard(_)
             | Message::Lss(..)
@@ -323,6 +345,7 @@ impl Meter {
         let is_known = !matches!(state, NmtState::Other(_));
         self.report.canopen += u64::from(is_known);
         self.beat(node).handle(state, at);
+        self.report.lives.entry(node).or_default().report(state, at);
         if state == NmtState::BootUp
             && let Some(emergencies) = self.report.emergencies.get_mut(&node)
         {
@@ -330,9 +353,13 @@ impl Meter {
         }
     }
 
-    /// A reset command explains the boot-up of the nodes.
+    /// A command explains the states of the nodes, a reset their boot-up.
     fn nmt(&mut self, command: NmtCommand, node: Option<NodeId>, at: Duration) {
         self.report.canopen += u64::from(!matches!(command, NmtCommand::Other(_)));
+        let lives = self.report.lives.iter_mut();
+        lives
+            .filter(|(number, _)| node.is_none_or(|node| node == **number))
+            .for_each(|(_, life)| life.command(command, at));
         if matches!(
             command,
             NmtCommand::ResetNode | NmtCommand::ResetCommunication

@@ -16,7 +16,7 @@ mod scan;
 mod sdo;
 mod sdo_client;
 mod send;
-mod sheet;
+pub(crate) mod sheet;
 mod stat;
 mod up;
 mod wire;

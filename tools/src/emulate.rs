@@ -2,13 +2,19 @@
 //! are in the protocol crates.
 
 #[cfg(feature = "can")]
+mod canopen;
+#[cfg(feature = "can")]
 mod drive;
+#[cfg(feature = "can")]
+mod faults;
 #[cfg(feature = "fri")]
 mod iiwa;
 #[cfg(feature = "fri")]
 mod knobs;
 #[cfg(feature = "fri")]
 mod lwr;
+#[cfg(feature = "can")]
+mod node;
 #[cfg(feature = "can")]
 mod rmp;
 #[cfg(feature = "fri")]
@@ -43,6 +49,8 @@ pub(crate) enum Emulate {
     #[cfg(feature = "can")]
     /// A CiA 402 drive as a CANopen node.
     Drive(drive::DriveArgs),
+    #[cfg(feature = "can")]
+    Node(node::NodeArgs),
     #[cfg(feature = "ethercat")]
     /// A Stäubli TX90 of six CiA 402 axes on an EtherCAT segment.
     Tx90(segment::Tx90),
@@ -61,6 +69,8 @@ impl Emulate {
             Self::Rmp(rmp) => rmp.run(),
             #[cfg(feature = "can")]
             Self::Drive(drive) => drive.run(),
+            #[cfg(feature = "can")]
+            Self::Node(node) => node.run(),
             #[cfg(feature = "ethercat")]
             Self::Tx90(tx90) => tx90.run(),
             #[cfg(feature = "ethercat")]

@@ -1,11 +1,15 @@
 //! Limits of a CiA 402 drive for a jog: the speed that its objects allow, checked before it moves, and the bounds of the
 //! runaway monitor while it has power. It reads no wire; the caller uploads the objects.
 
+mod profile;
+
 use std::fmt;
 use std::time::Duration;
 
 use takt_cia402::dictionary::Address;
 use takt_cia402::{RunawayLimits, Standstill};
+
+pub(crate) use profile::Profile;
 
 /// A motor faster than its drive allows by this factor runs away; it may overshoot by less.
 const OVERSPEED: f64 = 1.5;
@@ -240,6 +244,15 @@ impl Limits {
     /// Standstill of the motor; a drive that does not show its encoder has the smallest play.
     pub(crate) fn standstill(&self) -> Standstill {
         Standstill::new(self.turn.unwrap_or(0.0) * STANDSTILL_TURNS)
+    }
+
+    /// Increments that a velocity covers in this time. `None` if the unit of velocity is not known.
+    pub(crate) fn distance(&self, velocity: i32, time: Duration) -> Option<i32> {
+        let distance = self.unit? * f64::from(velocity) * time.as_secs_f64();
+        let distance = distance.clamp(f64::from(i32::MIN), f64::from(i32::MAX));
+        #[expect(clippy::cast_possible_truncation, reason = "clamped to an i32")]
+        let distance = distance.round() as i32;
+        Some(distance)
     }
 
     /// Of the positions that a motor can have reached from `start` by profile velocity in this time, the nearest to

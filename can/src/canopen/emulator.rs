@@ -21,8 +21,13 @@ use super::node::{
 use super::pdo::{Direction, Parameters, PdoCob, Transmission, number_at};
 use super::{NodeId, RPDO1, TPDO1};
 
+mod generic;
+mod sync_period;
 #[cfg(test)]
 mod tests;
+
+pub use generic::{Generators, GenericConfig, GenericError, GenericNode, Signal, Wave, signals};
+use sync_period::SyncPeriod;
 
 /// Maximum axes of a drive (CiA 402-2).
 pub const AXES_MAX: usize = 8;
@@ -233,6 +238,7 @@ pub struct Drives {
     heartbeat_lost: bool,
     left_operational: bool,
     pdo_late: bool,
+    sync_period: SyncPeriod,
 }
 
 impl Drives {
@@ -243,7 +249,7 @@ impl Drives {
     ) -> Result<Self, DictionaryError> {
         let axes = (0_u8..)
             .zip(configs.iter().take(AXES_MAX))
-            .map(|(axis, config)| Drive::new(config.clone(), axis, dictionary))
+            .map(|(axis, config)| power_on(config.clone(), axis, dictionary))
             .collect::<Result<_, _>>()?;
         Ok(Self {
             configs,
@@ -254,6 +260,7 @@ impl Drives {
             heartbeat_lost: false,
             left_operational: false,
             pdo_late: false,
+            sync_period: SyncPeriod::default(),
         })
     }
 
@@ -292,10 +299,11 @@ impl Drives {
         for (axis, (drive, config)) in (0_u8..).zip(self.axes.iter_mut().zip(&self.configs)) {
             let mut config = config.clone();
             config.position = drive.motor().position;
-            if let Ok(new) = Drive::new(config, axis, context.dictionary) {
+            if let Ok(new) = power_on(config, axis, context.dictionary) {
                 *drive = new;
             }
         }
+        self.sync_period = SyncPeriod::default();
     }
 
     /// Handles data records of interpolated position from an RPDO.
@@ -320,7 +328,27 @@ impl Drives {
     }
 }
 
+/// An axis that takes 60C2h from SYNC until its master writes it.
+fn power_on(
+    config: DriveConfig,
+    axis: u8,
+    dictionary: &Dictionary,
+) -> Result<Drive, DictionaryError> {
+    let is_set = config.interpolation.is_some();
+    let mut drive = Drive::new(config, axis, dictionary)?;
+    if !is_set {
+        drive.expect_sync_period(dictionary);
+    }
+    Ok(drive)
+}
+
 impl Application for Drives {
+    fn after_download(&mut self, _: &mut Dictionary, address: Address) {
+        self.axes
+            .iter_mut()
+            .for_each(|drive| drive.after_download(address));
+    }
+
     fn before_upload(&mut self, d: &mut Dictionary, address: Address) -> Result<(), AbortCode> {
         for drive in &self.axes {
             drive.before_upload(d, address)?;
@@ -354,6 +382,11 @@ impl Application for Drives {
                     self.step(rest, context);
                 }
                 self.set_point = true;
+                if let Some((value, exponent)) = self.sync_period.handle(context.now) {
+                    self.axes
+                        .iter_mut()
+                        .for_each(|drive| drive.follow_sync(context.dictionary, value, exponent));
+                }
             }
             Event::Received(number) => {
                 self.set_point = true;

@@ -19,7 +19,7 @@ mod startup;
 
 pub use axis::{Axis, AxisCommand, AxisState};
 pub use fault::{AxisFault, NodeFault};
-pub use plan::{AxisPlan, Download, NodePlan, Supervision};
+pub use plan::{AxisPlan, Download, NodePlan, Supervision, time_index};
 pub use startup::{Action, Answer, Phase, Startup};
 
 use std::collections::VecDeque;

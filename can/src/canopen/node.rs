@@ -12,6 +12,7 @@
 
 mod configure;
 mod hooks;
+mod malfunction;
 mod objects;
 mod quirks;
 mod receive;
@@ -34,6 +35,7 @@ use super::{Emergency, NmtState, NodeId, TimeOfDay, lss, sdo};
 use crate::{Frame, Id};
 
 pub(super) use configure::add_node_id;
+pub use malfunction::Malfunctions;
 pub use objects::Communication;
 use quirks::ActiveQuirks;
 pub use quirks::NodeQuirks;
@@ -189,6 +191,7 @@ pub struct Node<A> {
     queue: VecDeque<Frame>,
     dropped: u32,
     quirks: ActiveQuirks,
+    malfunctions: Malfunctions,
 }
 
 impl<A: Application> Node<A> {
@@ -222,6 +225,7 @@ impl<A: Application> Node<A> {
             queue: VecDeque::with_capacity(QUEUE_MAX),
             dropped: 0,
             quirks: ActiveQuirks::new(config.quirks, id_or_any),
+            malfunctions: Malfunctions::default(),
         };
         node.begin(Reset::Node, now);
         Ok(node)
@@ -369,6 +373,10 @@ impl<A: Application> Node<A> {
     /// Handles a received frame; ignores frames for others.
     pub fn handle_frame(&mut self, frame: &Frame, now: Duration) {
         self.run_timers(now);
+        let Some(frame) = self.misread(frame) else {
+            return;
+        };
+        let frame = &frame;
         let id = frame.id();
         let data = frame.data();
         if frame.is_remote() {
@@ -408,6 +416,17 @@ impl<A: Application> Node<A> {
 
     /// The next frame to send, if any.
     pub fn poll_transmit(&mut self, now: Duration) -> Option<Frame> {
+        self.run_malfunctions(now);
+        loop {
+            let frame = self.next_frame(now)?;
+            if let Some(frame) = self.missend(frame) {
+                return Some(frame);
+            }
+        }
+    }
+
+    /// The next frame of a node without malfunctions.
+    fn next_frame(&mut self, now: Duration) -> Option<Frame> {
         self.run_timers(now);
         if let Some(beat) = self.slave.poll_transmit(now) {
             return Some(beat);
@@ -459,6 +478,7 @@ impl<A: Application> Node<A> {
             self.server.poll_timeout(),
             self.application.poll_timeout(),
             self.quirks.poll_timeout(),
+            self.malfunctions.poll_timeout(),
             self.sync_producer
                 .as_ref()
                 .map(sync::Producer::poll_timeout),

@@ -192,6 +192,14 @@ impl SocketCan {
         self.dropped
     }
 
+    /// Frames lost so far, with those that no received frame has reported yet: at the end of a measurement.
+    pub fn read_dropped(&mut self) -> u32 {
+        if let Some(drops) = drops(self.socket.as_fd()) {
+            self.dropped = self.dropped.max(drops);
+        }
+        self.dropped
+    }
+
     /// The socket, to wait for several at once.
     pub fn fd(&self) -> BorrowedFd<'_> {
         self.socket.as_fd()
@@ -262,6 +270,22 @@ impl SocketCan {
             dropped: self.dropped,
         })
     }
+}
+
+/// The counter of frames that a socket lost, as the kernel holds it; `None` if it does not report it.
+#[expect(unsafe_code, reason = "no crate in use reads this option")]
+fn drops(socket: BorrowedFd<'_>) -> Option<u32> {
+    /// Index of the counter (`SK_MEMINFO_DROPS` of `linux/sock_diag.h`), and number of values.
+    const DROPS: usize = 8;
+    let mut values = [0_u32; DROPS + 1];
+    let mut len = libc::socklen_t::try_from(size_of_val(&values)).ok()?;
+    let at = std::ptr::from_mut(&mut values).cast();
+    let fd = socket.as_raw_fd();
+    // SAFETY: `at` and `len` describe `values`, which outlives the call; the socket is open as long as it is borrowed.
+    let failed =
+        unsafe { libc::getsockopt(fd, libc::SOL_SOCKET, libc::SO_MEMINFO, at, &raw mut len) };
+    let is_whole = usize::try_from(len).ok()? == size_of_val(&values);
+    (failed == 0 && is_whole).then(|| values[DROPS])
 }
 
 /// Waits until a socket is readable or writable; restarts after a signal.
@@ -483,5 +507,17 @@ mod tests {
             peer.send(&[0; kernel::CLASSIC_LEN]).unwrap();
             assert_eq!(waits.join().unwrap(), 1);
         });
+    }
+
+    /// Of any socket: none is lost while it is read, and a full buffer loses the rest.
+    #[test]
+    fn socket_drop_counter_is_read_without_a_frame() {
+        let to = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        assert_eq!(drops(to.as_fd()), Some(0));
+        let from = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        for _ in 0..2000 {
+            from.send_to(&[0; 1000], to.local_addr().unwrap()).unwrap();
+        }
+        assert!(drops(to.as_fd()).unwrap() > 0);
     }
 }

@@ -22,6 +22,20 @@ pub struct EmergencyStat {
     pub is_present: bool,
 }
 
+/// Occurrences, and occurrences per second, from which an emergency is a storm. A drive reports each fault once.
+const STORM_TIMES: u32 = 20;
+const STORM_RATE: f64 = 5.0;
+
+impl EmergencyStat {
+    /// Occurrences per second, if they are a storm.
+    pub fn storm(&self) -> Option<f64> {
+        let (first, last) = self.seen;
+        let span = last.saturating_sub(first).as_secs_f64().max(1e-3);
+        let rate = f64::from(self.times.saturating_sub(1)) / span;
+        (self.times >= STORM_TIMES && rate >= STORM_RATE).then_some(rate)
+    }
+}
+
 /// Emergency statistics of a node.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Emergencies {

@@ -1,13 +1,14 @@
 //! Derives findings from bus statistics by pure functions, so that each can be tested by its cause.
 
 mod dialogues;
+mod lives;
 mod remedy;
 
 use std::fmt;
 use std::time::Duration;
 
 use super::Report;
-use crate::canopen::NodeId;
+use crate::canopen::{NmtState, NodeId};
 use crate::cia402::dictionary::{AbortCode, Address};
 use crate::cia402::error_text;
 use crate::{BusState, Id};
@@ -113,6 +114,8 @@ pub enum Finding {
         silence: Duration,
         /// Its period before.
         period: Duration,
+        /// It is that of this host.
+        own: bool,
     },
     /// A node's heartbeat was late and recovered.
     HeartbeatLate {
@@ -120,6 +123,51 @@ pub enum Finding {
         node: NodeId,
         /// How often.
         times: u32,
+        /// It is that of this host.
+        own: bool,
+    },
+    /// A node restarts again and again without an observed reset.
+    BootLoop {
+        /// The node.
+        node: NodeId,
+        /// How often.
+        times: u32,
+    },
+    /// Several nodes have one number.
+    Duplicate {
+        /// The number.
+        node: NodeId,
+        /// What shows it.
+        sign: DuplicateSign,
+    },
+    /// A node sends TPDOs in a state in which it must not.
+    StrayPdos {
+        /// The node.
+        node: NodeId,
+        /// How many.
+        frames: u32,
+        /// Number of the last one, from 1.
+        number: u8,
+        /// The state.
+        state: NmtState,
+    },
+    /// A node repeats an emergency at a high rate.
+    EmergencyStorm {
+        /// The node.
+        node: NodeId,
+        /// Its code.
+        code: u16,
+        /// Number of occurrences.
+        times: u32,
+        /// Occurrences per second.
+        rate: f64,
+    },
+    /// Two producers send SYNC.
+    TwoSyncs {
+        /// Whether this host is one of them.
+        own: bool,
+        /// The period of each, if it is the same.
+        period: Option<Duration>,
     },
     /// A node restarted during operation without an observed reset.
     Rebooted {
@@ -220,6 +268,32 @@ pub enum Finding {
     },
 }
 
+/// What shows that several nodes have one number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DuplicateSign {
+    /// So many SDO requests were answered twice.
+    Answers(u32),
+    /// So many boot-ups came in pairs.
+    BootUps(u32),
+    /// The state in its heartbeats changed so often without a command.
+    States(u32),
+    /// Its heartbeats are two interleaved sequences.
+    Heartbeats,
+}
+
+impl fmt::Display for DuplicateSign {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Answers(times) => write!(f, "{times} SDO requests were answered twice"),
+            Self::BootUps(times) => write!(f, "{times} boot-ups right after another"),
+            Self::States(times) => {
+                write!(f, "its state changed {times} times without a command")
+            }
+            Self::Heartbeats => f.write_str("its heartbeats are two interleaved sequences"),
+        }
+    }
+}
+
 impl Finding {
     /// Its severity.
     pub const fn severity(&self) -> Severity {
@@ -230,6 +304,10 @@ impl Finding {
             | Self::Nothing { .. }
             | Self::Wires { .. }
             | Self::HeartbeatMissing { .. }
+            | Self::BootLoop { .. }
+            | Self::Duplicate { .. }
+            | Self::EmergencyStorm { .. }
+            | Self::TwoSyncs { .. }
             | Self::Dropped { .. }
             | Self::ControllerOverflow { .. }
             | Self::Refused { .. } => Severity::Failure,
@@ -239,6 +317,7 @@ impl Finding {
             | Self::Weak { .. }
             | Self::HeartbeatLate { .. }
             | Self::Rebooted { .. }
+            | Self::StrayPdos { .. }
             | Self::Emergency { .. }
             | Self::EmergencyEnded { .. }
             | Self::SdoAbsent { .. }
@@ -264,6 +343,11 @@ impl Finding {
             Self::HeartbeatMissing { .. } => "heartbeat-missing",
             Self::HeartbeatLate { .. } => "heartbeat-late",
             Self::Rebooted { .. } => "rebooted",
+            Self::BootLoop { .. } => "boot-loop",
+            Self::Duplicate { .. } => "duplicate",
+            Self::StrayPdos { .. } => "stray-pdos",
+            Self::EmergencyStorm { .. } => "emergency-storm",
+            Self::TwoSyncs { .. } => "two-sync-producers",
             Self::Emergency { .. } => "emergency",
             Self::EmergencyEnded { .. } => "emergency-withdrawn",
             Self::SdoUnanswered { .. } => "sdo-unanswered",
@@ -322,15 +406,56 @@ impl fmt::Display for Finding {
                 node,
                 silence,
                 period,
+                own,
             } => {
                 let (silence, period) = (ms(silence), ms(period));
+                let whose = if *own { " of this host" } else { "" };
                 write!(
                     f,
-                    "node {node}: no heartbeat for {silence:.0} ms, was every {period:.0} ms"
+                    "node {node}: no heartbeat{whose} for {silence:.0} ms, was every {period:.0} ms"
                 )
             }
-            Self::HeartbeatLate { node, times } => {
-                write!(f, "node {node}: heartbeat late {times} times")
+            Self::HeartbeatLate { node, times, own } => {
+                let whose = if *own { " of this host" } else { "" };
+                write!(f, "node {node}: heartbeat{whose} late {times} times")
+            }
+            Self::BootLoop { node, times } => write!(
+                f,
+                "node {node}: restarts again and again, {times} times without a reset command"
+            ),
+            Self::Duplicate { node, sign } => {
+                write!(f, "several nodes have number {node}: {sign}")
+            }
+            Self::StrayPdos {
+                node,
+                frames,
+                number,
+                state,
+            } => write!(
+                f,
+                "node {node}: sends TPDOs while it is {state}: {frames} frames, last TPDO{number}"
+            ),
+            Self::EmergencyStorm {
+                node,
+                code,
+                times,
+                rate,
+            } => {
+                let text = error_text(*code);
+                write!(
+                    f,
+                    "node {node}: storm of emergencies {code:04X}h {text}: {times} times, {rate:.0}/s"
+                )
+            }
+            Self::TwoSyncs { own, period } => {
+                f.write_str("two producers send SYNC")?;
+                if *own {
+                    f.write_str(", this host is one of them")?;
+                }
+                match period {
+                    Some(period) => write!(f, ", each every {:.3} ms", ms(period)),
+                    None => Ok(()),
+                }
             }
             Self::Rebooted { node, times } => {
                 write!(f, "node {node}: started again {times} times")
@@ -487,21 +612,29 @@ fn nodes(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
             node: *node,
             silence: *silence,
             period: beat.map(super::Heartbeat::period).unwrap_or_default(),
+            own: beat.is_some_and(|beat| beat.own),
         });
     }
     for (node, beat) in &report.heartbeats {
         let node = *node;
-        if beat.gaps > 0 {
-            let times = beat.gaps;
-            found.push(Finding::HeartbeatLate { node, times });
+        let is_duplicate = lives::duplicate(report, node, found);
+        if beat.gaps > 0 && !is_duplicate {
+            let (times, own) = (beat.gaps, beat.own);
+            found.push(Finding::HeartbeatLate { node, times, own });
         }
-        if beat.reboots > 0 {
+        if let Some(times) = beat.boot_loop() {
+            found.push(Finding::BootLoop { node, times });
+        } else if beat.reboots > 0 {
             let times = beat.reboots;
             found.push(Finding::Rebooted { node, times });
         }
     }
+    lives::stray_pdos(report, found);
     dialogues::emergencies(report, found);
     dialogues::sdos(report, found);
+    if lives::two_syncs(report, found) {
+        return;
+    }
     if let Some(jitter) = report.sync_jitter().filter(|j| *j > limits.sync_jitter) {
         let sync = report.ids.get(&crate::canopen::SYNC);
         let period = sync.map(|stat| stat.intervals.mean()).unwrap_or_default();

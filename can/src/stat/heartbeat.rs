@@ -10,6 +10,11 @@ const SAME: f64 = 0.25;
 /// Maximum time from a reset command to the boot-up that it caused. Nodes take up to some seconds.
 const RESET_MAX: Duration = Duration::from_secs(10);
 
+/// Maximum time between the boot-ups of two nodes with one number after one reset.
+const TWIN_MAX: Duration = Duration::from_millis(100);
+/// Restarts that are a loop.
+const LOOP_MIN: u32 = 3;
+
 /// Heartbeat statistics of one node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heartbeat {
@@ -23,6 +28,14 @@ pub struct Heartbeat {
     pub boots: u32,
     /// Number of restarts during operation without a reset command.
     pub reboots: u32,
+    /// Number of restarts without a heartbeat since the last boot-up and without a reset command.
+    pub loops: u32,
+    /// Number of boot-ups right after another, as of two nodes with one number.
+    pub twins: u32,
+    /// Sent by this host.
+    pub own: bool,
+    /// Time of the last boot-up.
+    booted: Option<Duration>,
     /// Number of boot-ups after an observed reset command, and the time of the last.
     pub resets: (u32, Option<NmtCommand>),
     /// Mean of the previous period, if it changed during operation.
@@ -45,6 +58,10 @@ impl Heartbeat {
             gaps: 0,
             boots: 0,
             reboots: 0,
+            loops: 0,
+            twins: 0,
+            own: false,
+            booted: None,
             resets: (0, None),
             earlier: None,
             written: None,
@@ -52,6 +69,17 @@ impl Heartbeat {
             was_gap: false,
             commanded: None,
         }
+    }
+
+    /// Number of restarts without a reset command, if they are so many that the node does not stay up.
+    pub fn boot_loop(&self) -> Option<u32> {
+        let twins = if self.twins >= LOOP_MIN {
+            self.twins
+        } else {
+            0
+        };
+        let restarts = self.reboots + self.loops + twins;
+        (restarts >= LOOP_MIN).then_some(restarts)
     }
 
     /// Its period: as observed, or as written to 1017h while too few were observed.
@@ -112,7 +140,14 @@ impl Heartbeat {
             self.resets = (self.resets.0.saturating_add(1), Some(command));
         } else {
             self.reboots += u32::from(was_at_work);
+            let since = self.booted.map(|before| at.saturating_sub(before));
+            if let Some(since) = since.filter(|_| !was_at_work) {
+                let is_twin = since <= TWIN_MAX && self.state == NmtState::BootUp;
+                self.twins += u32::from(is_twin);
+                self.loops += u32::from(!is_twin);
+            }
         }
+        self.booted = Some(at);
         self.boots += 1;
         // The value of 1017h is no longer known.
         self.restart_statistics(at);

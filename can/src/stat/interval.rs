@@ -90,6 +90,56 @@ impl Intervals {
     }
 }
 
+/// Detects that periodic events are of two sources: every other interval is alike, neighbours are not. Two sources half
+/// a period apart look like one of twice the rate.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Interleaved {
+    last: Option<Duration>,
+    /// The last interval, and the one before.
+    intervals: [Option<Duration>; 2],
+    alternating: u32,
+    regular: u32,
+}
+
+/// Intervals that count as evidence, and how many more of them than others.
+const ALTERNATING_MIN: u32 = 8;
+const ALTERNATING_FACTOR: u32 = 4;
+
+impl Interleaved {
+    /// Handles an event.
+    pub(super) fn record(&mut self, at: Duration) {
+        let Some(last) = self.last.replace(at) else {
+            return;
+        };
+        let interval = at.saturating_sub(last);
+        let [one, two] = self.intervals;
+        self.intervals = [Some(interval), one];
+        let (Some(one), Some(two)) = (one, two) else {
+            return;
+        };
+        let period = interval + one;
+        let is_alike = interval.abs_diff(two) <= period / 10;
+        let differs = interval.abs_diff(one) >= period / 6;
+        if is_alike && differs {
+            self.alternating += 1;
+        } else {
+            self.regular += 1;
+        }
+    }
+
+    /// Whether there are two sources.
+    pub const fn is_found(&self) -> bool {
+        self.alternating >= ALTERNATING_MIN
+            && self.alternating >= ALTERNATING_FACTOR.saturating_mul(self.regular)
+    }
+
+    /// Their period, if there are two.
+    pub fn period(&self) -> Option<Duration> {
+        let [one, two] = self.intervals;
+        Some(one? + two?).filter(|_| self.is_found())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -122,5 +172,23 @@ mod tests {
         intervals.record(Duration::from_secs(5));
         intervals.record(Duration::from_secs(3));
         assert_eq!((intervals.count(), intervals.mean()), (1, Duration::ZERO));
+    }
+
+    #[test]
+    fn interval_two_sources_differ_from_jitter() {
+        let us = Duration::from_micros;
+        let found = |offset: u64, jitter: u64| {
+            let mut events = Interleaved::default();
+            for n in 0..20 {
+                let noise = n * 7919 % (2 * jitter + 1);
+                events.record(us(n * 10_000 + noise));
+                if offset > 0 {
+                    events.record(us(n * 10_000 + offset + noise));
+                }
+            }
+            events.is_found()
+        };
+        assert!(found(1_000, 300) && found(7_000, 300));
+        assert!(!found(0, 0) && !found(0, 2_000) && !found(0, 4_900));
     }
 }

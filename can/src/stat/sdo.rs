@@ -30,11 +30,16 @@ pub struct SdoStat {
     pub repeats: u32,
     /// Unsolicited responses.
     pub unsolicited: u32,
+    /// Of these, second responses to one request, as of two nodes with one number.
+    pub doubled: u32,
     /// Maximum response time.
     pub longest: Duration,
     /// Invalid frames to the server: the bus is not CANopen, or the identifier has another use.
     pub strange: u32,
     state: State,
+    /// Object and time of the last response, and requests for it that were repeated before it.
+    answered_last: Option<(Address, Duration)>,
+    owed: u32,
     /// Time of its last frame.
     last: Duration,
 }
@@ -115,6 +120,7 @@ impl SdoStat {
         match self.state {
             State::Requested(before, ..) if before == *message => {
                 self.repeats = self.repeats.saturating_add(1);
+                self.owed = self.owed.saturating_add(1);
                 self.count_unanswered();
             }
             State::Requested(..) | State::Segment(..) => self.count_unanswered(),
@@ -165,11 +171,13 @@ impl SdoStat {
         match (self.state, response) {
             (state, Some(Response::Abort { address, code })) if state != State::Idle => {
                 self.refused = (self.refused.0.saturating_add(1), Some((address, code)));
+                self.answered_last = Some((address, at));
                 self.end();
             }
             (State::Requested(request, address, since), Some(response))
                 if about == Some(address) =>
             {
+                self.answered_last = Some((address, at));
                 self.longest = self.longest.max(at.saturating_sub(since));
                 return self.answer(&request, address, response);
             }
@@ -184,9 +192,21 @@ impl SdoStat {
             }
             (State::BlockDownload(_), Some(Response::BlockDownloadAck { .. })) => {}
             (State::BlockDownload(_), Some(Response::BlockDownloadEnd)) => self.end(),
-            _ => self.unsolicited = self.unsolicited.saturating_add(1),
+            _ => self.surplus(about, at),
         }
         None
+    }
+
+    /// Handles a response without request.
+    fn surplus(&mut self, about: Option<Address>, at: Duration) {
+        self.unsolicited = self.unsolicited.saturating_add(1);
+        let is_second = self.answered_last.is_some_and(|(address, since)| {
+            Some(address) == about && at.saturating_sub(since) < ANSWER_MAX
+        });
+        match self.owed.checked_sub(1) {
+            Some(owed) if is_second => self.owed = owed,
+            Some(_) | None => self.doubled = self.doubled.saturating_add(u32::from(is_second)),
+        }
     }
 
     /// Handles a segment response.

@@ -1,5 +1,7 @@
 //! Each finding, produced by its cause: on the in-process bus where possible.
 
+mod lives;
+
 use super::*;
 use crate::bus::{Bus, Config, Counters, Fault, PortId};
 use crate::canopen::{Emergency, emergency, heartbeat, sync};
@@ -252,6 +254,7 @@ fn stat_lost_heartbeat_is_found() {
             node: lost,
             silence,
             period,
+            own: false,
         },
     ] = bench.findings()[..]
     else {
@@ -266,7 +269,8 @@ fn stat_lost_heartbeat_is_found() {
         bench.findings()[0],
         Finding::HeartbeatLate {
             node: node(1),
-            times
+            times,
+            own: false,
         }
     );
 }

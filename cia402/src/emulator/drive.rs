@@ -35,6 +35,8 @@ pub struct DriveConfig {
     pub quirks: Quirks,
     /// Position of the motor at power-on, rad.
     pub position: f64,
+    /// 60C2h after a reset: value and decimal exponent of seconds; `None` for 1 ms, or that of SYNC where it is known.
+    pub interpolation: Option<(u8, i8)>,
 }
 
 impl DriveConfig {
@@ -43,6 +45,19 @@ impl DriveConfig {
         let mut objects = objects(axis);
         let quirks = &self.quirks;
         let (quick_stop, abort_connection, window) = quirks.defaults;
+        if let Some((value, exponent)) = self.interpolation {
+            let period = objects
+                .iter_mut()
+                .filter(|object| object.index % Address::AXIS == 0x60C2 % Address::AXIS)
+                .flat_map(|object| &mut object.entries);
+            for (sub, entry) in period {
+                match sub {
+                    1 => entry.default = vec![value],
+                    2 => entry.default = exponent.to_le_bytes().to_vec(),
+                    _ => {}
+                }
+            }
+        }
         for (index, default) in [
             (0x605A, quick_stop.to_le_bytes().to_vec()),
             (0x6007, abort_connection.to_le_bytes().to_vec()),
@@ -80,6 +95,9 @@ pub struct Stepped {
     pub emergency: Option<FaultCode>,
 }
 
+/// Bit 8 of 6040h.
+const HALT: u16 = 0x0100;
+
 /// An emulated axis.
 #[derive(Clone, Debug)]
 pub struct Drive {
@@ -108,6 +126,8 @@ pub struct Drive {
     pub local: bool,
     /// Its interlock (a guard, safe torque off) keeps power off: bit 3 of 60FDh, no transition 3.
     pub interlock: bool,
+    /// Another program holds bit 8 (halt) of 6040h high.
+    pub halted: bool,
     /// The controlword that was last executed.
     applied_word: ControlWord,
     /// How many more enablings end in a fault.
@@ -147,6 +167,7 @@ impl Drive {
             inputs: 0,
             local: false,
             interlock: false,
+            halted: false,
             applied_word: ControlWord::DISABLE_VOLTAGE,
             process_data: ProcessDataFaults::default(),
         })
@@ -217,6 +238,28 @@ impl Drive {
         }
     }
 
+    /// Lets it take the period of its set-points from SYNC until its master writes 60C2h, unless that has been set already.
+    /// Until it is known, no set-point counts as missing.
+    pub fn expect_sync_period(&mut self, dictionary: &Dictionary) {
+        self.modes.expect_sync_period(dictionary, &self.keys);
+    }
+
+    /// Takes the period of SYNC, in the format of 60C2h (value, decimal exponent of seconds), as that of the set-points if
+    /// its master did not write it.
+    pub fn follow_sync(&mut self, d: &mut Dictionary, value: u8, exponent: i8) {
+        if self.modes.takes_sync_period() {
+            d.set(self.keys.interpolation_value, value);
+            d.set(self.keys.interpolation_index, exponent);
+        }
+    }
+
+    /// The bus wrote an object.
+    pub fn after_download(&mut self, address: Address) {
+        if Address::new(0x60C2, address.sub).on_axis(self.axis) == Some(address) {
+            self.modes.keep_period();
+        }
+    }
+
     /// Checks a read from the bus.
     pub fn before_upload(&self, d: &mut Dictionary, address: Address) -> Result<(), AbortCode> {
         let enabled = self.power.state == State::OperationEnabled;
@@ -227,6 +270,10 @@ impl Drive {
     /// Advances time: reads what the master wrote, moves the motor, and writes the objects that the master reads.
     pub fn step(&mut self, dictionary: &mut Dictionary, step: &Step) -> Stepped {
         let mut left = step.dt.min(STEP_MAX).as_secs_f64().max(1e-9);
+        if self.halted {
+            let raw = dictionary.get(self.keys.control_word);
+            dictionary.set(self.keys.control_word, raw | HALT);
+        }
         let word = self.word(dictionary, step.link_lost);
         self.read_units(dictionary);
         // One transition per step, so that a check once per step sees each state.

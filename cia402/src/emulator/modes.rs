@@ -15,7 +15,7 @@ use super::power::{Motion, Stop};
 use super::quirks::Quirks;
 use super::ramp::{Bounds, Ramp};
 
-use cyclic::{Cyclic, Records};
+use cyclic::{Cyclic, Period, Records};
 use position::SetPoints;
 pub(super) use velocity::shown;
 
@@ -117,6 +117,8 @@ impl ModeOutput {
 /// State of the modes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Modes {
+    /// Where 60C2h is from.
+    period: Period,
     /// The mode that 6061h shows.
     pub(super) mode: i8,
     /// The next mode, and the time until it is active, s.

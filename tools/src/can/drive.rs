@@ -1,6 +1,5 @@
 //! `takt can drive`: one CiA 402 drive, enabled state by state over SDO, with the reason when it is not enabled, and
-//! jogged. Start-up, monitor and shutdown are those of the drivers. It maps no PDO and sends no cyclic set-points; nets
-//! do.
+//! jogged. Start-up, monitor and shutdown are those of the drivers. It maps no PDO; nets do.
 
 mod diagnosis;
 mod facts;
@@ -29,13 +28,14 @@ use session::{Jog, Plan, Session, Step};
 /// switched off again as drivers do: at standstill, operation disabled before power is removed. It monitors the
 /// heartbeat of this program (1016h), so that it stops by 6007h if that ends. A jog faster than 607Fh or 6080h allows is
 /// rejected; a motor that runs away loses power at once. Ctrl-C brakes (quick stop). Exit status: 0 it was enabled and
-/// switched off; 1 it was not, with the reason; 2 it could not be tried.
+/// switched off; 1 it was not, or it ended in a fault, with the reason; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can drive can0 5 --watch
   takt can drive can0 5
   takt can drive can0 5 --axis 1 --reset --hold 5s
-  takt can drive can0 5 --jog 1000 --duration 2s --yes")]
+  takt can drive can0 5 --jog 1000 --duration 2s --yes
+  takt can drive can0 5 --mode csp --jog 1000 --yes")]
 pub(crate) struct Drive {
     /// The CAN interface.
     interface: String,
@@ -57,7 +57,8 @@ pub(crate) struct Drive {
     /// How long to hold it in Operation enabled (or to watch it).
     #[arg(long, value_name = "TIME", value_parser = span)]
     hold: Option<Duration>,
-    /// Turn it with this velocity (60FFh, the drive's velocity unit), by profile velocity.
+    /// Turn it with this velocity, in the drive's velocity unit: by profile velocity (60FFh), or by --mode pp (one
+    /// set-point with 6081h) or csp (smooth set-points of this largest speed over SDO and SYNC).
     #[arg(long, value_name = "VELOCITY", allow_hyphen_values = true)]
     jog: Option<i32>,
     /// How long to turn it.
@@ -69,6 +70,9 @@ pub(crate) struct Drive {
     /// A quirk of the drive: no_follow_bit, sod_as_0020 or mode_after_enable; may be repeated.
     #[arg(long = "quirk", value_name = "QUIRK")]
     quirks: Vec<Quirk>,
+    /// Timeout of an SDO answer.
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = span)]
+    timeout: Duration,
     /// Print one JSON object at the end.
     #[arg(long)]
     json: bool,
@@ -77,8 +81,10 @@ pub(crate) struct Drive {
     confirm_motion: bool,
 }
 
-/// Profile velocity.
+/// Modes that can jog: profile position, profile velocity, cyclic synchronous position.
+const PP: i8 = 1;
 const PV: i8 = 3;
+const CSP: i8 = 8;
 
 fn mode(text: &str) -> Result<i8, String> {
     let named = MODES.iter().find(|(name, _)| *name == text);
@@ -96,8 +102,8 @@ const HOLD: Duration = Duration::from_secs(1);
 impl Drive {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         anyhow::ensure!(
-            self.jog.is_none() || self.mode == PV,
-            "--jog turns by profile velocity\nhint: omit --mode"
+            self.jog.is_none() || [PP, PV, CSP].contains(&self.mode),
+            "--jog turns by --mode pv, pp or csp only\nhint: omit --mode"
         );
         let mut wire = Live::open_to_stop(&self.interface)?;
         if !self.watch {
@@ -115,6 +121,7 @@ impl Drive {
                 time: self.duration,
                 unguarded: self.unguarded,
             }),
+            timeout: self.timeout,
             profile: MasterOptions::default().with_quirks(&self.quirks),
         };
         let mut show = |step: &Step| match self.json {

@@ -81,13 +81,7 @@ impl Dump {
         }
         while left > 0 && !stop.is_requested() && until.is_none_or(|until| Instant::now() < until) {
             let seen = feed.next(POLL_INTERVAL)?;
-            if feed.dropped() > lost {
-                complain(&format!(
-                    "{} frames lost before they were read",
-                    feed.dropped() - lost
-                ));
-                lost = feed.dropped();
-            }
+            complain_of_losses(feed.dropped(), &mut lost);
             let Some(seen) = seen else {
                 if feed.is_live() {
                     continue;
@@ -99,6 +93,8 @@ impl Dump {
                 say(&self.line(&mut printer, &seen))?;
             }
         }
+        // A frame reports only the losses before it.
+        complain_of_losses(feed.read_dropped(), &mut lost);
         Ok(Verdict::Good)
     }
 
@@ -110,6 +106,15 @@ impl Dump {
         } else {
             printer.line(seen)
         }
+    }
+}
+
+/// Reports frames that were lost since the last report.
+fn complain_of_losses(dropped: u64, reported: &mut u64) {
+    let lost = dropped.saturating_sub(*reported);
+    if lost > 0 {
+        complain(&format!("{lost} frames lost before they were read"));
+        *reported = dropped;
     }
 }
 

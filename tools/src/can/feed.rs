@@ -112,6 +112,18 @@ impl Feed {
             Self::File(_) => 0,
         }
     }
+
+    /// The same, with losses after the last received frame; for the end of a measurement.
+    pub(super) fn read_dropped(&mut self) -> u64 {
+        match self {
+            Self::Live(live) => {
+                let sources = live.sources.iter_mut();
+                let dropped = sources.map(|source| source.link.read_dropped());
+                dropped.map(u64::from).sum()
+            }
+            Self::File(_) => 0,
+        }
+    }
 }
 
 /// The error of a socket that cannot be opened, with the CAN interfaces of this host.

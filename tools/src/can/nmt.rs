@@ -7,7 +7,9 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use takt_can::Frame;
-use takt_can::canopen::{HEARTBEAT, Message, NmtCommand, NmtState, NodeId};
+use takt_can::canopen::sdo::{Request, Response};
+use takt_can::canopen::{HEARTBEAT, Message, NmtCommand, NmtState, NodeId, SDO_REQUEST};
+use takt_cia402::dictionary::Address;
 
 use super::confirm;
 use super::wire::{Live, Wire};
@@ -30,7 +32,8 @@ pub(crate) struct Nmt {
     node: Target,
     /// The command.
     command: Word,
-    /// Wait at most this long until its heartbeat, or its answer to node guarding, shows the state.
+    /// Wait at most this long until its heartbeat or its answer to node guarding shows the state; that of a node with
+    /// neither is seen by whether it answers SDO.
     #[arg(long, alias = "wait", value_name = "TIME", value_parser = span)]
     timeout: Option<Duration>,
     /// Print one JSON object.
@@ -96,6 +99,10 @@ impl Word {
 /// Period of node guarding requests to a node without heartbeat.
 const GUARD_PERIOD: Duration = Duration::from_millis(100);
 
+/// Guarding requests without an answer after which SDO is tried, and the timeout of that.
+const GUARDS: u32 = 3;
+const SDO_TIMEOUT: Duration = Duration::from_millis(100);
+
 /// Result of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Outcome {
@@ -103,13 +110,23 @@ struct Outcome {
     wanted: NmtState,
     /// The last state that the node reported.
     shown: Option<NmtState>,
+    /// Whether it answers SDO, asked only if it reports no state.
+    answers_sdo: Option<bool>,
     /// Time until the node reached the state, or the time waited.
     after: Duration,
 }
 
 impl Outcome {
+    /// A node that reports no state is not stopped if it answers SDO; whether its PDOs run is not visible then.
     fn is_good(self) -> bool {
-        self.shown == Some(self.wanted)
+        let communicates = matches!(
+            self.wanted,
+            NmtState::Operational | NmtState::PreOperational
+        );
+        match self.shown {
+            Some(shown) => shown == self.wanted,
+            None => communicates && self.answers_sdo == Some(true),
+        }
     }
 }
 
@@ -119,15 +136,33 @@ impl fmt::Display for Outcome {
             node,
             wanted,
             shown,
+            answers_sdo,
             after,
         } = self;
         let ms = after.as_millis();
+        if self.is_good() && shown.is_none() {
+            return write!(
+                f,
+                "node {node}: answers SDO after {ms} ms, so it is pre-operational or operational; it reports no state (1017h \
+                 is 0 and it answers no guarding)"
+            );
+        }
         match shown {
             Some(shown) if shown == wanted => write!(f, "node {node}: {shown} after {ms} ms"),
             Some(shown) => write!(
                 f,
                 "node {node}: {shown} instead of {wanted} after {ms} ms\nhint: another master may command it, or an error may \
                  keep it there (1029h, takt can sdo IFACE {node} upload 1001)"
+            ),
+            None if *answers_sdo == Some(true) => write!(
+                f,
+                "node {node}: answers SDO instead of being {wanted} after {ms} ms; it reports no state\nhint: set 1017h, so \
+                 that it sends heartbeats"
+            ),
+            None if *wanted == NmtState::Stopped => write!(
+                f,
+                "node {node}: no answer within {ms} ms, as from a stopped node that reports no state\nhint: set 1017h, so \
+                 that it sends heartbeats; look for it with takt can scan"
             ),
             None => write!(
                 f,
@@ -177,7 +212,7 @@ fn to_json(outcome: Outcome) -> Value {
     json!({
         "version": 1, "node": outcome.node.raw(), "wanted": outcome.wanted.to_string(),
         "state": outcome.shown.map(|state| state.to_string()), "obeyed": outcome.is_good(),
-        "after_ms": outcome.after.as_secs_f64() * 1e3,
+        "answers_sdo": outcome.answers_sdo, "after_ms": outcome.after.as_secs_f64() * 1e3,
     })
 }
 
@@ -191,10 +226,12 @@ fn command<W: Wire>(
     let begun = wire.now();
     wire.send(&word.command().frame(Some(node)))?;
     let (end, mut next_request) = (begun + wait, begun + GUARD_PERIOD);
+    let mut guards = 0;
     let mut outcome = Outcome {
         node,
         wanted: word.target_state(),
         shown: None,
+        answers_sdo: None,
         after: wait,
     };
     while wire.now() < end {
@@ -202,6 +239,16 @@ fn command<W: Wire>(
         if wire.now() >= next_request && outcome.wanted != NmtState::BootUp {
             wire.send(&Frame::remote(node.cob(HEARTBEAT), 1)?)?;
             next_request = wire.now() + GUARD_PERIOD;
+            guards += 1;
+        }
+        if guards > GUARDS && outcome.shown.is_none() {
+            guards = 0;
+            let (answers, beat) = answers_sdo(wire, node)?;
+            (outcome.answers_sdo, outcome.shown) = (Some(answers), beat);
+            outcome.after = wire.now().saturating_sub(begun);
+            if outcome.is_good() {
+                return Ok(outcome);
+            }
         }
         let until = next_request.max(wire.now()).min(end);
         let until = if until > wire.now() { until } else { end };
@@ -220,6 +267,37 @@ fn command<W: Wire>(
     }
     outcome.after = wait;
     Ok(outcome)
+}
+
+/// Whether a node answers the upload of 1000h, with a value or an abort; and the state that it reported meanwhile.
+fn answers_sdo<W: Wire>(wire: &mut W, node: NodeId) -> anyhow::Result<(bool, Option<NmtState>)> {
+    let address = Address::new(0x1000, 0);
+    let request = Request::Upload { address }.encode();
+    wire.send(&Frame::full(node.cob(SDO_REQUEST), request))?;
+    let until = wire.now() + SDO_TIMEOUT;
+    let (mut answers, mut shown) = (false, None);
+    while let Some(frame) = wire.receive_until(until)? {
+        match Message::decode(&frame) {
+            Message::SdoResponse(from, message) if from == node => {
+                let response = Response::decode(&message);
+                answers |= response.is_some_and(|response| response.address() == Some(address));
+            }
+            Message::Heartbeat(from, state, _) if from == node => shown = Some(state),
+            Message::Heartbeat(..)
+            | Message::SdoResponse(..)
+            | Message::SdoRequest(..)
+            | Message::Emergency(..)
+            | Message::Nmt(..)
+            | Message::Sync(_)
+            | Message::Time(..)
+            | Message::Tpdo(..)
+            | Message::Rpdo(..)
+            | Message::Guard(_)
+            | Message::Lss(..)
+            | Message::Unknown => {}
+        }
+    }
+    Ok((answers, shown))
 }
 
 #[cfg(test)]
@@ -245,6 +323,33 @@ mod tests {
                 assert!(outcome.after < 250 * Duration::from_millis(1), "{outcome}");
             }
         }
+    }
+
+    /// Neither heartbeat nor guarding: SDO shows that it is not stopped.
+    #[test]
+    fn nmt_state_without_heartbeat_and_guarding_is_seen_by_sdo() {
+        let mut lab = Lab::of_drives(&[5]);
+        lab.run(10);
+        lab.drive(0).malfunctions_mut().no_heartbeat = true;
+        for (word, is_good) in [
+            (Word::Start, true),
+            (Word::Stop, false),
+            (Word::Preop, true),
+        ] {
+            let outcome = command(&mut lab, node(5), word, WAIT).unwrap();
+            assert_eq!(
+                (outcome.shown, outcome.is_good()),
+                (None, is_good),
+                "{outcome}"
+            );
+            assert_eq!(outcome.answers_sdo, Some(is_good), "{outcome}");
+        }
+        // Its boot-up is seen in any case.
+        assert!(
+            command(&mut lab, node(5), Word::Reset, WAIT)
+                .unwrap()
+                .is_good()
+        );
     }
 
     #[test]

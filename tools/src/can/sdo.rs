@@ -274,18 +274,38 @@ pub(super) fn perform<W: Wire>(
         } => {
             let sheet = Sheet::open(Some(with))?;
             let mut client = SdoClient::new(node, *timeout);
+            let stranger = match sheet.stranger(wire, &mut client)? {
+                Ok(stranger) => stranger,
+                Err(error) => return Ok(Err(error)),
+            };
             let compared = match whole::compare(wire, &mut client, &sheet, *all)? {
                 Ok(compared) => compared,
                 Err(error) => return Ok(Err(error)),
             };
-            let text = match json {
-                true => compared.json(&sheet, node).to_string(),
-                false => compared.text(&sheet, node),
+            let text = match (json, &stranger) {
+                (true, _) => compared.json(&sheet, node, stranger.as_deref()).to_string(),
+                (false, None) => compared.text(&sheet, node),
+                (false, Some(stranger)) => {
+                    format!("{stranger}\n{}", compared.text(&sheet, node))
+                }
             };
-            let good = compared.is_equal();
+            let good = compared.is_equal() && stranger.is_none();
             Ok(Ok(Report { text, good }))
         }
     }
+}
+
+/// Reports a data sheet of another device.
+fn warn_of_stranger<W: Wire>(
+    wire: &mut W,
+    client: &mut SdoClient,
+    sheet: &Sheet,
+) -> anyhow::Result<Result<(), SdoError>> {
+    Ok(sheet.stranger(wire, client)?.map(|stranger| {
+        if let Some(text) = stranger {
+            complain(&format!("takt: {text}"));
+        }
+    }))
 }
 
 /// Writes the signature to 1010h or 1011h.
@@ -312,6 +332,9 @@ fn dump<W: Wire>(
 ) -> anyhow::Result<Result<Report, SdoError>> {
     let mut sheet = Sheet::open(transfer.eds.as_deref())?;
     let mut client = SdoClient::new(node, transfer.timeout);
+    if let Err(error) = warn_of_stranger(wire, &mut client, &sheet)? {
+        return Ok(Err(error));
+    }
     let dump = match whole::dump(wire, &mut client, &sheet, domains)? {
         Ok(dump) => dump,
         Err(error) => return Ok(Err(error)),
@@ -340,6 +363,9 @@ fn upload<W: Wire>(
     let sheet = Sheet::open(transfer.eds.as_deref())?;
     let address = sheet.find(object)?;
     let mut client = SdoClient::new(node, transfer.timeout);
+    if let Err(error) = warn_of_stranger(wire, &mut client, &sheet)? {
+        return Ok(Err(error));
+    }
     let bytes = match client.read(wire, address, transfer.block)? {
         Ok(bytes) => bytes,
         Err(error) => return Ok(Err(error)),
@@ -402,6 +428,16 @@ fn download<W: Wire>(
         }
     };
     let mut client = SdoClient::new(node, transfer.timeout);
+    match sheet.stranger(wire, &mut client)? {
+        Ok(None) => {}
+        Ok(Some(text)) => {
+            let text = format!(
+                "{text}: nothing was written\nhint: omit --eds and give --type, or use the device's own"
+            );
+            return Ok(Ok(Report { text, good: false }));
+        }
+        Err(error) => return Ok(Err(error)),
+    }
     let answer = client.write(wire, address, &bytes, transfer.block)?;
     let shown = match value {
         Source::Text(_) => sheet.show(address, kind, &bytes),

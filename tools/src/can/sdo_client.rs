@@ -11,7 +11,8 @@ use takt_cia402::dictionary::{AbortCode, Address};
 
 use super::wire::Wire;
 
-/// Default timeout of an SDO response.
+/// Timeout of an SDO response in tests.
+#[cfg(test)]
 pub(super) const TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Why an SDO transfer failed.

@@ -11,13 +11,15 @@ use takt_cia402::dictionary::{Address, DataType, Entry};
 use takt_cia402::emulator::DriveConfig;
 use takt_cia402::{ControlWord, StatusWord};
 
+use super::sdo_client::{Answer, SdoClient, number};
+use super::wire::Wire;
 use crate::output::complain;
 
 /// Remarks on a data sheet that are printed one by one.
 const REMARKS: usize = 5;
 
 /// Reads a data sheet or a configuration; what it does not understand is printed.
-pub(super) fn read(path: &Path) -> anyhow::Result<Eds> {
+pub(crate) fn read(path: &Path) -> anyhow::Result<Eds> {
     let bytes = takt_core::files::read(path, takt_core::files::TEXT_BYTES_MAX)
         .with_context(|| format!("cannot read {}", path.display()))?;
     let text = String::from_utf8_lossy(&bytes);
@@ -40,6 +42,12 @@ pub(super) fn name_of(eds: &Eds, key: &str) -> Option<u32> {
         Some(digits) => u32::from_str_radix(digits, 16).ok(),
         None => text.parse().ok(),
     }
+}
+
+/// Vendor and product of a data sheet, as far as it has them.
+pub(super) fn identity(eds: &Eds) -> [Option<u32>; 2] {
+    let of = |key| name_of(eds, key).filter(|number| *number != 0);
+    [of("VendorNumber"), of("ProductNumber")]
 }
 
 /// Names and types of objects.
@@ -72,6 +80,37 @@ impl Sheet {
             eds: config.eds(),
             own: false,
         }
+    }
+
+    /// Why it is not the data sheet of a node: another vendor or product; `None` if it is, or if it does not say.
+    pub(super) fn stranger<W: Wire>(
+        &self,
+        wire: &mut W,
+        client: &mut SdoClient,
+    ) -> Answer<Option<String>> {
+        if !self.own {
+            return Ok(Ok(None));
+        }
+        let [vendor, product] = identity(&self.eds);
+        for (sub, key, expected) in [(1, "vendor", vendor), (2, "product", product)] {
+            let Some(expected) = expected else {
+                continue;
+            };
+            let shown = match client.read(wire, Address::new(0x1018, sub), false)? {
+                Ok(bytes) => number(&bytes),
+                Err(error) if error.is_timeout() => return Ok(Err(error)),
+                // It does not say either.
+                Err(_) => None,
+            };
+            if let Some(shown) = shown.filter(|shown| *shown != expected) {
+                let node = client.node();
+                return Ok(Ok(Some(format!(
+                    "the data sheet is not that of node {node}: its {key} is {expected:X}h, 1018h:0{sub} of the node is \
+                     {shown:X}h"
+                ))));
+            }
+        }
+        Ok(Ok(None))
     }
 
     fn entry(&self, address: Address) -> Option<&Entry> {

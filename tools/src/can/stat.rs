@@ -127,6 +127,8 @@ impl Stat {
         }
         let details = interface.details()?;
         meter.handle_time(wall());
+        // A frame reports only the losses before it.
+        meter.handle_dropped(feed.read_dropped());
         meter.handle_state(details.state, details.counters);
         // The counters cover all programs of this host. A counter that decreased was reset.
         let counted = |after: u64, before: u64| after.saturating_sub(before);

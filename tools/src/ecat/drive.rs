@@ -2,7 +2,6 @@
 //! not enabled, and moved a little. Start-up, monitor and shutdown are those of the drivers; sequences of motions are for
 //! nets.
 
-mod profile;
 mod setup;
 #[cfg(test)]
 mod tests;
@@ -24,11 +23,10 @@ use takt_ethercat::axis::{Axis, AxisState, Target};
 
 use super::Target as Segment;
 use super::session::{Session, Wire};
-use crate::jog::{Limits, Speed};
+use crate::jog::{Limits, Profile, Speed};
 use crate::output::{say, span};
 use crate::signal::Stop;
 use crate::{Verdict, confirm};
-use profile::Profile;
 
 /// Enable an axis of a CiA 402 drive, show its words as named bits, report why it is not enabled, and jog it.
 ///
@@ -176,6 +174,10 @@ pub(super) enum Outcome {
 }
 
 impl Outcome {
+    const fn is_failure(&self) -> bool {
+        matches!(self, Self::Slave(_) | Self::Axis(_))
+    }
+
     const fn verdict(&self) -> Verdict {
         match self {
             Self::Done(_) => Verdict::Good,
@@ -254,8 +256,11 @@ pub(super) fn perform<W: Wire>(
         runaway: None,
     };
     let outcome = bench.run()?;
-    bench.switch_off()?;
-    Ok(outcome)
+    let end = bench.switch_off()?;
+    if outcome.is_failure() {
+        return Ok(outcome);
+    }
+    Ok(bench.judge_end(&end)?.unwrap_or(outcome))
 }
 
 /// An axis while it is commanded.
@@ -483,8 +488,31 @@ impl<W: Wire> Bench<'_, W> {
         Ok(Outcome::Axis(format!("axis {number}: {why}")))
     }
 
-    /// Removes power as the drivers do: from a motor that moves only if nothing brakes it.
-    fn switch_off(&mut self) -> anyhow::Result<()> {
+    /// Why a drive that did as requested did not end as it should: without power and without a fault.
+    fn judge_end(&mut self, end: &AxisState) -> anyhow::Result<Option<Outcome>> {
+        let shown = match end.state {
+            Some(State::Fault | State::FaultReactionActive) => {
+                let faulted = AxisState {
+                    drive_fault: end.drive_fault.or(Some(DriveFault::Fault)),
+                    ..*end
+                };
+                return self.failure(&faulted).map(Some);
+            }
+            Some(State::SwitchedOn | State::OperationEnabled | State::QuickStopActive)
+                if end.online =>
+            {
+                end.status
+            }
+            Some(_) | None => return Ok(None),
+        };
+        let number = self.order.axis;
+        Ok(Some(Outcome::Axis(format!(
+            "axis {number}: it does not switch off: 6041h is still {shown}\n{NOT_OFF}"
+        ))))
+    }
+
+    /// Removes power as the drivers do: from a motor that moves only if nothing brakes it. Returns its state at the end.
+    fn switch_off(&mut self) -> anyhow::Result<AxisState> {
         let begin = self.session.now()?;
         let mut shutdown = Shutdown::new(begin);
         loop {
@@ -504,12 +532,11 @@ impl<W: Wire> Bench<'_, W> {
                 Some(State::SwitchOnDisabled | State::NotReadyToSwitchOn | State::Fault)
             );
             if goal == Some(Goal::SwitchOnDisabled) && (off || !state.online) {
-                return Ok(());
+                return Ok(state);
             }
             if now > begin + SHUTDOWN_MAX {
-                return (self.print)(
-                    "            it does not switch off; the watchdog of its slave will",
-                );
+                (self.print)("            it does not switch off; the watchdog of its slave will")?;
+                return Ok(state);
             }
         }
     }
@@ -525,6 +552,10 @@ const SETTLE: Duration = Duration::from_millis(200);
 /// What keeps the motor of an enabled drive from turning.
 const NOT_MOVED: &str = "      hint: check its brake and load, 6072h and 6080h (torque and speed that it may use), and the gear \
     and encoder factors (608Fh, 6091h)";
+
+/// What keeps a drive from switching off.
+const NOT_OFF: &str =
+    "      hint: check for a service tool or another master at the drive, and its emergency stop";
 
 /// What makes an enabled drive leave its mode.
 const NOT_FOLLOWED: &str = "      hint: check for another master or a service tool at the drive; without one, it may use another \

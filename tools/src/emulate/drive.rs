@@ -8,17 +8,13 @@ use clap::Args;
 use takt_can::canopen::NodeId;
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
 use takt_can::canopen::node::NodeQuirks;
-use takt_can::link::{Link as _, LinkError};
-use takt_can::linux::{Options, SocketCan, monotonic};
+use takt_can::linux::monotonic;
 use takt_cia402::emulator::{DriveConfig, Quirks};
 
-use super::service::Service;
+use super::canopen;
+use super::faults::{Fault, of_drive};
 use crate::Verdict;
 use crate::output::{save, say, span};
-use crate::run::until_stopped;
-
-/// Longest wait for a frame: the motor's step.
-const WAIT: Duration = Duration::from_millis(1);
 
 /// A CANopen drive.
 #[derive(Debug, Args)]
@@ -42,6 +38,21 @@ pub(crate) struct DriveArgs {
     /// never-remote, reached-in-fault, faults-on-enable.
     #[arg(long, value_name = "NAME", value_parser = quirk)]
     quirk: Vec<String>,
+    /// A fault, when it begins after the start, and for how long. May be given several times.
+    ///
+    /// Of the node: off, heartbeat-off, sdo-silent, wrong-map, boot-loop[=TIME], emergency-storm[=CODE], number=N. Of its
+    /// axes: error[=CODE] (603Fh, hexadecimal), halt (bit 8 of 6040h by another program), local, interlock.
+    #[arg(long, value_name = "WHAT[@START[+LENGTH]]", value_parser = of_drive)]
+    fault: Vec<Fault>,
+    /// 605Ah after a reset: 0 coasts, 1 to 4 brake and switch off, 5 to 8 brake and stay in Quick stop active.
+    #[arg(long, value_name = "CODE", allow_hyphen_values = true)]
+    quick_stop: Option<i16>,
+    /// Interpolation time (60C2h) after a reset; without it that of SYNC, until the master writes it.
+    #[arg(long, value_name = "TIME", value_parser = interpolation)]
+    interpolation: Option<(u8, i8)>,
+    /// Timeout of its SDO server.
+    #[arg(long, value_name = "TIME", default_value = "2s", value_parser = span)]
+    sdo_timeout: Duration,
     /// Write its data sheet and end.
     #[arg(long, value_name = "FILE.eds")]
     write_eds: Option<PathBuf>,
@@ -57,26 +68,25 @@ impl DriveArgs {
         let mut config = DriveNodeConfig {
             axes: vec![DriveConfig::default(); self.axes.into()],
             heartbeat_ms: u16::try_from(heartbeat).context("a heartbeat is at most 65s apart")?,
+            sdo_timeout: self.sdo_timeout,
             ..DriveNodeConfig::new(id)
         };
         for name in &self.quirk {
             config.add_quirk(name);
         }
+        for axis in &mut config.axes {
+            axis.quirks.defaults.0 = self.quick_stop.unwrap_or(axis.quirks.defaults.0);
+            axis.interpolation = self.interpolation;
+        }
         if let Some(path) = &self.write_eds {
             save(path, config.eds().print())?;
             return Ok(Verdict::Good);
         }
-        let mut socket = SocketCan::open(&self.interface, &Options::default())
-            .with_context(|| format!("cannot open {}; is it a CAN interface?", self.interface))?;
+        let socket = canopen::open(&self.interface)?;
         let node = DriveNode::power_on(config, monotonic())
             .context("the configuration of the drive is invalid")?;
         say(&format!("drive {} on {}", self.node, self.interface))?;
-        let service = Service::start("drive", node, move |node| {
-            turn(node, &mut socket).context("the interface failed")
-        })?;
-        until_stopped(self.duration, || service.check())?;
-        let node = service.stop()?;
-        say(&format!("ended {:?}", node.state()))?;
+        canopen::serve("drive", node, socket, &self.fault, self.duration)?;
         Ok(Verdict::Good)
     }
 }
@@ -95,19 +105,11 @@ fn quirk(name: &str) -> Result<String, String> {
         .ok_or_else(|| format!("`{name}` is no quirk; those are {}", all()))
 }
 
-fn turn(node: &mut DriveNode, socket: &mut SocketCan) -> Result<(), LinkError> {
-    if let Some(received) = socket.receive(WAIT)?
-        && let Some(frame) = received.frame.classic()
-    {
-        node.handle_frame(frame, monotonic());
-    }
-    while let Some(frame) = node.poll_transmit(monotonic()) {
-        match socket.send(&frame.into()) {
-            Ok(()) | Err(LinkError::QueueFull) => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(())
+/// A time in the format of 60C2h: value and decimal exponent of seconds.
+fn interpolation(text: &str) -> Result<(u8, i8), String> {
+    let time = span(text)?;
+    takt_can::canopen::network::time_index(time)
+        .ok_or_else(|| format!("60C2h cannot hold `{text}`: at most 255 units of 1 us to 1 ms"))
 }
 
 #[cfg(test)]

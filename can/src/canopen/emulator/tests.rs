@@ -267,3 +267,64 @@ fn drive_reset_keeps_motor_position() {
     let motor = rig.drive.application().axis(0).unwrap().motor();
     assert!((motor.position - 7.5).abs() < 1e-6);
 }
+
+/// Cyclic synchronous position at a SYNC of 10 ms, from a master that never writes 60C2h.
+fn led_by_sync(rig: &mut Rig) {
+    rig.send("605#2F60600008000000");
+    rig.send("605#2300140105020080");
+    rig.send("605#2F02140201000000");
+    rig.send("000#0105");
+    for word in [6_u16, 7, 15] {
+        for _ in 0..30 {
+            let [low, high] = word.to_le_bytes();
+            rig.send(&format!("605#2B406000{low:02X}{high:02X}0000"));
+            rig.send("080#");
+            rig.run(10);
+        }
+    }
+}
+
+#[test]
+fn drive_takes_60c2h_from_sync() {
+    let mut rig = Rig::new(|_| ());
+    led_by_sync(&mut rig);
+    let axis = |rig: &Rig| rig.drive.application().axis(0).unwrap().state();
+    assert_eq!(axis(&rig), takt_cia402::State::OperationEnabled);
+    let number = |rig: &Rig, sub| {
+        rig.drive
+            .dictionary()
+            .bytes(Address::new(0x60C2, sub))
+            .unwrap()[0]
+    };
+    assert_eq!((number(&rig, 1), number(&rig, 2).cast_signed()), (10, -3));
+    // SYNC stops: set-points are missing.
+    rig.received.clear();
+    rig.run(200);
+    assert!(
+        rig.received
+            .iter()
+            .any(|frame| frame.starts_with("085#0087")),
+        "{:?}",
+        rig.received
+    );
+}
+
+#[test]
+fn drive_keeps_written_60c2h() {
+    let mut rig = Rig::new(|_| ());
+    rig.send("605#2FC2600101000000");
+    led_by_sync(&mut rig);
+    let value = rig
+        .drive
+        .dictionary()
+        .bytes(Address::new(0x60C2, 1))
+        .unwrap();
+    assert_eq!(value, [1]);
+    assert!(
+        rig.received
+            .iter()
+            .any(|frame| frame.starts_with("085#0087")),
+        "{:?}",
+        rig.received
+    );
+}

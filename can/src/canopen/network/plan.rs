@@ -152,7 +152,8 @@ const JERK_LIMITED: i16 = 3;
 
 /// A period in the format of 60C2h: value and decimal exponent in seconds. `None` if eight bits cannot represent it
 /// exactly.
-fn time_index(period: Duration) -> Option<(u8, i8)> {
+#[doc(alias = "60C2h")]
+pub fn time_index(period: Duration) -> Option<(u8, i8)> {
     let nanos = period.as_nanos();
     let of_unit = |(unit, exponent): (u128, i8)| {
         let value = u8::try_from(nanos / unit).ok()?;

@@ -100,6 +100,11 @@ impl Rig {
         self.sent()
     }
 
+    /// Runs it millisecond by millisecond.
+    fn pass(&mut self, ms: u32) -> Vec<String> {
+        (0..ms).flat_map(|_| self.wait(MS)).collect()
+    }
+
     fn wait(&mut self, time: Duration) -> Vec<String> {
         self.now += time;
         self.sent()
@@ -461,4 +466,82 @@ fn node_parameters_are_stored_and_restored_by_group() {
         (value(&rig, 0x1017), value(&rig, 0x2000)),
         (vec![100, 0], vec![0, 0])
     );
+}
+
+/// The frames of a node with malfunctions, in Operational with a heartbeat of 50 ms.
+fn ailing(change: impl FnOnce(&mut Malfunctions)) -> Rig {
+    let mut rig = Rig::in_state(State::Operational);
+    rig.exchange("605#2B17100032000000");
+    rig.sent();
+    change(rig.node.malfunctions_mut());
+    rig
+}
+
+#[test]
+fn node_malfunctions_suppress_their_frames() {
+    let mut rig = ailing(|faults| faults.no_heartbeat = true);
+    let frames = rig.pass(500);
+    assert!(
+        !frames.iter().any(|frame| frame.starts_with("705#")),
+        "{frames:?}"
+    );
+    *rig.node.malfunctions_mut() = Malfunctions::default();
+    let frames = rig.pass(500);
+    assert!(frames.iter().filter(|frame| *frame == "705#05").count() >= 9);
+    let mut rig = ailing(|faults| faults.no_sdo = true);
+    assert!(rig.exchange("605#4000100000000000").is_empty());
+    let mut rig = ailing(|faults| faults.off = true);
+    assert!(rig.pass(500).is_empty());
+    rig.node.malfunctions_mut().off = false;
+    assert!(rig.wait(5 * MS).contains(&"705#00".to_owned()));
+}
+
+#[test]
+fn node_malfunctions_repeat_at_their_interval() {
+    let mut rig = ailing(|faults| faults.boot_loop = Some(100 * MS));
+    let boots = rig.pass(1000);
+    let boots = boots.iter().filter(|frame| *frame == "705#00").count();
+    assert!((9..=11).contains(&boots), "{boots}");
+    let emergency = Emergency {
+        code: 0x4210,
+        register: 9,
+        data: [0; 5],
+    };
+    let mut rig = ailing(|faults| faults.emergency_storm = Some((emergency, 10 * MS)));
+    let storm = rig.pass(1000);
+    let storm = storm
+        .iter()
+        .filter(|frame| frame.starts_with("085#1042"))
+        .count();
+    assert!((95..=105).contains(&storm), "{storm}");
+}
+
+#[test]
+fn node_with_wrong_map_reverses_its_pdos() {
+    let mut rig = Rig::in_state(State::PreOperational);
+    for frame in [
+        "605#2301180185020080",
+        "605#2F011A0000000000",
+        "605#23011A0110000020",
+        "605#23011A0210000120",
+        "605#2F011A0002000000",
+        "605#2301180185020040",
+    ] {
+        assert!(rig.exchange(frame)[0].starts_with("585#60"), "{frame}");
+    }
+    rig.exchange("605#2B01200022110000");
+    rig.exchange("000#0105");
+    rig.node.malfunctions_mut().wrong_map = true;
+    rig.node.trigger(1);
+    let sent = rig.wait(5 * MS);
+    assert!(sent.contains(&"285#22110000".to_owned()), "{sent:?}");
+}
+
+#[test]
+fn node_with_another_number_boots_up_there() {
+    let mut rig = ailing(|_| ());
+    rig.node.renumber(NodeId::new(9).unwrap(), rig.now);
+    assert!(rig.wait(5 * MS).contains(&"709#00".to_owned()));
+    assert!(rig.exchange("605#4000100000000000").is_empty());
+    assert_eq!(rig.exchange("609#4000100000000000").len(), 1);
 }

@@ -29,7 +29,14 @@ pub(super) fn emergencies(report: &Report, found: &mut Vec<Finding>) {
         let node = *node;
         found.extend(emergencies.codes().iter().map(|seen| {
             let (code, times) = (seen.code, seen.times);
-            if seen.is_present {
+            if let Some(rate) = seen.storm() {
+                Finding::EmergencyStorm {
+                    node,
+                    code,
+                    times,
+                    rate,
+                }
+            } else if seen.is_present {
                 Finding::Emergency { node, code, times }
             } else {
                 Finding::EmergencyEnded { node, code, times }

@@ -40,6 +40,33 @@ impl Finding {
                 "send less often what takes most (longer SYNC period, inhibit times, event-driven PDOs), or \
                  raise the bit rate"
             }
+            Self::HeartbeatMissing { own: true, .. } => {
+                "the program on this host that sent it has ended or hangs; nodes that monitor it react by 1029h and 6007h"
+            }
+            Self::HeartbeatLate { own: true, .. } => {
+                "this host stalled, not the bus: check the priority and the CPU of the program that sends it (takt doctor, \
+                 takt jitter)"
+            }
+            Self::BootLoop { .. } => {
+                "the node does not stay up: check its supply under load, its watchdog, and whether its firmware is complete; \
+                 its emergencies before each restart name the cause"
+            }
+            Self::Duplicate { .. } => {
+                "unplug all but one of them and give it another number by its switch or by LSS (takt can scan shows serial \
+                 numbers); until then a command to one moves both"
+            }
+            Self::StrayPdos { .. } => {
+                "its PDOs must stop outside of Operational: another node may use its identifiers (compare 1800h:01 of all), \
+                 it may have left Operational by an error (1029h), or its firmware is at fault"
+            }
+            Self::EmergencyStorm { .. } => {
+                "its cause comes and goes, or its firmware repeats what it should send once: find the cause by 1003h; the \
+                 inhibit time 1015h limits the load until then"
+            }
+            Self::TwoSyncs { .. } => {
+                "switch one of them off (1005h bit 30 of the nodes, the period of the masters): drives interpolate between \
+                 both and run rough or fault"
+            }
             Self::HeartbeatMissing { .. } => {
                 "the node is off, reset, or unplugged; if others are silent from the same moment on, check \
                  the wire between them"
@@ -77,7 +104,7 @@ impl Finding {
             }
             Self::SyncJitter { .. } => {
                 "drives that interpolate need SYNC within a few percent: send it from a real-time thread, not \
-                 by the kernel's broadcast manager; see takt jitter"
+                 by the kernel's broadcast manager; see takt jitter; two producers of different periods look so too"
             }
             Self::Dropped { .. } => {
                 "what reads the socket is too slow: give it a larger buffer (sysctl net.core.rmem_max), \

@@ -9,6 +9,21 @@ use super::super::power::Stop;
 use super::super::quirks::Quirks;
 use super::{CSP, CST, CSV, Follow, IP, ModeOutput, Modes, View, extend};
 
+/// Where 60C2h is from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Period {
+    /// The master, or the default of a drive that does not know SYNC.
+    #[default]
+    Set,
+    /// It is to be that of SYNC, which is not known yet.
+    Expected,
+    /// SYNC.
+    OfSync,
+}
+
+/// 60C2h by default: value and decimal exponent.
+const PERIOD_DEFAULT: (u8, i8) = (1, -3);
+
 /// The current set-point.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Cyclic {
@@ -212,6 +227,28 @@ impl Modes {
         output
     }
 
+    /// See [`super::super::Drive::expect_sync_period`].
+    pub(in super::super) fn expect_sync_period(&mut self, d: &Dictionary, k: &Keys) {
+        let set = (d.get(k.interpolation_value), d.get(k.interpolation_index));
+        if set == PERIOD_DEFAULT {
+            self.period = Period::Expected;
+        }
+    }
+
+    /// Whether the period of SYNC counts; it is known from now on.
+    pub(in super::super) const fn takes_sync_period(&mut self) -> bool {
+        if matches!(self.period, Period::Set) {
+            return false;
+        }
+        self.period = Period::OfSync;
+        true
+    }
+
+    /// The master wrote the period.
+    pub(in super::super) const fn keep_period(&mut self) {
+        self.period = Period::Set;
+    }
+
     /// Counts periods without a set-point; returns whether there are too many.
     fn watch(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> bool {
         let period = period(d, k).max(see.dt);
@@ -221,8 +258,10 @@ impl Modes {
             *waited += see.dt;
         }
         let waited = self.cyclic.waited.unwrap_or(0.0);
+        let is_known = self.period != Period::Expected;
         quirks
             .missing_set_points
+            .filter(|_| is_known)
             .is_some_and(|most| waited > period * (f64::from(most) + 1.0))
     }
 }

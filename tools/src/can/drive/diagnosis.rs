@@ -3,7 +3,7 @@
 use std::fmt;
 
 use takt_can::canopen::{Message, NmtState, NodeId};
-use takt_cia402::{DriveFault, Runaway, State};
+use takt_cia402::{ControlWord, DriveFault, Runaway, SetPointError, State};
 
 use crate::can::sdo_client::SdoError;
 use crate::jog::TooFast;
@@ -33,6 +33,18 @@ pub(super) enum Cause {
     Dropped(State),
     /// It turned, was commanded to stop, and turns.
     DoesNotStop { shown: i32 },
+    /// It ends with power.
+    StaysPowered(State),
+    /// It was commanded to a position and is at rest elsewhere.
+    DoesNotArrive { target: i32, shown: i32 },
+    /// It does not accept a set-point of profile position.
+    SetPoint(SetPointError),
+    /// Several devices have its number.
+    Duplicate,
+    /// 605Ah is 0: nothing would brake the jog in this mode.
+    Coasts,
+    /// The distance of a jog is not known.
+    UnknownUnit,
     /// It cannot monitor the heartbeat of this program.
     Unguarded(SdoError),
     /// It would continue if the heartbeat ended: 6007h is 0.
@@ -79,6 +91,12 @@ impl Cause {
             Self::DoesNotTurn { .. } => "does-not-turn",
             Self::Dropped(_) => "dropped",
             Self::DoesNotStop { .. } => "does-not-stop",
+            Self::StaysPowered(_) => "stays-powered",
+            Self::DoesNotArrive { .. } => "does-not-arrive",
+            Self::SetPoint(_) => "set-point",
+            Self::Duplicate => "duplicate",
+            Self::Coasts => "coasts",
+            Self::UnknownUnit => "unknown-unit",
             Self::Unguarded(_) => "unguarded",
             Self::NoReaction => "no-reaction",
             Self::TooFast(_) => "too-fast",
@@ -109,11 +127,18 @@ impl fmt::Display for Diagnosis {
                 "{state} although 6040h is {sent}\nhint: check inputs, interlock and parameters of the drive"
             ),
             Cause::Drive(drive_fault) => drive_fault.fmt(f),
-            Cause::Overwritten { wrote, holds } => write!(
-                f,
-                "6040h holds {holds:04X}h although {wrote:04X}h was written: another master writes it\n\
-                 hint: find it by `takt can dump --filter node={node}` and stop it"
-            ),
+            Cause::Overwritten { wrote, holds } => {
+                let (held, written) = (ControlWord::new(holds), ControlWord::new(wrote));
+                write!(f, "6040h holds {held} although {written} was written: ")?;
+                if held.halt() && !written.halt() {
+                    f.write_str("its bit 8 (halt) holds the motor at rest; ")?;
+                }
+                write!(
+                    f,
+                    "another master writes it\n\
+                     hint: find it by `takt can dump --filter node={node}` and stop it"
+                )
+            }
             Cause::Rebooted => write!(
                 f,
                 "node {node} restarted (boot-up)\nhint: check its supply, whether it was reset, and its firmware"
@@ -136,6 +161,30 @@ impl fmt::Display for Diagnosis {
                 f,
                 "commanded to stop, 606Ch still shows {shown}: its load drives it\n\
                  hint: use the emergency stop, and check whether the brake holds"
+            ),
+            Cause::StaysPowered(state) => write!(
+                f,
+                "it does not switch off: still {state}\n\
+                 hint: check for another master; use the emergency stop"
+            ),
+            Cause::DoesNotArrive { target, shown } => write!(
+                f,
+                "did not arrive: commanded to position {target}, 6064h shows {shown}\n\
+                 hint: check motor, brake, limit switches, 607Dh, and the limits of torque and speed"
+            ),
+            Cause::SetPoint(error) => error.fmt(f),
+            Cause::Duplicate => write!(
+                f,
+                "node {node} answers one SDO request more than once, or 1000h and not 1018h:04: several devices have its \
+                 number, or its SDO server is faulty\nhint: unplug all but one of them and give it another number (takt can scan)"
+            ),
+            Cause::Coasts => f.write_str(
+                "605Ah is 0: a quick stop lets the motor coast, so nothing would brake it if the jog were stopped\n\
+                 hint: set it to 2, jog by --mode pv, or, with an operator at the emergency stop, use --unguarded",
+            ),
+            Cause::UnknownUnit => f.write_str(
+                "the unit of velocity (60A9h, 6096h) is not known, so the distance of the jog is not\n\
+                 hint: jog by --mode pv",
             ),
             Cause::Unguarded(refusal) => write!(
                 f,

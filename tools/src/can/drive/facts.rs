@@ -90,7 +90,9 @@ fn about(drive_fault: Option<DriveFault>) -> &'static [u16] {
             &[0x1001]
         }
         // It is enabled and does not turn.
-        None => &[0x60FD, 0x6072, 0x60E0, 0x60E1, 0x607F, 0x6080, 0x6077],
+        None => &[
+            0x6040, 0x60FD, 0x6072, 0x60E0, 0x60E1, 0x607F, 0x6080, 0x6077,
+        ],
     }
 }
 

@@ -17,8 +17,23 @@ pub(super) struct Observed {
     pub(super) state: Option<NmtState>,
     /// The last emergency other than "no error".
     pub(super) emergency: Option<Emergency>,
+    /// SDO answers beyond one per request.
+    pub(super) surplus: u32,
+    /// SDO requests without an answer.
+    pending: u32,
+    /// Another node sends SYNC.
+    pub(super) foreign_sync: bool,
     /// The last message of another master to it.
     pub(super) other_master: Option<Message>,
+}
+
+impl Observed {
+    const fn answer(&mut self) {
+        match self.pending.checked_sub(1) {
+            Some(pending) => self.pending = pending,
+            None => self.surplus = self.surplus.saturating_add(1),
+        }
+    }
 }
 
 /// A wire whose frames are observed.
@@ -50,9 +65,13 @@ impl<'w, W: Wire> Observer<'w, W> {
             Message::Emergency(node, emergency) if node == self.node && emergency.code != 0 => {
                 observed.emergency = Some(emergency);
             }
-            Message::Rpdo(node, _) | Message::SdoRequest(node, _) if node == self.node => {
+            Message::SdoResponse(node, _) if node == self.node => observed.answer(),
+            Message::SdoRequest(node, _) if node == self.node => {
+                observed.pending = observed.pending.saturating_add(1);
                 observed.other_master = Some(message);
             }
+            Message::Rpdo(node, _) if node == self.node => observed.other_master = Some(message),
+            Message::Sync(_) => observed.foreign_sync = true,
             Message::Nmt(_, node) if node.is_none_or(|node| node == self.node) => {
                 observed.other_master = Some(message);
             }
@@ -61,7 +80,6 @@ impl<'w, W: Wire> Observer<'w, W> {
             | Message::Rpdo(..)
             | Message::SdoRequest(..)
             | Message::Nmt(..)
-            | Message::Sync(_)
             | Message::Time(..)
             | Message::Tpdo(..)
             | Message::SdoResponse(..)
@@ -78,6 +96,12 @@ impl<W: Wire> Wire for Observer<'_, W> {
     }
 
     fn send(&mut self, frame: &Frame) -> anyhow::Result<()> {
+        if let Message::SdoRequest(node, _) = Message::decode(frame)
+            && node == self.node
+        {
+            // What was not answered until now counts as lost.
+            self.observed.pending = 1;
+        }
         self.wire.send(frame)
     }
 

@@ -6,6 +6,7 @@
 //!                                                          \---- diagnosis, Ctrl-C: quick stop ----/
 //! ```
 
+mod jog;
 mod lead;
 
 use std::time::Duration;
@@ -14,13 +15,14 @@ use takt_can::Frame;
 use takt_can::canopen::{HEARTBEAT, NmtCommand, NmtState, NodeId, heartbeat};
 use takt_cia402::dictionary::Address;
 use takt_cia402::{
-    ControlWord, DriveFault, Goal, Master, MasterOptions, Monitor, RunawayLimits, StatusWord,
+    ControlWord, DriveFault, Goal, Master, MasterOptions, Monitor, RunawayLimits, State, StatusWord,
 };
 
 use super::diagnosis::{Cause, Diagnosis};
 use super::facts::facts;
 use super::observer::Observer;
-use crate::can::sdo_client::{SdoClient, SdoError, TIMEOUT, number};
+use super::{CSP, PP, PV};
+use crate::can::sdo_client::{SdoClient, SdoError, number};
 use crate::can::wire::Wire;
 use crate::jog::{Limits, Speed};
 
@@ -34,6 +36,10 @@ const TURN: Duration = Duration::from_secs(1);
 const REST: Duration = Duration::from_secs(5);
 /// Timeout of a node's answer when its number is probed.
 const FREE: Duration = Duration::from_millis(50);
+/// Serial number.
+const SERIAL: Address = Address::new(0x1018, 4);
+/// Note of a jog of a drive whose quick stop does not brake.
+const COASTS: &str = "605Ah is 0: a quick stop of this drive lets its motor coast; this program brakes it by its ramp";
 /// Consumer heartbeat time.
 const CONSUMER: Address = Address::new(0x1016, 1);
 /// Consecutive cycles at rest after which it is at standstill.
@@ -50,6 +56,8 @@ pub(super) struct Plan {
     /// Time in Operation enabled.
     pub(super) hold: Duration,
     pub(super) jog: Option<Jog>,
+    /// Timeout of an SDO answer.
+    pub(super) timeout: Duration,
     /// Tolerated deviations of the drive from its profile.
     pub(super) profile: MasterOptions,
 }
@@ -57,7 +65,7 @@ pub(super) struct Plan {
 /// How to turn it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Jog {
-    /// 60FFh
+    /// Velocity units: 60FFh or 6081h, or the largest speed of cyclic set-points.
     pub(super) velocity: i32,
     pub(super) time: Duration,
     /// Even if it would not stop without this program.
@@ -90,8 +98,7 @@ pub(super) struct Report {
     /// It was stopped on request.
     pub(super) stopped: bool,
     pub(super) commanded: bool,
-    pub(super) jogged: bool,
-    /// Limits that the speed of a jog was not compared with, and why.
+    /// What does not fail it: limits that the speed of a jog was not compared with and why, emergencies.
     pub(super) notes: Vec<String>,
 }
 
@@ -129,8 +136,18 @@ pub(super) struct Session<'s, W> {
     mode: Option<i8>,
     /// Node number of this program while it sends heartbeats, and when the next one is due.
     own: Option<(NodeId, Duration)>,
-    /// 1016h:01 as it was.
-    consumer: Option<[u8; 4]>,
+    /// Parameters as they were before this session changed them.
+    saved: Vec<(Address, Vec<u8>)>,
+    /// Mode-specific bits of 6040h in Operation enabled.
+    bits: u16,
+    /// Set-point that applies at SYNC.
+    cyclic: Option<i32>,
+    /// Time between two cycles.
+    period: Duration,
+    /// Longest time in which its words were read.
+    slowest: Duration,
+    /// 605Ah is 0: a quick stop lets the motor coast.
+    coasts: bool,
     /// A reset was requested.
     resetting: bool,
     /// It has been in Operation enabled, and must not leave it.
@@ -156,7 +173,7 @@ impl<'s, W: Wire> Session<'s, W> {
         let begun = wire.now();
         Self {
             wire: Observer::new(wire, plan.node),
-            asker: SdoClient::new(plan.node, TIMEOUT),
+            asker: SdoClient::new(plan.node, plan.timeout),
             master: Master::new(plan.profile),
             plan,
             show,
@@ -165,7 +182,12 @@ impl<'s, W: Wire> Session<'s, W> {
             control: None,
             mode: None,
             own: None,
-            consumer: None,
+            saved: Vec::new(),
+            bits: 0,
+            cyclic: None,
+            period: CYCLE,
+            slowest: Duration::ZERO,
+            coasts: false,
             resetting: false,
             enabled: false,
             moving: false,
@@ -185,6 +207,9 @@ impl<'s, W: Wire> Session<'s, W> {
     pub(super) fn watch(mut self, time: Option<Duration>) -> anyhow::Result<Report> {
         let end = time.map(|time| self.begun + time);
         let done = self.identify().and_then(|()| self.read_until(end));
+        let last = self.steps.last().and_then(|step| step.status.state().ok());
+        let is_fault = matches!(last, Some(State::Fault | State::FaultReactionActive));
+        let done = done.and_then(|()| lead::judge_end(last.filter(|_| is_fault)));
         let diagnosis = self.diagnose(&done)?;
         self.report(done, diagnosis, false)
     }
@@ -210,7 +235,7 @@ impl<'s, W: Wire> Session<'s, W> {
             let _ = self.order(ControlWord::DISABLE_VOLTAGE);
         } else if done.is_err() && self.moving {
             // First of all. If that fails too, the drive stops by 6007h.
-            let _ = self.order(ControlWord::QUICK_STOP);
+            let _ = self.brake();
         }
         let diagnosis = self.diagnose(&done)?;
         // Whatever happened: at rest, without power, as it was.
@@ -232,6 +257,17 @@ impl<'s, W: Wire> Session<'s, W> {
             Err(End::Stopped) => true,
             Ok(()) | Err(End::Because(_)) => false,
         };
+        let is_jog = self.plan.jog.is_some();
+        let mut notes = if is_jog {
+            self.limits.notes().to_vec()
+        } else {
+            Vec::new()
+        };
+        if is_jog && self.coasts {
+            notes.push(COASTS.to_owned());
+        }
+        let emergency = self.wire.observed.emergency.filter(|_| diagnosis.is_none());
+        notes.extend(emergency.map(|emergency| super::facts::emergency(&emergency)));
         Ok(Report {
             node: self.plan.node,
             axis: self.plan.axis,
@@ -239,8 +275,7 @@ impl<'s, W: Wire> Session<'s, W> {
             diagnosis,
             stopped,
             commanded,
-            jogged: self.plan.jog.is_some(),
-            notes: self.limits.notes().to_vec(),
+            notes,
         })
     }
 
@@ -252,10 +287,22 @@ impl<'s, W: Wire> Session<'s, W> {
         let fault = Some(DriveFault::Fault);
         let about = match *cause {
             Cause::Drive(drive_fault) => Some(Some(drive_fault)),
-            Cause::DoesNotTurn { .. } | Cause::DoesNotStop { .. } => Some(None),
+            Cause::DoesNotTurn { .. }
+            | Cause::DoesNotStop { .. }
+            | Cause::DoesNotArrive { .. }
+            | Cause::SetPoint(_) => Some(None),
             Cause::Refused(refusal) if refusal.address() == self.address(0x6060) => {
                 let (wanted, shown) = (self.plan.mode, 0);
                 Some(Some(DriveFault::Mode { wanted, shown }))
+            }
+            Cause::StaysPowered(state) => {
+                let sent = self.control.unwrap_or_default();
+                let waited = Duration::ZERO;
+                Some(Some(DriveFault::Stuck {
+                    state,
+                    sent,
+                    waited,
+                }))
             }
             Cause::Dropped(_) | Cause::Left(_) | Cause::Rebooted => Some(fault),
             Cause::Silent(_)
@@ -266,6 +313,9 @@ impl<'s, W: Wire> Session<'s, W> {
             | Cause::Unguarded(_)
             | Cause::TooFast(_)
             | Cause::Runaway(_)
+            | Cause::Duplicate
+            | Cause::Coasts
+            | Cause::UnknownUnit
             | Cause::NoReaction => None,
         };
         let axis = self.plan.axis;
@@ -290,9 +340,14 @@ impl<'s, W: Wire> Session<'s, W> {
 
     /// Reads a number; `None` if the drive does not have the object.
     fn read(&mut self, index: u16) -> Go<Option<u32>> {
-        let address = self.address(index);
+        let bytes = self.read_bytes(self.address(index))?;
+        Ok(bytes.and_then(|bytes| number(&bytes)))
+    }
+
+    /// Reads an entry; `None` if the drive does not have it.
+    fn read_bytes(&mut self, address: Address) -> Go<Option<Vec<u8>>> {
         match self.asker.read(&mut self.wire, address, false)? {
-            Ok(bytes) => Ok(number(&bytes)),
+            Ok(bytes) => Ok(Some(bytes)),
             Err(refusal) if refusal.is_timeout() => Err(End::Because(Cause::Silent(refusal))),
             Err(_) => Ok(None),
         }
@@ -312,11 +367,26 @@ impl<'s, W: Wire> Session<'s, W> {
         if low_word(kind) != 402 {
             return Err(End::Because(Cause::NotADrive(kind)));
         }
+        self.find_duplicate()?;
         let status = self.address(0x6041);
         match self.asker.read(&mut self.wire, status, false)? {
             Ok(_) => Ok(()),
             Err(refusal) if refusal.is_timeout() => Err(End::Because(Cause::Silent(refusal))),
             Err(refusal) => Err(End::Because(Cause::NoAxis(self.plan.axis, refusal))),
+        }
+    }
+
+    /// Checks that one device alone has the number: two answer twice, and their serial numbers differ.
+    fn find_duplicate(&mut self) -> Go<()> {
+        let serial = self.read_bytes(SERIAL);
+        let until = self.wire.now() + FREE;
+        while self.wire.receive_until(until)?.is_some() {}
+        // Answers that differ and begin at once destroy each other: none is received.
+        let collide = matches!(serial, Err(End::Because(Cause::Silent(_))));
+        let surplus = std::mem::take(&mut self.wire.observed.surplus);
+        match (surplus, collide) {
+            (0, false) => serial.map(drop),
+            _ => Err(End::Because(Cause::Duplicate)),
         }
     }
 
@@ -343,6 +413,13 @@ impl<'s, W: Wire> Session<'s, W> {
                 Err(_) => Ok(None),
             }
         })?;
+        if let Some(jog) = self.plan.jog {
+            self.coasts = self.read(0x605A)?.map(low_word) == Some(0);
+            // By profile velocity it brakes by its ramp instead.
+            if self.coasts && !jog.unguarded && self.plan.mode != PV {
+                return Err(End::Because(Cause::Coasts));
+            }
+        }
         let speed = Speed::Units(self.plan.jog.map_or(0.0, |jog| jog.velocity.into()));
         self.monitor = Monitor::new(self.limits.monitor(speed, CYCLE));
         match self.limits.check(speed) {
@@ -359,7 +436,6 @@ impl<'s, W: Wire> Session<'s, W> {
         }
         let own = self.free_number()?;
         let before = self.asker.read(&mut self.wire, CONSUMER, false)?;
-        let before = before.ok().and_then(|bytes| bytes.first_chunk().copied());
         self.own = Some((own, self.wire.now()));
         self.beat()?;
         let entry = u32::from(own.raw()) << 16 | BEAT_LOST_MS;
@@ -368,7 +444,8 @@ impl<'s, W: Wire> Session<'s, W> {
             .write(&mut self.wire, CONSUMER, &entry.to_le_bytes(), false)?;
         match answer {
             Ok(()) => {
-                self.consumer = before;
+                self.saved
+                    .extend(before.ok().map(|before| (CONSUMER, before)));
                 Ok(())
             }
             Err(refusal) if refusal.is_timeout() => Err(End::Because(Cause::Silent(refusal))),
@@ -425,6 +502,7 @@ impl<'s, W: Wire> Session<'s, W> {
 
     /// Reads the words; a change of one is a step.
     fn observe(&mut self) -> Go<Step> {
+        let begun = self.wire.now();
         let status = self.read(0x6041)?.unwrap_or(0);
         let signed = |raw: Option<u32>| raw.unwrap_or(0).cast_signed();
         let step = Step {
@@ -437,6 +515,7 @@ impl<'s, W: Wire> Session<'s, W> {
             position: signed(self.read(0x6064)?),
             velocity: signed(self.read(0x606C)?),
         };
+        self.slowest = self.slowest.max(self.wire.now().saturating_sub(begun));
         let words = |step: &Step| (step.status, step.control, step.mode);
         if self.steps.last().map(words) != Some(words(&step)) {
             (self.show)(&step)?;
@@ -446,17 +525,17 @@ impl<'s, W: Wire> Session<'s, W> {
     }
 
     fn rest_of_cycle(&mut self, begun: Duration) -> Go<()> {
-        while self.wire.now() < begun + CYCLE {
-            self.wire.receive_until(begun + CYCLE)?;
+        while self.wire.now() < begun + self.period {
+            self.wire.receive_until(begun + self.period)?;
         }
         Ok(())
     }
 
-    /// Restores its heartbeat consumer, if it accepts that. It stays in Operational: to a drive, leaving that is a lost
+    /// Restores its heartbeat consumer and its parameters, if it accepts that. It stays in Operational: to a drive, leaving that is a lost
     /// master, to which it reacts by 6007h.
     fn restore(&mut self) -> anyhow::Result<()> {
-        if let Some(before) = self.consumer {
-            let _ = self.asker.write(&mut self.wire, CONSUMER, &before, false)?;
+        for (address, before) in std::mem::take(&mut self.saved) {
+            let _ = self.asker.write(&mut self.wire, address, &before, false)?;
         }
         Ok(())
     }

@@ -1,5 +1,8 @@
 //! `takt can drive` against emulated drives, each with what can be wrong with it.
 
+mod end;
+mod jog;
+
 use std::time::Duration;
 
 use takt_can::Frame;
@@ -24,6 +27,7 @@ fn plan() -> Plan {
         reset: false,
         hold: Duration::from_millis(200),
         jog: None,
+        timeout: TIMEOUT,
         profile: takt_cia402::MasterOptions::default(),
     }
 }
@@ -241,6 +245,9 @@ fn can_drive_watch_commands_nothing() {
     let session = Session::new(&mut lab, plan(), &mut show);
     let report = session.watch(Some(Duration::from_millis(600))).unwrap();
     assert_eq!(states(&report).last(), Some(&State::Fault));
+    let text = super::text::verdict(&report);
+    assert!(text.contains("FAIL  the drive is in fault"), "{text}");
+    assert!(text.contains("603Fh:00 error code: "), "{text}");
     let reads = |frame: &Frame| {
         let Message::SdoRequest(_, message) = Message::decode(frame) else {
             return false;
@@ -634,7 +641,7 @@ fn can_jog_driven_by_its_load_is_diagnosed() {
         },
         ..DriveConfig::default()
     });
-    lab.at(680, |devices| {
+    lab.at(740, |devices| {
         axis(devices).motor_mut().external = 3.0;
     });
     let report = run(&mut lab, jog(20_000, 500));

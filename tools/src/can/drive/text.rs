@@ -33,8 +33,7 @@ pub(super) fn step(step: &Step) -> String {
 /// The result.
 pub(super) fn verdict(report: &Report) -> String {
     let mut text = String::new();
-    // They matter to a jog only.
-    for note in report.notes.iter().filter(|_| report.jogged) {
+    for note in &report.notes {
         let _ = writeln!(text, "note: {note}");
     }
     text + &judgement(report)

@@ -10,7 +10,7 @@ use takt_can::canopen::sdo::{Initiate, Request, Response};
 use takt_can::canopen::{HEARTBEAT, LSS_MASTER, Message, NmtState, NodeId, SDO_REQUEST};
 use takt_cia402::dictionary::{AbortCode, Address};
 
-use crate::can::sdo_client::{SdoClient, TIMEOUT, number};
+use crate::can::sdo_client::{SdoClient, number};
 use crate::can::wire::Wire;
 
 const DEVICE_TYPE: Address = Address::new(0x1000, 0);
@@ -186,7 +186,7 @@ pub(super) fn survey<W: Wire>(wire: &mut W, plan: &Plan) -> anyhow::Result<Repor
     }
     for (node, found) in &mut report.nodes {
         if found.answers > 0 {
-            details(wire, *node, found)?;
+            details(wire, *node, found, plan.wait)?;
         }
         if found.state.is_none() {
             found.state = guard(wire, *node)?;
@@ -255,8 +255,13 @@ fn answer(message: &[u8; 8], object: Address) -> Option<Option<u32>> {
 }
 
 /// Reads the identity, the name and the error register. An abort leaves a value out; a timeout ends the reading.
-fn details<W: Wire>(wire: &mut W, node: NodeId, found: &mut Found) -> anyhow::Result<()> {
-    let mut client = SdoClient::new(node, TIMEOUT);
+fn details<W: Wire>(
+    wire: &mut W,
+    node: NodeId,
+    found: &mut Found,
+    timeout: Duration,
+) -> anyhow::Result<()> {
+    let mut client = SdoClient::new(node, timeout);
     let mut read = |wire: &mut W, index, sub| client.read(wire, Address::new(index, sub), false);
     for sub in 1..=3_u8 {
         match read(wire, 0x1018, sub)? {

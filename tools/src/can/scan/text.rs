@@ -7,7 +7,7 @@ use takt_can::canopen::NodeId;
 use takt_can::canopen::eds::Eds;
 
 use super::survey::{Found, Report};
-use crate::can::sheet::name_of;
+use crate::can::sheet::{identity as identity_of, name_of};
 
 /// Frequent vendors by their CiA number; data sheets name the others.
 const VENDORS: [(u32, &str); 8] = [
@@ -62,6 +62,31 @@ fn names(found: &Found, sheets: &[Eds]) -> (Option<String>, Option<String>) {
     (vendor_name, product_name.or_else(|| found.name.clone()))
 }
 
+/// The data sheets that are of none of the nodes.
+fn strangers(report: &Report, sheets: &[Eds]) -> Vec<String> {
+    let is_same = |sheet: &Eds, found: &Found| {
+        let shown = found.identity.iter().take(2);
+        let differs = |(wanted, shown): (Option<u32>, &Option<u32>)| {
+            wanted.is_some_and(|wanted| *shown != Some(wanted))
+        };
+        !identity_of(sheet).into_iter().zip(shown).any(differs)
+    };
+    let of_none = |sheet: &&Eds| !report.nodes.values().any(|found| is_same(sheet, found));
+    let strangers = sheets.iter().filter(of_none);
+    let named = strangers.map(|sheet| {
+        let name = sheet
+            .info("DeviceInfo", "ProductName")
+            .unwrap_or("a device");
+        let [vendor, product] = identity_of(sheet);
+        format!(
+            "the data sheet of {name} (vendor {}, product {}) is that of none of the nodes",
+            hexadecimal(vendor),
+            hexadecimal(product)
+        )
+    });
+    named.collect()
+}
+
 fn hexadecimal(number: Option<u32>) -> String {
     number.map_or_else(|| "-".to_owned(), |number| format!("{number:X}h"))
 }
@@ -86,6 +111,9 @@ pub(super) fn table(interface: &str, report: &Report, sheets: &[Eds]) -> String 
     for found in &report.unconfigured {
         let numbers = found.numbers().map(Some);
         let _ = writeln!(text, "      {}", identity(numbers, None));
+    }
+    for stranger in strangers(report, sheets) {
+        let _ = writeln!(text, "WARN  {stranger}");
     }
     for finding in report.findings() {
         let finding = finding.to_string().replace('\n', "\n      ");
@@ -201,5 +229,25 @@ mod tests {
         assert_eq!(value["nodes"][0]["product_name"], "EPOS4 50/15");
         assert_eq!(value["nodes"][0]["serial"], 4711);
         assert_eq!(value["nodes"][0]["profile"], "drive (CiA 402)");
+    }
+
+    #[test]
+    fn scan_names_data_sheets_of_other_devices() {
+        let sheet = |product: &str| {
+            let text = format!(
+                "[DeviceInfo]\nVendorNumber=0xFB\nProductName=EPOS2\nProductNumber={product}\n[1000]\n\
+                 ParameterName=Device type\nDataType=0x0007\nAccessType=ro\n"
+            );
+            Eds::parse(&text).unwrap()
+        };
+        let text = table("can0", &report(), &[sheet("0x60500000")]);
+        assert!(!text.contains("WARN"), "{text}");
+        let text = table("can0", &report(), &[sheet("0x60500001")]);
+        assert!(
+            text.contains(
+                "WARN  the data sheet of EPOS2 (vendor FBh, product 60500001h) is that of none"
+            ),
+            "{text}"
+        );
     }
 }

@@ -173,6 +173,27 @@ fn sdo_node_is_dumped_and_compared() {
     );
 }
 
+/// The data sheet of another product is named, compares as different, and writes nothing.
+#[test]
+fn sdo_data_sheet_of_another_product_is_rejected() {
+    let mut lab = lab();
+    let eds = TempFile::new("stranger");
+    let mut other = drive();
+    other.identity.product = 0x999;
+    std::fs::write(&eds.0, other.eds().print()).unwrap();
+    let compared = run(&mut lab, &["compare", eds.path()]).unwrap();
+    assert!(!compared.good);
+    let first = compared.text.lines().next().unwrap();
+    assert!(
+        first.contains("its product is 999h, 1018h:02 of the node is 402h"),
+        "{first}"
+    );
+    let written = run(&mut lab, &["download", "6083", "7", "--eds", eds.path()]).unwrap();
+    assert!(!written.good && written.text.contains("nothing was written"));
+    let read = text(&mut lab, &["upload", "6083", "--eds", eds.path()]);
+    assert!(!read.contains("= 7"), "{read}");
+}
+
 #[test]
 fn sdo_missing_object_is_reported_and_timeout_ends() {
     let mut lab = lab();

@@ -181,7 +181,7 @@ impl Compared {
         text + &format!("node {node}: {count} entries compared, {differ} differ")
     }
 
-    pub(super) fn json(&self, sheet: &Sheet, node: NodeId) -> Value {
+    pub(super) fn json(&self, sheet: &Sheet, node: NodeId, stranger: Option<&str>) -> Value {
         let differences = self.differences.iter().map(|difference| {
             let error = difference.actual.as_ref().err().map(ToString::to_string);
             json!({
@@ -191,6 +191,7 @@ impl Compared {
         });
         json!({
             "version": 1, "node": node.raw(), "compared": self.count, "equal": self.is_equal(),
+            "stranger": stranger,
             "differences": differences.collect::<Vec<_>>(),
         })
     }

@@ -168,6 +168,9 @@ fn nodes(text: &mut String, report: &Report) {
     for (node, beat) in &report.heartbeats {
         let silent = report.silent.iter().any(|(silent, _)| silent == node);
         let mut note = if silent { "  SILENT" } else { "" }.to_owned();
+        if beat.own {
+            note.push_str("  this host");
+        }
         if let Some(earlier) = beat.earlier {
             let _ = write!(note, "  every {:.0} ms before", ms(earlier));
         }
@@ -257,7 +260,7 @@ pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
         let silence = report.silent.iter().find(|(silent, _)| silent == node);
         json!({
             "node": node.raw(), "state": beat.state.to_string(), "boots": beat.boots,
-            "reboots": beat.reboots, "resets": beat.resets.0, "late": beat.gaps,
+            "reboots": beat.reboots, "loops": beat.loops, "own": beat.own, "resets": beat.resets.0, "late": beat.gaps,
             "mean_us": us(beat.period()), "earlier_us": beat.earlier.map(us),
             "silent_us": silence.map(|(_, silence)| us(*silence)),
         })
@@ -267,7 +270,8 @@ pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
         json!({
             "node": node.raw(), "requests": sdo.requests, "answered": sdo.answered,
             "unanswered": sdo.unanswered, "refused": sdo.refused.0, "given_up": sdo.given_up.0,
-            "repeats": sdo.repeats, "unasked": sdo.unsolicited, "longest_us": us(sdo.longest),
+            "repeats": sdo.repeats, "unasked": sdo.unsolicited,
+            "doubled": sdo.doubled, "longest_us": us(sdo.longest),
         })
     });
     let emergencies = report.emergencies.iter().flat_map(|(node, emergencies)| {

@@ -1,11 +1,12 @@
 //! The part of a session that commands: cycles of reading and writing, up to Operation enabled, a jog, and the
 //! shutdown of the drivers.
 
-use takt_can::canopen::NmtState;
+use takt_can::Frame;
+use takt_can::canopen::{NmtState, SYNC};
 use takt_cia402::{ControlWord, DriveFault, Feedback, Goal, Power, Shutdown, State, axis_goal};
 use takt_core::device::driver::SHUTDOWN_MAX;
 
-use super::{AT_REST, Cause, Duration, End, Go, Jog, REST, Session, Step, TURN, Wire, low_word};
+use super::{Cause, Duration, End, Go, PV, Session, Step, Wire, low_word};
 
 impl<W: Wire> Session<'_, W> {
     /// One cycle: reads the drive and commands it.
@@ -32,9 +33,23 @@ impl<W: Wire> Session<'_, W> {
             self.align(step.position)?;
         }
         self.set_mode(orders.mode)?;
-        self.order(orders.control)?;
+        let enables = orders.control.raw() == ENABLE_OPERATION;
+        let bits = if enables { self.bits } else { 0 };
+        self.order(ControlWord::new(orders.control.raw() | bits))?;
+        self.send_sync()?;
         self.rest_of_cycle(begun)?;
         Ok((step, orders.follows))
+    }
+
+    /// Sends SYNC while it needs that: cyclic set-points apply at SYNC. Another master's SYNC is enough.
+    fn send_sync(&mut self) -> Go<()> {
+        if self.cyclic.is_some()
+            && !self.wire.observed.foreign_sync
+            && let Ok(sync) = Frame::new(SYNC, &[])
+        {
+            self.wire.send(&sync)?;
+        }
+        Ok(())
     }
 
     /// Checks that the motor is where its velocity can have moved it since it was enabled: at rest without a jog; with
@@ -51,7 +66,7 @@ impl<W: Wire> Session<'_, W> {
             let time = now.saturating_sub(since);
             let nearest = self.limits.nearest(start, step.position, velocity, time);
             // Where the unit of velocity is not known, its speed alone is bounded.
-            Some(nearest.unwrap_or(step.position))
+            self.cyclic.or(nearest).or(Some(step.position))
         } else {
             self.origin = None;
             None
@@ -68,6 +83,9 @@ impl<W: Wire> Session<'_, W> {
             return Err(End::Stopped);
         }
         let observed = &self.wire.observed;
+        if observed.surplus >= SURPLUS_MAX {
+            return Err(End::Because(Cause::Duplicate));
+        }
         if observed.boots > 0 {
             return Err(End::Because(Cause::Rebooted));
         }
@@ -146,13 +164,17 @@ impl<W: Wire> Session<'_, W> {
 
     /// A drive that ignores its controlword may hold another one.
     fn blame(&mut self, drive_fault: DriveFault) -> Go<Cause> {
-        let stuck = matches!(drive_fault, DriveFault::Stuck { .. });
+        let is_stuck = matches!(drive_fault, DriveFault::Stuck { .. });
+        let other = if is_stuck { self.overwritten()? } else { None };
+        Ok(other.unwrap_or(Cause::Drive(drive_fault)))
+    }
+
+    /// The cause, if 6040h holds another word than was written.
+    pub(super) fn overwritten(&mut self) -> Go<Option<Cause>> {
         let wrote = self.control.unwrap_or_default().raw();
-        let holds = if stuck { self.read(0x6040)? } else { None };
-        Ok(match holds.map(low_word) {
-            Some(holds) if holds != wrote => Cause::Overwritten { wrote, holds },
-            Some(_) | None => Cause::Drive(drive_fault),
-        })
+        let holds = self.read(0x6040)?.map(low_word);
+        let holds = holds.filter(|holds| *holds != wrote);
+        Ok(holds.map(|holds| Cause::Overwritten { wrote, holds }))
     }
 
     pub(super) fn hold(&mut self, time: Duration) -> Go<()> {
@@ -161,69 +183,6 @@ impl<W: Wire> Session<'_, W> {
             self.cycle()?;
         }
         Ok(())
-    }
-
-    fn turn(&mut self, velocity: i32) -> Go<()> {
-        match self.write(0x60FF, &velocity.to_le_bytes())? {
-            Ok(()) => Ok(()),
-            Err(refusal) => Err(End::Because(Cause::Refused(refusal))),
-        }
-    }
-
-    /// Turns it for a time, and stops it.
-    pub(super) fn jog(&mut self, jog: Jog) -> Go<()> {
-        let wanted = jog.velocity;
-        self.moving = true;
-        self.turn(wanted)?;
-        let end = self.wire.now() + jog.time;
-        let mut turned = self.wire.now();
-        let mut fastest = 0;
-        while self.wire.now() < end {
-            let (step, _) = self.cycle()?;
-            let speed = step.velocity.unsigned_abs();
-            fastest = speed.max(fastest);
-            if speed > wanted.unsigned_abs() / 20 || wanted == 0 {
-                turned = self.wire.now();
-            }
-            if self.wire.now() > turned + TURN {
-                let shown = step.velocity;
-                return Err(End::Because(Cause::DoesNotTurn { wanted, shown }));
-            }
-        }
-        self.stopping = true;
-        self.turn(0)?;
-        self.wait_for_rest()?;
-        self.moving = false;
-        if wanted != 0 && fastest <= wanted.unsigned_abs() / 20 {
-            return Err(End::Because(Cause::DoesNotTurn { wanted, shown: 0 }));
-        }
-        Ok(())
-    }
-
-    /// Whether it is slower than a fiftieth of its jog: encoders show some noise.
-    fn is_still(&self, velocity: i32) -> bool {
-        let jog = self.plan.jog.map_or(0, |jog| jog.velocity.unsigned_abs());
-        velocity.unsigned_abs() <= (jog / 50).max(10)
-    }
-
-    fn wait_for_rest(&mut self) -> Go<()> {
-        let end = self.wire.now() + REST;
-        let mut still = 0;
-        loop {
-            let (step, _) = self.cycle()?;
-            still = if self.is_still(step.velocity) {
-                still + 1
-            } else {
-                0
-            };
-            if still >= AT_REST {
-                return Ok(());
-            }
-            if self.wire.now() > end {
-                let shown = step.velocity;
-                return Err(End::Because(Cause::DoesNotStop { shown }));
-            }
-        }
     }
 
     /// Stops it by a quick stop if it moves, then removes power as the drivers do. A drive that was never commanded is
@@ -236,16 +195,31 @@ impl<W: Wire> Session<'_, W> {
         let mut has_run_away = control == ControlWord::DISABLE_VOLTAGE;
         let mut rest = Ok(());
         if !has_run_away && self.moving {
-            self.master.set_goal(Goal::QuickStop);
+            if !self.brakes_by_ramp() {
+                self.master.set_goal(Goal::QuickStop);
+            }
             rest = self.wait_for_rest();
             has_run_away = rest.is_err();
         }
-        self.remove_power(has_run_away)?;
-        rest
+        let end = self.remove_power(has_run_away)?;
+        rest.and(judge_end(end))
     }
 
-    /// Removes power from a drive at rest, or from one that does not come to rest.
-    fn remove_power(&mut self, has_run_away: bool) -> Go<()> {
+    /// Brakes a motor that moves, before anything else.
+    pub(super) fn brake(&mut self) -> Go<()> {
+        if self.brakes_by_ramp() {
+            return self.turn(0);
+        }
+        self.order(ControlWord::QUICK_STOP)
+    }
+
+    /// Whether its own ramp brakes it: by 605Ah = 0 a quick stop would let the motor coast.
+    const fn brakes_by_ramp(&self) -> bool {
+        self.coasts && self.plan.mode == PV
+    }
+
+    /// Removes power from a drive at rest, or from one that does not come to rest; returns its state at the end.
+    fn remove_power(&mut self, has_run_away: bool) -> Go<Option<State>> {
         let begun = self.wire.now();
         let mut shutdown = Shutdown::new(begun);
         let mut state = self.steps.last().and_then(|step| step.status.state().ok());
@@ -263,6 +237,25 @@ impl<W: Wire> Session<'_, W> {
                 break;
             }
         }
-        Ok(())
+        Ok(state)
     }
 }
+
+/// Whether a drive ended as it should: without power and without a fault.
+pub(super) fn judge_end(state: Option<State>) -> Go<()> {
+    match state {
+        Some(State::Fault | State::FaultReactionActive) => {
+            Err(End::Because(Cause::Drive(DriveFault::Fault)))
+        }
+        Some(state @ (State::SwitchedOn | State::OperationEnabled | State::QuickStopActive)) => {
+            Err(End::Because(Cause::StaysPowered(state)))
+        }
+        Some(State::NotReadyToSwitchOn | State::SwitchOnDisabled | State::ReadyToSwitchOn)
+        | None => Ok(()),
+    }
+}
+
+/// Controlword of Operation enabled.
+const ENABLE_OPERATION: u16 = 0x000F;
+/// SDO answers beyond one per request after which several devices count as present.
+const SURPLUS_MAX: u32 = 3;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// A motion by a number of increments.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Profile {
+pub(crate) struct Profile {
     increments: f64,
     time: f64,
     /// When braking began, s; position and speed then.
@@ -14,7 +14,7 @@ pub(super) struct Profile {
 
 impl Profile {
     /// With this duration, at least 10 ms.
-    pub(super) fn new(increments: i32, time: Duration) -> Self {
+    pub(crate) fn new(increments: i32, time: Duration) -> Self {
         Self {
             increments: increments.into(),
             time: time.as_secs_f64().max(0.01),
@@ -31,7 +31,7 @@ impl Profile {
     }
 
     /// The largest speed of the whole motion, increments/s.
-    pub(super) fn speed(&self) -> f64 {
+    pub(crate) fn speed(&self) -> f64 {
         2.0 * self.increments.abs() / self.time
     }
 
@@ -46,14 +46,14 @@ impl Profile {
     }
 
     /// Brakes from now on, as hard as the motion accelerates at most.
-    pub(super) fn brake(&mut self, now: Duration) {
+    pub(crate) fn brake(&mut self, now: Duration) {
         let s = now.as_secs_f64();
         let (position, speed) = self.whole(s);
         self.braked = Some((s, position, speed));
     }
 
     /// Position, increments from the start.
-    pub(super) fn at(&self, now: Duration) -> i32 {
+    pub(crate) fn at(&self, now: Duration) -> i32 {
         let s = now.as_secs_f64();
         let position = match self.braked {
             None => self.whole(s).0,
@@ -72,7 +72,7 @@ impl Profile {
     }
 
     /// When it is at rest.
-    pub(super) fn end(&self) -> Duration {
+    pub(crate) fn end(&self) -> Duration {
         let end = match self.braked {
             None => self.time,
             Some((since, _, speed)) => since + self.braking(speed),
