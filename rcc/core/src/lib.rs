@@ -23,8 +23,8 @@ pub use controller::Controller;
 pub use error::Error;
 pub use ids::{NetId, SessionId};
 pub use takt_net as net;
-pub use takt_rt::Nanos;
 pub use takt_rt::stats::{Snapshot, Summary};
+pub use takt_rt::{Nanos, monotonic};
 
 use takt_net::Registry;
 

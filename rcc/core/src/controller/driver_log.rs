@@ -1,8 +1,10 @@
-//! Events of drivers for the log: taken under the registry's lock, written after its release, and limited in
-//! rate per driver. Drivers define their meaning.
+//! Events of drivers for the log and for programs: taken under the registry's lock, written after its release, and
+//! limited in rate per driver. Drivers define their meaning.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
+
+use takt_rt::Nanos;
 
 use crate::device::driver::{DriverEvent, Severity};
 
@@ -17,6 +19,70 @@ pub(super) fn report(driver: &str, event: &DriverEvent) {
         Severity::Info => tracing::info!(driver, "{text}"),
         Severity::Warning => tracing::warn!(driver, "{text}"),
         Severity::Error => tracing::error!(driver, "{text}"),
+    }
+}
+
+/// Maximum number of reports kept per driver or device; the oldest are dropped first.
+const REPORTS_KEPT: usize = 8;
+
+/// An event of a driver as programs see it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DriverReport {
+    /// The event.
+    pub event: DriverEvent,
+    /// When it was reported last, on `CLOCK_MONOTONIC`.
+    pub at: Nanos,
+    /// How often it was reported in a row.
+    pub times: u64,
+}
+
+/// How many events of each severity a driver or a device had, in the order of [`Severity::ALL`].
+pub type EventCounts = [u64; 3];
+
+/// The last events by driver or device, and their numbers.
+#[derive(Debug, Default)]
+pub(super) struct DriverReports(BTreeMap<String, (EventCounts, VecDeque<DriverReport>)>);
+
+impl DriverReports {
+    /// Keeps an event that was reported at that time.
+    pub(super) fn note(&mut self, name: &str, event: &DriverEvent, at: Nanos) {
+        let (counts, reports) = self.0.entry(name.to_owned()).or_default();
+        for (severity, count) in Severity::ALL.iter().zip(counts) {
+            *count += u64::from(*severity == event.severity);
+        }
+        if let Some(last) = reports.back_mut().filter(|last| last.event == *event) {
+            (last.at, last.times) = (at, last.times + 1);
+            return;
+        }
+        reports.push_back(DriverReport {
+            event: event.clone(),
+            at,
+            times: 1,
+        });
+        if reports.len() > REPORTS_KEPT {
+            reports.pop_front();
+        }
+    }
+
+    /// Forgets drivers and devices that were removed.
+    pub(super) fn retain(&mut self, is_known: impl Fn(&str) -> bool) {
+        self.0.retain(|name, _| is_known(name));
+    }
+
+    /// The last events of a driver or device, oldest first.
+    pub(super) fn of(&self, name: &str) -> impl Iterator<Item = &DriverReport> {
+        self.0
+            .get(name)
+            .into_iter()
+            .flat_map(|(_, reports)| reports)
+    }
+
+    /// The number of events by driver or device.
+    pub(super) fn counts(&self) -> BTreeMap<String, EventCounts> {
+        let counts = self.0.iter();
+        counts
+            .map(|(name, (counts, _))| (name.clone(), *counts))
+            .collect()
     }
 }
 
@@ -69,6 +135,29 @@ impl DriverLog {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn driver_reports_count_and_keep_last_events() {
+        let mut reports = DriverReports::default();
+        let silent = DriverEvent::error("no datagram arrives".into()).with_hint("check the cable");
+        assert_eq!(silent.cause(), "no datagram arrives");
+        assert_eq!(silent.hint(), Some("check the cable"));
+        for ms in 0..100 {
+            reports.note(
+                "left",
+                &DriverEvent::warning(ms.to_string()),
+                Nanos::from_millis(ms),
+            );
+        }
+        reports.note("left", &silent, Nanos::from_millis(200));
+        reports.note("left", &silent, Nanos::from_millis(300));
+        assert_eq!(reports.of("left").count(), REPORTS_KEPT);
+        let last = reports.of("left").last().unwrap();
+        assert_eq!((last.times, last.at), (2, Nanos::from_millis(300)));
+        assert_eq!(reports.counts()["left"], [0, 100, 2]);
+        reports.retain(|name| name == "right");
+        assert!(reports.counts().is_empty());
+    }
 
     #[test]
     fn driver_log_keeps_first_lines_and_counts_rest() {

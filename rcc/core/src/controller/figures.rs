@@ -10,6 +10,7 @@ use takt_rt::stats::StallReader;
 
 use crate::controller::Controller;
 use crate::controller::clock::ClockInfo;
+use crate::controller::driver_log::{DriverReport, EventCounts};
 use crate::controller::faults::{DeviceFault, FaultCounts, StallCause, StallFigures};
 use crate::controller::limited::{self, LimitedInfo};
 use crate::controller::registry::Registry;
@@ -136,6 +137,25 @@ impl Controller {
     pub fn limited(&self, name: &str) -> Vec<LimitedInfo> {
         let device = self.inner.lock().devices.table.find(name).cloned();
         device.map_or_else(Vec::new, |device| limited::infos(&device))
+    }
+
+    /// The last events of a device and of its driver, oldest first: at most 8 of each.
+    #[must_use]
+    pub fn device_reports(&self, name: &str) -> Vec<DriverReport> {
+        let registry = self.inner.lock();
+        let reports = registry.monitor.reports();
+        let driver = registry.devices.driver_of(name).map(DeviceDriver::name);
+        let of_driver = driver.filter(|driver| *driver != name);
+        let names = of_driver.into_iter().chain([name]);
+        let mut found: Vec<_> = names.flat_map(|name| reports.of(name)).cloned().collect();
+        found.sort_by_key(|report| report.at);
+        found
+    }
+
+    /// Number of events by driver or device, each by severity.
+    #[must_use]
+    pub fn event_counts(&self) -> BTreeMap<String, EventCounts> {
+        self.inner.lock().monitor.reports().counts()
     }
 
     /// Includes the stalls of another thread of this process in the search for causes, such as that of an emulated

@@ -8,7 +8,7 @@ use takt_rt::Nanos;
 use takt_rt::stats::StallReader;
 
 use crate::controller::device_set::DeviceSet;
-use crate::controller::driver_log::DriverLog;
+use crate::controller::driver_log::{DriverLog, DriverReports};
 use crate::controller::faults::{Faults, StallCause, StallFigures, cause};
 use crate::controller::limited::MotionReports;
 use crate::controller::permission::Permission;
@@ -78,6 +78,7 @@ pub(super) struct Monitor {
     was_stopped: bool,
     stop: StopReport,
     log: DriverLog,
+    reports: DriverReports,
     motion: MotionReports,
     faults: Faults,
     /// Other threads of this process that measure their stalls, by name.
@@ -95,6 +96,11 @@ impl Monitor {
     /// The faults of devices.
     pub(super) const fn faults(&self) -> &Faults {
         &self.faults
+    }
+
+    /// The last events of drivers and devices.
+    pub(super) const fn reports(&self) -> &DriverReports {
+        &self.reports
     }
 
     /// Stalls of net and driver threads that lasted at least four of their cycles.
@@ -135,6 +141,10 @@ impl Monitor {
             let line = std::iter::once(DriverEvent::warning(line));
             let events = self.log.take(&device, line, now).into_iter();
             lines.extend(events.map(|line| (device.clone(), line)));
+        }
+        let at = takt_rt::monotonic();
+        for (name, event) in &lines {
+            self.reports.note(name, event, at);
         }
         lines
     }
@@ -186,10 +196,17 @@ impl Monitor {
     /// with new faults.
     fn poll_faults(&mut self, devices: &DeviceSet, threads: &NetThreads, at: Nanos) -> Vec<String> {
         let Self {
-            faults, watched, ..
+            faults,
+            reports,
+            watched,
+            ..
         } = self;
         let mut faulted = Vec::new();
         faults.retain(|name| devices.table.find(name).is_some());
+        reports.retain(|name| {
+            let mut drivers = devices.drivers.iter();
+            devices.table.find(name).is_some() || drivers.any(|driver| driver.name() == name)
+        });
         for (_, device) in devices.table.all() {
             let (count, status) = device.faults();
             let found = faults.note(&device.name, count, status, at, || {

@@ -58,7 +58,7 @@ impl DriverEnds {
 }
 
 /// Severity of an event.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Severity {
     /// Something appeared, recovered, or is as expected.
     Info,
@@ -68,7 +68,26 @@ pub enum Severity {
     Error,
 }
 
-/// An event on the wire of a driver.
+impl Severity {
+    /// All severities, in ascending order.
+    pub const ALL: [Self; 3] = [Self::Info, Self::Warning, Self::Error];
+
+    /// Its name in reports and metrics.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Info => "info",
+            Self::Warning => "warning",
+            Self::Error => "error",
+        }
+    }
+}
+
+/// Separates the cause from the remedy in the text of an event.
+const HINT: &str = "\nhint: ";
+
+/// An event of a driver, reported once per onset: the controller logs it, counts it by severity, and shows it with the
+/// device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DriverEvent {
     /// Severity.
@@ -78,6 +97,34 @@ pub struct DriverEvent {
 }
 
 impl DriverEvent {
+    /// An event of that severity.
+    #[must_use]
+    pub const fn new(severity: Severity, text: String) -> Self {
+        Self { severity, text }
+    }
+
+    /// This event with a remedy, on its own line.
+    #[must_use]
+    pub fn with_hint(mut self, hint: &str) -> Self {
+        self.text.push_str(HINT);
+        self.text.push_str(hint);
+        self
+    }
+
+    /// The cause, without the remedy.
+    #[must_use]
+    pub fn cause(&self) -> &str {
+        self.text
+            .split_once(HINT)
+            .map_or(self.text.as_str(), |(cause, _)| cause)
+    }
+
+    /// The remedy; `None` if there is none.
+    #[must_use]
+    pub fn hint(&self) -> Option<&str> {
+        self.text.split_once(HINT).map(|(_, hint)| hint)
+    }
+
     /// An informational event.
     #[must_use]
     pub const fn info(text: String) -> Self {

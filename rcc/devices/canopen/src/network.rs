@@ -297,10 +297,8 @@ impl DeviceDriver for Canopen {
             return Some(event);
         }
         let mut events = self.events.lock().unwrap_or_else(PoisonError::into_inner);
-        events.pop().map(|event| DriverEvent {
-            severity: event.severity(),
-            text: event.to_string(),
-        })
+        let event = events.pop()?;
+        Some(DriverEvent::new(event.severity(), event.to_string()))
     }
 }
 

@@ -308,10 +308,8 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
         let Some(event) = self.event_receiver.poll() else {
             return self.silence.poll();
         };
-        Some(DriverEvent {
-            severity: event.severity(),
-            text: event.text(|code| format!("{:?}", P::quality(code))),
-        })
+        let text = event.text(|code| format!("{:?}", P::quality(code)));
+        Some(DriverEvent::new(event.severity(), text))
     }
 }
 

@@ -30,10 +30,7 @@ pub(super) enum SegmentEvent {
 impl SegmentEvent {
     /// Severity and text.
     pub(super) fn event(&self) -> DriverEvent {
-        DriverEvent {
-            severity: self.severity(),
-            text: self.to_string(),
-        }
+        DriverEvent::new(self.severity(), self.to_string())
     }
 
     const fn severity(&self) -> Severity {

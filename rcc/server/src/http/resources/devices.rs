@@ -10,17 +10,38 @@ use takt_core::ids::check_device_name;
 
 use super::super::Response;
 use super::super::element::Element;
+use super::nets::ms;
 use super::{Handler, Outcome};
 use crate::dio::all_devices;
 
 impl Handler<'_> {
     pub(super) fn devices(&self) -> Response {
         let devices = all_devices(self.controller).into_iter();
-        self.show(&Element::new("devices").containing(devices.map(|d| describe(&d))))
+        let devices = devices.map(|d| describe(&d).containing(self.reports(&d.name)));
+        self.show(&Element::new("devices").containing(devices))
     }
 
     pub(super) fn device(&self, name: &str) -> Outcome {
-        Ok(self.show(&describe(&self.find_device(name)?)))
+        let device = describe(&self.find_device(name)?);
+        Ok(self.show(&device.containing(self.reports(name))))
+    }
+
+    /// The last events of a device and its driver, oldest first.
+    fn reports(&self, name: &str) -> impl Iterator<Item = Element> + use<> {
+        let now = takt_core::monotonic();
+        let reports = self.controller.device_reports(name).into_iter();
+        reports.map(move |report| {
+            let event = &report.event;
+            let element = Element::new("event")
+                .with("severity", event.severity.word())
+                .with("ago", ms(now - report.at))
+                .with("times", report.times)
+                .with("cause", event.cause());
+            match event.hint() {
+                Some(hint) => element.with("hint", hint),
+                None => element,
+            }
+        })
     }
 
     /// The latest joint state of an arm, rad and rad/s.

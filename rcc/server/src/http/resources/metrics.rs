@@ -5,6 +5,7 @@ use std::fmt::{self, Write as _};
 use std::time::Duration;
 
 use takt_core::controller::{ClockInfo, FaultCounts, LimitedInfo, NetState, RuleState};
+use takt_core::device::driver::Severity;
 use takt_core::{Controller, Snapshot, Summary};
 
 use super::super::Response;
@@ -298,8 +299,26 @@ impl Handler<'_> {
                 out.sample(name, &labels, is);
             }
         }
+        self.write_events(out);
         self.write_faults(out);
         self.write_last_stages(out);
+    }
+
+    /// Events of drivers and devices; none as long as there were none.
+    fn write_events(&self, out: &mut Exposition) {
+        let counts = self.controller.event_counts();
+        if counts.is_empty() {
+            return;
+        }
+        let name = "takt_device_events_total";
+        let help = "Events that a device or its bus reported, by severity.";
+        out.family(name, "counter", help);
+        for (device, counts) in &counts {
+            for (severity, count) in Severity::ALL.iter().zip(counts) {
+                let labels = [("device", device.as_str()), ("severity", severity.word())];
+                out.sample(name, &labels, count);
+            }
+        }
     }
 
     /// Device faults; none as long as no device had one.
