@@ -19,23 +19,25 @@ fn settings(text: &str) -> impl Iterator<Item = &str> {
         .filter(|line| !line.is_empty() && !line.starts_with('#'))
 }
 
-/// Values by name; each directive of the unit occurs once, except the system call filter, whose lines add up and are
-/// checked separately.
+/// Values by name; each directive of the unit occurs once, except those whose lines add up, which are checked
+/// separately.
 fn unit() -> HashMap<&'static str, &'static str> {
     let mut found = HashMap::new();
     for (name, value) in settings(SERVICE).filter_map(|line| line.split_once('=')) {
         let twice = found.insert(name, value).is_some();
-        assert!(!twice || name == FILTER, "{name} stands twice");
+        assert!(!twice || ADDED_UP.contains(&name), "{name} stands twice");
     }
     found
 }
 
 const FILTER: &str = "SystemCallFilter";
+const DEVICES: &str = "DeviceAllow";
+const ADDED_UP: [&str; 4] = [FILTER, DEVICES, "Wants", "After"];
 
-fn filters() -> Vec<&'static str> {
+fn values(directive: &str) -> Vec<&'static str> {
     let lines = settings(SERVICE).filter_map(|line| line.split_once('='));
     lines
-        .filter(|(name, _)| *name == FILTER)
+        .filter(|(name, _)| *name == directive)
         .map(|(_, value)| value)
         .collect()
 }
@@ -59,7 +61,7 @@ fn unit_keeps_real_time() {
         assert!(!unit.contains_key(name), "{name} {why}");
     }
     // A denied group may contain scheduler calls, as "resources" does; this one contains none.
-    assert_eq!(filters(), ["@system-service", "~@privileged"]);
+    assert_eq!(values(FILTER), ["@system-service", "~@privileged"]);
 }
 
 #[test]
@@ -68,7 +70,6 @@ fn unit_sandbox_permits_cycles() {
     for (name, value) in [
         ("LimitRTPRIO", "95"),
         ("LimitMEMLOCK", "infinity"),
-        ("DeviceAllow", "/dev/cpu_dma_latency rw"),
         ("AmbientCapabilities", "CAP_NET_RAW"),
         ("NoNewPrivileges", "yes"),
     ] {
@@ -110,8 +111,25 @@ fn unit_restarts_except_for_invalid_cell() {
     assert_eq!(unit["RestartPreventExitStatus"], "78");
     // Otherwise a robot's interface that appears late would find no controller.
     assert_eq!(unit["StartLimitIntervalSec"], "0");
-    assert_eq!(unit["Wants"], "network-online.target");
-    assert_eq!(unit["After"], unit["Wants"]);
+    assert_eq!(values("Wants").first(), Some(&"network-online.target"));
+    assert_eq!(values("After"), values("Wants"));
+}
+
+#[test]
+fn unit_admits_serial_lines_of_bases() {
+    let devices = [
+        "/dev/cpu_dma_latency rw",
+        "char-ttyUSB rw",
+        "char-ttyACM rw",
+    ];
+    assert_eq!(values(DEVICES), devices);
+    // A group of devices that the kernel does not know yet is not admitted: its module is loaded before.
+    for module in ["usbserial", "cdc_acm"] {
+        let service = format!("modprobe@{module}.service");
+        let is_loaded = values("Wants").iter().any(|units| units.contains(&service));
+        assert!(is_loaded, "{module}");
+    }
+    assert!(settings(SYSUSERS).any(|line| line == "m takt dialout"));
 }
 
 /// Score of `systemd-analyze security`, in tenths; lower is better. The README lists what remains.

@@ -26,7 +26,7 @@ use takt_server::LogBook;
 
 use crate::Verdict;
 use crate::client::Client;
-use crate::output::{check_writable, complain, is_terminal, say, share, span};
+use crate::output::{check_writable, complain, is_terminal, positive_span, say, share};
 use crate::run::{Access, Server, print_grants, stop_channel};
 use crate::signal::Stop;
 use cell::{Kind, Machines};
@@ -46,7 +46,7 @@ pub(crate) struct Demo {
     #[arg(long, alias = "cell", value_enum, default_value_t = Kind::Pair)]
     robots: Kind,
     /// How long the motion takes.
-    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = positive_span)]
     duration: Duration,
     /// Print one JSON object instead of the report.
     #[arg(long)]

@@ -23,7 +23,7 @@ use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 
 use crate::Verdict;
-use crate::output::{check_writable, save, say, span};
+use crate::output::{check_writable, positive_span, save, say};
 use measure::Plan;
 use report::{Judgement, Report};
 
@@ -43,7 +43,7 @@ pub(crate) use view::{bars, is_end_wanted};
   takt jitter --from jitter.json --svg jitter.svg")]
 pub(crate) struct Jitter {
     /// From one cycle to the next.
-    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = positive_span)]
     period: Duration,
     /// SCHED_FIFO priority, 1 to 98; 0 for an ordinary thread.
     #[arg(long, value_name = "N", default_value_t = 80, value_parser = clap::value_parser!(u8).range(..=98))]
@@ -52,16 +52,16 @@ pub(crate) struct Jitter {
     #[arg(long, value_name = "LIST", value_parser = cpu_choice)]
     cpu: Option<CpuChoice>,
     /// How long to measure; when comparing, with each tool.
-    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = positive_span)]
     duration: Duration,
     /// Processes that keep processors, memory, files and pipes busy meanwhile.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=256))]
     load: u32,
     /// The longest latency allowed; without it there is no verdict.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     budget: Option<Duration>,
     /// End at a latency above this, mark and stop the kernel's trace, print the last cycles.
-    #[arg(long = "break", value_name = "TIME", value_parser = span, conflicts_with = "compare")]
+    #[arg(long = "break", value_name = "TIME", value_parser = positive_span, conflicts_with = "compare")]
     break_at: Option<Duration>,
     /// Write the histogram as a picture.
     #[arg(long, value_name = "FILE.svg")]

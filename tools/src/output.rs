@@ -4,6 +4,7 @@
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, IsTerminal as _, Write as _};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -138,6 +139,29 @@ pub(crate) fn span(text: &str) -> Result<Duration, String> {
     takt_core::span::parse(text).map_err(|e| e.to_string())
 }
 
+/// Reads a duration for which nothing must not stand: how long to run, or how often.
+pub(crate) fn positive_span(text: &str) -> Result<Duration, String> {
+    let span = span(text)?;
+    if span.is_zero() {
+        return Err("must be above 0, such as 1ms or 10s".to_owned());
+    }
+    Ok(span)
+}
+
+/// Reads a duration with bounds, in ms.
+pub(crate) fn span_of_ms(
+    bounds: RangeInclusive<u64>,
+) -> impl Fn(&str) -> Result<Duration, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let (low, high) = (bounds.start(), bounds.end());
+        let span = span(text)?;
+        if span < Duration::from_millis(*low) || span > Duration::from_millis(*high) {
+            return Err(format!("must be {low}ms to {high}ms"));
+        }
+        Ok(span)
+    }
+}
+
 /// A time in the unit that suits it, at most 8 characters: `17 us`, `1.25 ms`.
 pub(crate) fn time(ns: i64) -> String {
     #[expect(clippy::cast_precision_loss, reason = "shown with three digits")]
@@ -160,7 +184,9 @@ pub(crate) fn time(ns: i64) -> String {
 mod tests {
     use std::fs;
 
-    use super::{chain, check_writable, save, share, time};
+    use std::time::Duration;
+
+    use super::{chain, check_writable, positive_span, save, share, span_of_ms, time};
 
     #[test]
     fn save_replaces_existing_file() {
@@ -225,6 +251,22 @@ mod tests {
         assert_eq!(share("0.05"), Ok(0.05));
         for wrong in ["1.5", "-0.1", "NaN", "5 %", ""] {
             assert!(share(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn spans_out_of_bounds_are_rejected() {
+        for (text, good) in [("1ms", true), ("0s", false), ("0.1ns", false), ("1", false)] {
+            assert_eq!(positive_span(text).is_ok(), good, "{text}");
+        }
+        let period = span_of_ms(1..=100);
+        assert_eq!(period("100ms"), Ok(Duration::from_millis(100)));
+        for text in ["500us", "0s", "100.1ms"] {
+            assert_eq!(
+                period(text),
+                Err("must be 1ms to 100ms".to_owned()),
+                "{text}"
+            );
         }
     }
 

@@ -38,6 +38,7 @@
 
 mod access;
 mod drivers;
+mod location;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -54,6 +55,7 @@ use crate::ids::check_device_name;
 use crate::{files, span};
 pub use access::{Loopback, OnLoss};
 pub use drivers::{DriverKind, Section};
+use location::located;
 
 /// Net threads that a controller may have.
 pub const THREADS_MAX: usize = 8;
@@ -256,7 +258,7 @@ impl CellConfig {
             error.set_input(Some(text));
             error.to_string()
         })?;
-        config.check()?;
+        config.check().map_err(|why| located(text, why))?;
         Ok(config)
     }
 

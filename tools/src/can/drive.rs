@@ -18,7 +18,7 @@ use takt_cia402::{MasterOptions, Quirk};
 use super::confirm;
 use super::wire::Live;
 use crate::Verdict;
-use crate::output::{say, span};
+use crate::output::{positive_span, say, span};
 use facts::MODES;
 use session::{Jog, Plan, Session, Step};
 
@@ -62,7 +62,7 @@ pub(crate) struct Drive {
     #[arg(long, value_name = "VELOCITY", allow_hyphen_values = true)]
     jog: Option<i32>,
     /// How long to turn it.
-    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = span, requires = "jog")]
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = positive_span, requires = "jog")]
     duration: Duration,
     /// Jog although the drive cannot monitor the heartbeat of this program.
     #[arg(long, requires = "jog")]

@@ -12,7 +12,7 @@ use takt_can::canopen::Message;
 use super::feed::{Feed, Seen};
 use super::filter::{Filter, is_shown};
 use crate::Verdict;
-use crate::output::{complain, say, span};
+use crate::output::{complain, positive_span, say};
 use crate::signal::Stop;
 
 /// Print frames, one per line, with their CANopen meaning.
@@ -48,7 +48,7 @@ pub(crate) struct Dump {
     #[arg(long, value_name = "N")]
     count: Option<u64>,
     /// Stop after this time; default: at Ctrl-C.
-    #[arg(long, value_name = "TIME", value_parser = span, conflicts_with = "from")]
+    #[arg(long, value_name = "TIME", value_parser = positive_span, conflicts_with = "from")]
     duration: Option<Duration>,
 }
 

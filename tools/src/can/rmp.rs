@@ -16,7 +16,7 @@ use takt_can::rmp::{Config, Gain, Model};
 use super::confirm;
 use super::wire::Live;
 use crate::Verdict;
-use crate::output::{complain, is_terminal, say, span};
+use crate::output::{complain, is_terminal, positive_span, say};
 use port::SerialPort;
 use session::{Jog, Plan, Session, View};
 
@@ -42,7 +42,7 @@ pub(crate) struct Rmp {
     model: Model,
     /// How long to observe it, by default until Ctrl-C on a terminal and 2s elsewhere; with --jog, how long to drive it,
     /// by default 1s.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     duration: Option<Duration>,
     /// Set stored values: velocity, acceleration, turn (sixteenths, 0 to 16), current (0 to 256), gain (0 to 2),
     /// as in velocity=16,turn=16.

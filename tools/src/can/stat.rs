@@ -14,7 +14,7 @@ use takt_can::stat::{Finding, Limits, Meter, Report, Severity};
 use super::bitrate;
 use super::feed::Feed;
 use crate::Verdict;
-use crate::output::{say, share, span};
+use crate::output::{positive_span, say, share};
 use crate::signal::Stop;
 
 /// Measure a bus: load, rates and jitter, errors, heartbeats, losses; and report findings.
@@ -37,7 +37,7 @@ pub(crate) struct Stat {
     #[arg(long, value_name = "NAME", requires = "from")]
     channel: Option<String>,
     /// How long to listen.
-    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = span, conflicts_with = "from")]
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = positive_span, conflicts_with = "from")]
     duration: Duration,
     /// Bit rate for the load, if the interface does not report it: 500k, 1M, or bit/s.
     #[arg(long, value_name = "RATE", value_parser = bitrate)]

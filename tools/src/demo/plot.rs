@@ -18,6 +18,8 @@ const SIZE: (u32, u32) = (900, 260);
 /// The library draws on whole numbers, which makes steps of slow curves: so they are fractions of
 /// a pixel.
 const SCALE: u32 = 8;
+/// From the line of a legend's entry to its text.
+const LEGEND_TEXT: u32 = 24;
 /// Points of a curve; more are not distinguishable.
 const POINTS_MAX: usize = 900;
 
@@ -60,10 +62,10 @@ fn draw_parts(backend: SVGBackend<'_>, arms: &[Arm], samples: &Samples, stats: &
     root.fill(&WHITE)?;
     let areas = root.split_evenly((arms.len() + 1, 1));
     for ((area, arm), joints) in areas.iter().zip(arms).zip(&samples.joints) {
-        curves(area, *arm, &samples.time_s, joints)?;
+        curves(area, *arm, &samples.time_s, joints, legend_width(arms))?;
     }
     if let Some(area) = areas.last() {
-        latencies(area, stats)?;
+        latencies(area, stats, legend_width(arms))?;
     }
     root.present()?;
     Ok(())
@@ -73,23 +75,39 @@ fn font(size: u32) -> TextStyle<'static> {
     ("sans-serif", size * SCALE).into_font().color(&BLACK)
 }
 
-fn chart<'a, 'b>(area: &'a Area<'b>, caption: &str) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
+/// Width of the legend, in which the longest name of a joint fits; all parts have the same, so that their curves line up.
+fn legend_width(arms: &[Arm]) -> u32 {
+    let names = arms.iter().flat_map(|arm| arm.joints);
+    let longest = names.map(|name| name.chars().count()).max().unwrap_or(0);
+    let characters = u32::try_from(longest).unwrap_or(0);
+    (LEGEND_TEXT + 7 * characters + 16).max(64)
+}
+
+fn chart<'a, 'b>(
+    area: &'a Area<'b>,
+    caption: &str,
+    legend: u32,
+) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
     let mut chart = ChartBuilder::on(area);
     chart
         .caption(caption, font(15))
         .margin(8 * SCALE)
-        .margin_right(64 * SCALE)
+        .margin_right(legend * SCALE)
         .x_label_area_size(34 * SCALE)
         .y_label_area_size(56 * SCALE);
     chart
 }
 
-fn curves(area: &Area<'_>, arm: Arm, time_s: &[f64], joints: &[Vec<f64>]) -> Drawn {
+fn curves(area: &Area<'_>, arm: Arm, time_s: &[f64], joints: &[Vec<f64>], width: u32) -> Drawn {
     let values = || joints.iter().flatten().copied().filter(|v| v.is_finite());
     let (low, high) = (values().fold(0.0, f64::min), values().fold(0.0, f64::max));
     let end = time_s.last().copied().unwrap_or(1.0);
-    let mut chart = chart(area, &format!("{}: measured joint positions", arm.name))
-        .build_cartesian_2d(0.0..end, low - 0.1..high + 0.1)?;
+    let mut chart = chart(
+        area,
+        &format!("{}: measured joint positions", arm.name),
+        width,
+    )
+    .build_cartesian_2d(0.0..end, low - 0.1..high + 0.1)?;
     chart
         .configure_mesh()
         .x_desc("time, s")
@@ -111,19 +129,23 @@ fn curves(area: &Area<'_>, arm: Arm, time_s: &[f64], joints: &[Vec<f64>]) -> Dra
         let points = time_s.iter().copied().zip(positions.iter().copied());
         let points = points.filter(|(_, p)| p.is_finite()).step_by(every);
         chart.draw_series(LineSeries::new(points, line))?;
-        legend(area, number, name, line)?;
+        legend(area, width, number, name, line)?;
     }
     Ok(())
 }
 
 /// An entry of the legend, right of the curves.
-fn legend(area: &Area<'_>, number: usize, name: &str, line: ShapeStyle) -> Drawn {
+fn legend(area: &Area<'_>, width: u32, number: usize, name: &str, line: ShapeStyle) -> Drawn {
     let pixels = |n: u32| i32::try_from(n * SCALE).unwrap_or(0);
     let row = u32::try_from(number).unwrap_or(0);
-    let (x, y) = (pixels(SIZE.0 - 54), pixels(44 + 20 * row));
+    let (x, y) = (pixels(SIZE.0 - width + 10), pixels(44 + 20 * row));
     let text = font(12).pos(Pos::new(HPos::Left, VPos::Center));
     area.draw(&PathElement::new([(x, y), (x + pixels(18), y)], line))?;
-    area.draw(&Text::new(name.to_owned(), (x + pixels(24), y), text))?;
+    area.draw(&Text::new(
+        name.to_owned(),
+        (x + pixels(LEGEND_TEXT), y),
+        text,
+    ))?;
     Ok(())
 }
 
@@ -134,7 +156,7 @@ const BARS_PER_DECADE: f64 = 20.0;
 /// Bars over all decades.
 const BARS: usize = 100;
 
-fn latencies(area: &Area<'_>, stats: &Snapshot) -> Drawn {
+fn latencies(area: &Area<'_>, stats: &Snapshot, width: u32) -> Drawn {
     let bars = bars(stats);
     let most = bars.iter().copied().fold(1.0, f64::max);
     let caption = format!(
@@ -145,7 +167,7 @@ fn latencies(area: &Area<'_>, stats: &Snapshot) -> Drawn {
         time(stats.latency.p99.0),
         time(stats.latency.max.0)
     );
-    let mut chart = chart(area, &caption).build_cartesian_2d(
+    let mut chart = chart(area, &caption, width).build_cartesian_2d(
         (EDGES_US.0..EDGES_US.1).log_scale(),
         (0.5..most * 2.0).log_scale(),
     )?;
@@ -189,4 +211,27 @@ fn bars(stats: &Snapshot) -> [f64; BARS] {
         bars[bar.min(BARS - 1)] += count as f64;
     }
     bars
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::cell::Kind;
+
+    #[test]
+    fn legend_fits_longest_joint_name() {
+        let arms = Kind::Factory.moved();
+        let (mut svg, parts) = (String::new(), arms.len() as u32 + 1);
+        let backend = SVGBackend::with_string(&mut svg, (SIZE.0 * SCALE, SIZE.1 * parts * SCALE));
+        let (_, stats) = takt_rt::stats::pair();
+        draw_parts(backend, arms, &Samples::of(arms), &stats.snapshot()).unwrap();
+        for name in arms.iter().flat_map(|arm| arm.joints) {
+            let (before, _) = svg.split_once(&format!("\n{name}\n")).unwrap();
+            let element = before.rsplit_once("<text x=\"").unwrap().1;
+            let x: u32 = element.split('"').next().unwrap().parse().unwrap();
+            // Letters of 12 pixels are 7 wide on average.
+            let end = x / SCALE + 7 * name.len() as u32;
+            assert!(end <= SIZE.0, "{name} ends at {end}");
+        }
+    }
 }

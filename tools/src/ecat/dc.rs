@@ -15,7 +15,7 @@ use super::finding::indented;
 use super::session::{Session, Wire, phase_error};
 use super::{Source, recording, scan};
 use crate::Verdict;
-use crate::output::{say, span, time};
+use crate::output::{positive_span, say, span, time};
 
 /// Watch the distributed clocks: reference, delays, differences, drift.
 ///
@@ -33,13 +33,13 @@ pub(crate) struct Dc {
     #[command(flatten)]
     source: Source,
     /// How long to watch.
-    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = positive_span)]
     duration: Duration,
     /// Settling time of the clocks before the measurement.
     #[arg(long, value_name = "TIME", default_value = "5s", value_parser = span)]
     settle: Duration,
     /// Period of the frames; default: that of the cell, or else 1ms. A shorter period distributes the time more often.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     cycle: Option<Duration>,
     /// Largest difference that is no finding.
     #[arg(long, value_name = "TIME", default_value = "1us", value_parser = span)]

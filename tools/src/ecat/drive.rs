@@ -24,7 +24,7 @@ use takt_ethercat::axis::{Axis, AxisState, Target};
 use super::Target as Segment;
 use super::session::{Session, Wire};
 use crate::jog::{Limits, Profile, Speed};
-use crate::output::{say, span};
+use crate::output::{positive_span, say, span};
 use crate::signal::Stop;
 use crate::{Verdict, confirm};
 
@@ -50,7 +50,7 @@ pub(crate) struct Drive {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..8))]
     axis: u8,
     /// Period of the frames, and of SYNC0.
-    #[arg(long, value_name = "TIME", default_value = "4ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "4ms", value_parser = positive_span)]
     cycle: Duration,
     /// Synchronize the drive to SYNC0.
     #[arg(long)]
@@ -65,7 +65,7 @@ pub(crate) struct Drive {
     #[arg(long, value_name = "INCREMENTS", allow_hyphen_values = true)]
     by: Option<i32>,
     /// Duration of the motion, from rest to rest.
-    #[arg(long, value_name = "TIME", default_value = "2s", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "2s", value_parser = positive_span)]
     duration: Duration,
     /// A quirk of the drive: no_follow_bit, sod_as_0020 or mode_after_enable; may be repeated.
     #[arg(long = "quirk", value_name = "QUIRK")]

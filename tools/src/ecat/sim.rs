@@ -16,7 +16,7 @@ use takt_ethercat::linux::monotonic;
 
 use crate::Verdict;
 use crate::emulate::segment;
-use crate::output::{complain, say, span};
+use crate::output::{complain, positive_span, say};
 use fault::Fault;
 use plan::{Emulation, Plan};
 
@@ -66,7 +66,7 @@ pub(crate) struct Sim {
     #[arg(long)]
     strict: bool,
     /// Stop after this time; default: at Ctrl-C.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     duration: Option<Duration>,
 }
 

@@ -12,7 +12,7 @@ use takt_ethercat::master::{Cable, Event, FrameCounters, Master, PortCounters, S
 use super::finding::{Finding, nanos, percentiles, verdict, verdict_of};
 use super::session::{Session, Wire};
 use super::{Source, recording, scan};
-use crate::output::{say, span, time};
+use crate::output::{positive_span, say, time};
 use crate::{Verdict, confirm};
 
 /// Measure a segment: lost and late frames, working counters, errors by port; and report findings.
@@ -30,10 +30,10 @@ pub(crate) struct Stat {
     #[command(flatten)]
     source: Source,
     /// How long to measure.
-    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = positive_span)]
     duration: Duration,
     /// Period of the frames; default: that of the cell, or else 1ms.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     cycle: Option<Duration>,
     /// State of the slaves during the measurement. Working counters of process data are known only in OP.
     #[arg(long, value_name = "STATE", default_value = "safe-op")]

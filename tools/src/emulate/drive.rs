@@ -14,7 +14,7 @@ use takt_cia402::emulator::{DriveConfig, Quirks};
 use super::canopen;
 use super::faults::{Fault, of_drive};
 use crate::Verdict;
-use crate::output::{save, say, span};
+use crate::output::{positive_span, save, say, span_of_ms};
 
 /// A CANopen drive.
 #[derive(Debug, Args)]
@@ -28,8 +28,8 @@ pub(crate) struct DriveArgs {
     /// Axes, 1 to 8.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     axes: u8,
-    /// Time between heartbeats; none without it.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    /// Time between heartbeats, 1ms to 65535ms; none without it.
+    #[arg(long, value_name = "TIME", value_parser = span_of_ms(1..=65_535))]
     heartbeat: Option<Duration>,
     /// Let it behave as real nodes were seen to; may be given several times.
     ///
@@ -57,7 +57,7 @@ pub(crate) struct DriveArgs {
     #[arg(long, value_name = "FILE.eds")]
     write_eds: Option<PathBuf>,
     /// End after this time; without it, at Ctrl-C.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     duration: Option<Duration>,
 }
 

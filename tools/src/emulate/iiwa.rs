@@ -16,7 +16,7 @@ use super::Robot;
 use super::knobs::{Knobs, MISSES_MAX};
 use super::lwr::Strategy;
 use crate::Verdict;
-use crate::output::{say, span};
+use crate::output::{say, span_of_ms};
 
 /// A Sunrise cabinet with a KUKA LBR iiwa, speaking FRI 1.x, 2.x or 2.7 over UDP.
 ///
@@ -35,7 +35,7 @@ pub(crate) struct Iiwa {
     #[arg(long, value_enum, default_value = "14")]
     model: Model,
     /// Time from one message to the next, 1ms to 100ms.
-    #[arg(long, value_name = "TIME", default_value = "2ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "2ms", value_parser = span_of_ms(1..=100))]
     period: Duration,
     /// Messages per answer that the controller expects, 1 to 100.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]

@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::Args;
 use takt_fri::lwr::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
 
-use crate::output::{share, span};
+use crate::output::{positive_span, share, span};
 
 /// Consecutive cycles without an answer that an emulated controller tolerates unless it is strict.
 pub(super) const MISSES_MAX: u32 = 100;
@@ -52,7 +52,7 @@ pub(super) struct Knobs {
     #[arg(long, default_value_t = 1)]
     pub(super) seed: u64,
     /// End after this time; without it, at Ctrl-C.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     pub(super) duration: Option<Duration>,
 }
 

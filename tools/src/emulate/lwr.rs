@@ -13,7 +13,7 @@ use takt_fri::lwr::{DEFAULT_PORT, Protocol};
 use super::knobs::Knobs;
 use super::{Robot, resting};
 use crate::Verdict;
-use crate::output::{say, span};
+use crate::output::{say, span_of_ms};
 
 /// A KRC with an LWR.
 #[derive(Debug, Args)]
@@ -22,7 +22,7 @@ pub(crate) struct Lwr {
     #[arg(long, alias = "target", value_name = "IP:PORT", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
     connect: SocketAddr,
     /// Time from one measurement to the next, 1ms to 100ms.
-    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span_of_ms(1..=100))]
     period: Duration,
     /// The KRL program takes requests over user data, by this convention; without it, it starts FRI when quality is
     /// PERFECT.

@@ -21,7 +21,7 @@ use takt_can::rmp::{Channel, Model, Packet, PacketReader};
 
 use super::service::Service;
 use crate::Verdict;
-use crate::output::{complain, say, span};
+use crate::output::{complain, positive_span, say};
 use crate::run::until_stopped;
 
 /// A Segway power base.
@@ -40,7 +40,7 @@ pub(crate) struct Rmp {
     #[arg(long)]
     emergency_stop: bool,
     /// End after this time; without it, at Ctrl-C.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     duration: Option<Duration>,
 }
 

@@ -14,7 +14,7 @@ use takt_rt::interface::Medium;
 
 use super::service::Service;
 use crate::Verdict;
-use crate::output::{say, span};
+use crate::output::{positive_span, say};
 use crate::run::until_stopped;
 
 /// Longest wait for a frame, which bounds the delay of a stop.
@@ -31,7 +31,7 @@ pub(crate) struct Tx90 {
     #[arg(long)]
     strict: bool,
     /// End after this time; without it, at Ctrl-C.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     duration: Option<Duration>,
 }
 

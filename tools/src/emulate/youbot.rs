@@ -9,7 +9,7 @@ use takt_ethercat::youbot::Flags;
 
 use super::segment::{Ends, serve};
 use crate::Verdict;
-use crate::output::{say, span};
+use crate::output::{positive_span, say};
 
 /// Flags whose changes are printed.
 const REPORTED: u32 = Flags::BLOCKING | Flags::INITIALIZED | Flags::TIMEOUT | Flags::I2T;
@@ -33,7 +33,7 @@ pub(crate) struct YouBot {
     #[arg(long)]
     no_base: bool,
     /// End after this time; without it, at Ctrl-C.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     duration: Option<Duration>,
 }
 

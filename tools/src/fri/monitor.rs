@@ -17,7 +17,7 @@ use super::report::Connection;
 use super::view::{Scene, View};
 use super::watch::{Port, Watched};
 use crate::Verdict;
-use crate::output::{complain, say, span};
+use crate::output::{complain, positive_span, say};
 
 /// From one line to the next where there is no screen.
 const LINE_EVERY: Duration = Duration::from_secs(1);
@@ -54,7 +54,7 @@ pub(crate) struct Monitor {
     #[arg(long, requires = "from")]
     all: bool,
     /// End after this time; without it, at Ctrl-C.
-    #[arg(long, value_name = "TIME", value_parser = span, conflicts_with = "from")]
+    #[arg(long, value_name = "TIME", value_parser = positive_span, conflicts_with = "from")]
     duration: Option<Duration>,
     /// Print lines even on a terminal.
     #[arg(long, conflicts_with = "from")]

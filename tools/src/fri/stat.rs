@@ -18,7 +18,7 @@ use super::recording::Recording;
 use super::report::Connection;
 use super::watch::{Port, Watched};
 use crate::Verdict;
-use crate::output::{complain, say, span};
+use crate::output::{complain, positive_span, say};
 
 /// Connections that one recording may hold.
 const CONNECTIONS_MAX: usize = 64;
@@ -46,7 +46,7 @@ pub(crate) struct Stat {
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
     /// How long to observe, from the first measurement on.
-    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span, conflicts_with = "from")]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = positive_span, conflicts_with = "from")]
     duration: Duration,
     #[command(flatten)]
     port: Port,

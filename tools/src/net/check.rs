@@ -17,7 +17,7 @@ use takt_net::{
 
 use super::{complain_of, read};
 use crate::Verdict;
-use crate::output::{complain, say, span};
+use crate::output::{complain, positive_span, say};
 
 /// Check a net.
 #[derive(Debug, Args)]
@@ -28,7 +28,7 @@ pub(crate) struct Check {
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Time from one cycle of the net to the next.
-    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = positive_span)]
     period: Duration,
     /// Use the costs in this table of `takt net calibrate`; without it, those that primitives declare.
     #[arg(long, value_name = "FILE")]

@@ -8,7 +8,7 @@ use takt_client::{Message, Value};
 use super::Server;
 use crate::Verdict;
 use crate::client::{Client, NetInfo};
-use crate::output::{complain, say, span};
+use crate::output::{complain, positive_span, say, span};
 
 /// Follow a net.
 #[derive(Debug, Args)]
@@ -19,7 +19,7 @@ pub(crate) struct Watch {
     #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = span)]
     refresh: Duration,
     /// End after this time even if the net runs on.
-    #[arg(long, value_name = "TIME", value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = positive_span)]
     duration: Option<Duration>,
     #[command(flatten)]
     server: Server,

@@ -178,7 +178,7 @@ fn one_of<'a>(names: impl Iterator<Item = &'a str>) -> String {
 }
 
 /// An error at a location of the file: an error of a visitor takes the location of the value that it visits.
-fn error_at(span: Range<usize>, text: &str) -> Error {
+pub(super) fn error_at(span: Range<usize>, text: &str) -> Error {
     struct Refusal<'a>(&'a str);
 
     impl Visitor<'_> for Refusal<'_> {
