@@ -152,9 +152,10 @@ impl Client {
             .to_owned())
     }
 
-    /// Asks for pushes of a net's states and values.
+    /// Subscribes to every state of a net, and to its values.
     pub(crate) fn subscribe(&mut self, net: &str, refresh: Duration) -> anyhow::Result<()> {
-        let args = [Value::from(net), Value::from(refresh.as_secs_f64())];
+        let refresh = Value::from(refresh.as_secs_f64());
+        let args = [Value::from(net), refresh, Value::from("every")];
         self.inner.call("gne", args)?;
         Ok(())
     }

@@ -41,7 +41,8 @@ fn program(address: &str) -> Result<(), takt_client::Error> {
     let client = Client::connect(address)?;
     let loaded = client.call("nene", [NET])?;
     let net = loaded.text().unwrap_or_default();
-    client.call("gne", [Value::from(net), Value::from(0.01)])?;
+    let every = Value::from("every");
+    client.call("gne", [Value::from(net), Value::from(0.01), every])?;
     client.call("nest", [net])?;
     while let Some(push) = client.next_push(Duration::from_secs(5))? {
         print(&push.to_string());

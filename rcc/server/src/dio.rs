@@ -8,6 +8,7 @@ mod figures;
 mod limits;
 mod nets;
 mod push;
+mod pace;
 mod rules;
 mod sessions;
 
@@ -31,6 +32,7 @@ use error::CommandError;
 pub(crate) use limits::{DESCRIPTION_BYTES_MAX, VALUES_INTERVAL};
 use nets::NetWatch;
 use push::push;
+use pace::Pushes;
 use rules::RuleWatch;
 use sessions::SessionWatch;
 
@@ -85,15 +87,6 @@ impl TokenCheck {
     fn check(&self, given: Option<&str>, now: Duration) -> Admission {
         self.gate.check(self.peer, given, self.begin + now)
     }
-}
-
-/// Which of the pending pushes are sent.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Pushes {
-    /// Those caused by the command that is about to be answered.
-    BeforeReply,
-    /// All, including unloaded nets and changed values.
-    All,
 }
 
 impl Connection {
@@ -223,8 +216,9 @@ impl Connection {
 
     /// The pushes of all subscriptions that are due now.
     pub(crate) fn poll_pushes(&mut self, now: Duration) -> Vec<String> {
-        let changes = if std::mem::take(&mut self.changed) {
-            self.due(Pushes::All, now)
+        let states_due = self.states_timeout().is_some_and(|at| at <= now);
+        let changes = if std::mem::take(&mut self.changed) || states_due {
+            self.due(Pushes::Due, now)
         } else {
             Vec::new()
         };
@@ -241,7 +235,15 @@ impl Connection {
         if self.changed {
             return Some(Duration::ZERO);
         }
-        self.nets.values().filter_map(NetWatch::poll_timeout).min()
+        let values = self.nets.values().filter_map(NetWatch::values_timeout);
+        values.chain(self.states_timeout()).min()
+    }
+
+    /// When a state must be pushed that was noticed before.
+    fn states_timeout(&self) -> Option<Duration> {
+        let nets = self.nets.values().filter_map(NetWatch::state_timeout);
+        let sessions = self.sessions.values().filter_map(SessionWatch::timeout);
+        nets.chain(sessions).min()
     }
 
     /// The sessions that this connection has open.
@@ -249,37 +251,35 @@ impl Connection {
         &self.opened
     }
 
-    /// Pushes for state changes, with the values that belong to those.
+    /// Pushes for state changes, with the values that belong to those. Rules come first: the known client overwrites
+    /// the end of a net by its start if it receives the start rule's `FIRED` last.
     fn due(&mut self, pushes: Pushes, now: Duration) -> Vec<Message> {
         let controller = &self.controller;
         let mut out = Vec::new();
+        self.rules.retain(|id, watch| {
+            let state = controller.rule_state(*id);
+            out.extend(state.and_then(|state| watch.handle_state(state)));
+            state.is_some() && watch.is_pending()
+        });
         self.nets.retain(|id, watch| match controller.net(*id) {
             Some(info) => {
-                out.extend(watch.handle_states(&info.states, || controller.out_values(*id), now));
+                let values = || controller.out_values(*id);
+                out.extend(watch.handle_states(&info.states, values, pushes, now));
                 true
             }
             None => {
-                if let Some(net) = controller.retained(*id) {
-                    out.extend(watch.handle_states(&net.states, || net.values, now));
-                }
-                out.extend(watch.handle_end());
-                out.extend((pushes == Pushes::All).then(|| watch.handle_unloaded()));
-                pushes != Pushes::All
+                let result = || controller.retained(*id);
+                let (messages, last) = watch.handle_unloaded(result, pushes, now);
+                out.extend(messages);
+                !last
             }
-        });
-        self.rules.retain(|id, watch| {
-            // The protocol has no state for a rule that the controller has dropped meanwhile.
-            let state = controller.rule(*id).map(|rule| rule.state);
-            out.extend(state.and_then(|state| watch.handle_state(state)));
-            state.is_some() && watch.is_pending()
         });
         self.sessions.retain(|id, watch| {
             let nets = controller.session_nets(*id);
             let ended = nets.is_none();
-            out.extend(watch.handle_nets(nets.unwrap_or_default(), |net| {
-                controller.net(net).map(|info| info.states)
-            }));
-            !ended
+            let states = |net| controller.net(net).map(|info| info.states);
+            out.extend(watch.handle_nets(nets.unwrap_or_default(), states, pushes, now));
+            !ended || watch.timeout().is_some()
         });
         if let Some(watch) = &mut self.devices {
             out.extend(watch.handle_devices(all_devices(controller)));
@@ -292,7 +292,7 @@ impl Connection {
         let due = self
             .nets
             .iter_mut()
-            .filter(|(_, w)| w.poll_timeout().is_some_and(|t| t <= now));
+            .filter(|(_, w)| w.values_timeout().is_some_and(|t| t <= now));
         due.filter_map(|(id, w)| w.handle_values(controller.out_values(*id), now))
             .collect()
     }

@@ -392,6 +392,18 @@ fn exchanges_over_plain_tcp() {
 }
 
 #[test]
+fn pace_over_websocket() {
+    let text = include_str!("transcripts/pace.txt");
+    replay("pace.txt", text, Transport::WebSocket, None);
+}
+
+#[test]
+fn pace_over_plain_tcp() {
+    let text = include_str!("transcripts/pace.txt");
+    replay("pace.txt", text, Transport::Tcp, None);
+}
+
+#[test]
 fn resources_over_http() {
     let text = include_str!("transcripts/http.txt");
     replay("http.txt", text, Transport::Tcp, None);

@@ -14,7 +14,7 @@ use takt_cia402::emulator::{DriveConfig, Quirks};
 use super::canopen;
 use super::faults::{Fault, of_drive};
 use crate::Verdict;
-use crate::output::{positive_span, save, say, span_of_ms};
+use crate::output::{positive_span, save, say, span, span_of_ms};
 
 /// A CANopen drive.
 #[derive(Debug, Args)]

@@ -15,6 +15,9 @@ use crate::ids::NetId;
 /// Maximum number of rules kept; the oldest that no longer wait are dropped first.
 const RULES_KEPT: usize = 4096;
 
+/// Maximum number of rules of which only the final state is kept.
+const STATES_KEPT: usize = 1 << 18;
+
 /// Identifier of a rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RuleId(pub u32);
@@ -128,6 +131,8 @@ impl RuleEntry {
 #[derive(Debug, Default)]
 pub(super) struct Rules {
     all: BTreeMap<RuleId, RuleEntry>,
+    /// The final states of those that were dropped, and of immediate starts.
+    final_states: BTreeMap<RuleId, RuleState>,
     last: Option<u32>,
 }
 
@@ -169,8 +174,24 @@ impl Rules {
             let Some(id) = over.map(|(id, _)| *id) else {
                 return;
             };
-            self.all.remove(&id);
+            if let Some(entry) = self.all.remove(&id) {
+                self.decide(id, entry.state);
+            }
         }
+    }
+
+    /// Keeps the final state of a rule, or of an immediate start, which counts as one.
+    pub(super) fn decide(&mut self, id: RuleId, state: RuleState) {
+        self.final_states.insert(id, state);
+        while self.final_states.len() > STATES_KEPT {
+            self.final_states.pop_first();
+        }
+    }
+
+    /// The state of a rule, which is kept longer than the rule itself.
+    pub(super) fn state(&self, id: RuleId) -> Option<RuleState> {
+        let kept = self.all.get(&id).map(|entry| entry.state);
+        kept.or_else(|| self.final_states.get(&id).copied())
     }
 
     pub(super) fn info(&self, id: RuleId) -> Option<RuleInfo> {

@@ -62,6 +62,13 @@ impl Controller {
         self.inner.lock().rules.info(id)
     }
 
+    /// The state of a rule. The final state is kept for the latest 262,144 rules, much longer than the rules themselves;
+    /// `None` if there was no such rule.
+    #[must_use]
+    pub fn rule_state(&self, id: RuleId) -> Option<RuleState> {
+        self.inner.lock().rules.state(id)
+    }
+
     /// The rules in which a net occurs.
     #[must_use]
     pub fn rules_of(&self, net: NetId) -> Vec<RuleInfo> {

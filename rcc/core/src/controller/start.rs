@@ -7,8 +7,10 @@ use crate::controller::Controller;
 use crate::controller::admission::overload;
 use crate::controller::nets::{Change, HandOver};
 use crate::controller::registry::Registry;
+use crate::controller::rules::RuleId;
 use crate::controller::threads::busy;
 use crate::error::Error;
+use crate::executor::rules::RuleState;
 use crate::executor::thread::Command;
 use crate::executor::{RUNNING_MAX, Running, StartError};
 use crate::ids::NetId;
@@ -20,18 +22,24 @@ impl Controller {
     /// If it is not ready, a resource is in use, or a device that it commands is not operational.
     pub fn start_net(&self, id: NetId) -> Result<(), Error> {
         let mut registry = self.inner.lock();
-        registry.start(id)?;
+        let rule = registry.start(id)?;
         let started = |registry: &mut Registry| match registry.nets.get_mut(id) {
             None => Some(Err(Error::NoSuchNet(id))),
             Some(net) => net.started(),
         };
-        self.inner.wait_for(registry, started)?
+        let outcome = self.inner.wait_for(registry, started)?;
+        let state = match outcome {
+            Ok(()) => RuleState::Fired,
+            Err(_) => RuleState::FireFailed,
+        };
+        self.inner.lock().rules.decide(rule, state);
+        outcome
     }
 }
 
 impl Registry {
-    /// Sends a net to its thread to run.
-    pub(super) fn start(&mut self, id: NetId) -> Result<(), Error> {
+    /// Sends a net to its thread to run. The start counts as a rule, whose number is returned.
+    pub(super) fn start(&mut self, id: NetId) -> Result<RuleId, Error> {
         self.permission.check_start()?;
         self.nets.find(id)?.check_start(id)?;
         let thread = self.nets.thread_of(id.0);
@@ -39,9 +47,10 @@ impl Registry {
         self.admission
             .check_start(&self.nets, &self.rules, budget, id)?;
         self.threads.check_capacity_of(thread)?;
-        self.rules.next_id();
+        let rule = self.rules.next_id();
         let hand_over = self.nets.find(id)?.start();
-        self.send_start(id, hand_over)
+        self.send_start(id, hand_over)?;
+        Ok(rule)
     }
 
     fn send_start(&mut self, id: NetId, hand_over: Option<HandOver>) -> Result<(), Error> {

@@ -8,7 +8,7 @@ use takt_net::{Frame, JointLimits, Twist};
 
 /// Tolerance for rounding, rad: a solution that exceeds a joint limit by less counts as on the
 /// limit.
-const ON_LIMIT: f64 = 1e-10;
+pub(super) const ON_LIMIT: f64 = 1e-10;
 
 /// Position range of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]

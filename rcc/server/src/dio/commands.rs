@@ -13,9 +13,10 @@ use super::error::CommandError;
 use super::figures;
 use super::limits::{DESCRIPTION_BYTES_MAX, SESSIONS_PER_CONNECTION, SUBSCRIPTIONS_MAX};
 use super::nets::NetWatch;
+use super::pace::{Pace, Pushes};
 use super::rules::RuleWatch;
 use super::sessions::SessionWatch;
-use super::{Connection, Pushes};
+use super::Connection;
 use crate::access::Admission;
 
 /// The protocol version that a client must request.
@@ -149,7 +150,8 @@ impl Connection {
         let session = self.session(args)?;
         self.adopt(session);
         self.check_quota(self.sessions.contains_key(&session))?;
-        self.sessions.insert(session, SessionWatch::new(tag));
+        let pace = args.pace(1)?;
+        self.sessions.insert(session, SessionWatch::new(tag, pace));
         Ok(Vec::new())
     }
 
@@ -214,7 +216,14 @@ impl Connection {
         out.extend(self.due(Pushes::BeforeReply, now));
         self.controller.unload(net).map_err(net_error)?;
         if self.controller.net(net).is_none() {
-            out.extend(self.nets.get_mut(&net).map(NetWatch::handle_unloading));
+            let result = self.controller.retained(net);
+            let values = result.map(|net| net.values).unwrap_or_default();
+            let watch = self.nets.get_mut(&net);
+            out.extend(
+                watch
+                    .into_iter()
+                    .flat_map(|w| w.handle_unloading(values.clone(), now)),
+            );
         }
         Ok(Vec::new())
     }
@@ -223,6 +232,7 @@ impl Connection {
     fn watch_net(&mut self, args: Args<'_>, tag: String) -> Outcome {
         let net = self.net(args)?;
         let refresh = args.seconds(1)?.min(REFRESH_MAX);
+        let pace = args.pace(2)?;
         self.check_quota(self.nets.contains_key(&net))?;
         let states = self
             .controller
@@ -230,7 +240,8 @@ impl Connection {
             .ok_or(CommandError::InvalidNet)?
             .states
             .len();
-        self.nets.insert(net, NetWatch::new(tag, refresh, states));
+        self.nets
+            .insert(net, NetWatch::new(tag, refresh, pace, states));
         Ok(Vec::new())
     }
 
@@ -280,7 +291,7 @@ impl Connection {
             .parse()
             .map_err(|_| CommandError::InvalidRule)?;
         self.controller
-            .rule(rule)
+            .rule_state(rule)
             .ok_or(CommandError::InvalidRule)?;
         self.check_quota(self.rules.contains_key(&rule))?;
         self.rules.insert(rule, RuleWatch::new(tag));
@@ -457,6 +468,14 @@ impl<'a> Args<'a> {
         } else {
             Err(CommandError::DescriptionTooLong { bytes: text.len() })
         }
+    }
+
+    /// The pace of a subscription, by default the one for the known client.
+    fn pace(self, number: usize) -> Result<Pace, CommandError> {
+        let word = self.optional(number, Args::text)?;
+        word.map_or(Ok(Pace::default()), |word| {
+            Pace::of_word(word).ok_or(CommandError::Pace)
+        })
     }
 
     fn map(self, number: usize) -> Result<&'a BTreeMap<String, Value>, CommandError> {

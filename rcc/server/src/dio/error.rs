@@ -79,6 +79,9 @@ pub(super) enum CommandError {
     /// Invalid on-loss word.
     #[error("on loss: \"keep\" or \"end\" is expected")]
     OnLoss,
+    /// Invalid pace of a subscription.
+    #[error("pace: \"coalesced\" or \"every\" is expected")]
+    Pace,
     /// The description is too long.
     #[error("the description has {bytes} bytes; at most {DESCRIPTION_BYTES_MAX} are taken")]
     DescriptionTooLong { bytes: usize },
@@ -112,6 +115,7 @@ impl CommandError {
             | Self::TooManySessions
             | Self::TooManyOpenSessions
             | Self::OnLoss
+            | Self::Pace
             | Self::DescriptionTooLong { .. }
             | Self::Controller(_) => reply,
         }

@@ -6,7 +6,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::super::ON_LIMIT;
+use super::super::joints::ON_LIMIT;
 use super::{INSIDE, Srs, Sweep, Triangle};
 
 /// Sine of the elbow, and of the angle between wrist and axis 1, below which the arm angle is ill-conditioned.
