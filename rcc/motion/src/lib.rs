@@ -13,6 +13,8 @@ mod shape;
 
 use takt_net::Definition;
 
+pub use motion::plan;
+
 /// All definitions of this crate.
 pub fn all() -> Vec<Definition> {
     let tables = [

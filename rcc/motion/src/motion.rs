@@ -1,15 +1,20 @@
 //! `Motion::*`: motions with bounded velocity, acceleration and jerk. Their paths are fixed at load
 //! time; progress along a path is a jerk-limited profile, so that the speed can be overridden and
-//! the motion stopped without leaving the path. Not here: blending of two motions, and joint limits
-//! along a Cartesian path.
+//! the motion stopped without leaving the path. A motion that begins in motion comes onto its path
+//! from any state. Not here: joint limits along a Cartesian path in a cycle; plans check them.
 
 mod cartesian;
+mod course;
+mod frame_path;
+mod lead;
 mod limits;
 mod path;
+pub mod plan;
 mod planner;
 mod profile;
 mod ptp;
 mod runner;
+mod spline;
 #[cfg(test)]
 mod tests;
 mod track;
@@ -26,6 +31,7 @@ pub(crate) fn table() -> Vec<Definition> {
         ptp::definition(),
         cartesian::lin(),
         cartesian::circ(),
+        cartesian::spline(),
         track::definition(),
     ]
 }

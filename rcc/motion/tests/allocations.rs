@@ -103,6 +103,46 @@ fn motions_allocate_nothing() {
     }
 }
 
+/// Motions that begin in motion, again and again, and join their paths.
+#[test]
+fn motions_from_any_state_allocate_nothing() {
+    let controls = "o=Core::DoubleNetcommIn(Key='o',Value='1'),s=Core::BooleanNetcommIn(Key='s'),\
+                    r=Core::BooleanNetcommIn(Key='r'),q=Core::DoubleArrayNetcommIn(Key='q',Value='[0,0]'),\
+                    qv=Core::DoubleArrayNetcommIn(Key='qv',Value='[0,0]'),\
+                    f=World::FrameNetcommIn(Key='f'),fv=World::TwistNetcommIn(Key='fv'),";
+    let often: Vec<_> = (0..40)
+        .map(|k| if k == 39 { "true" } else { "false" })
+        .collect();
+    let inputs: &[(&str, &[&str])] = &[
+        ("o", &["1", "0.3", "nan", "0", "0.8", "1", "1"]),
+        ("s", &often[1..]),
+        ("r", &often),
+        ("q", &["[0.1,-0.1]", "[1,2]", "[nan,0]", "[0.3,1e5]"]),
+        ("qv", &["[0.05,-0.02]", "[1,-3]", "[0,0]"]),
+        (
+            "f",
+            &["{pos:{x:0.05,y:0.02}}", "{rot:{a:1}}", "{pos:{x:nan}}"],
+        ),
+        ("fv", &["{vel:{x:0.1}}", "{vel:{x:-1,y:2},rot:{z:3}}", "{}"]),
+    ];
+    let ports = "inOverride=o.outValue,inStop=s.outValue,inReset=r.outValue";
+    let joints = "inFrom=q.outValue,inFromVelocity=qv.outValue,inFromAcceleration=qv.outValue";
+    let frame = "inFrom=f.outValue,inFromVelocity=fv.outValue,inFromAcceleration=fv.outValue";
+    for motion in [
+        format!("Ptp({ports},{joints},To='[1,2]')"),
+        format!("Track(inStop=s.outValue,inReset=r.outValue,{joints},inGoal=q.outValue)"),
+        format!("Lin({ports},{frame},To='{{pos:{{x:0.1}},rot:{{a:1}}}}')"),
+        format!("Lin({ports},{frame},To='{{pos:{{x:0.1}},rot:{{a:1}}}}',Join='0.5')"),
+        format!("Circ({ports},{frame},Via='{{pos:{{x:0.1}}}}',To='{{pos:{{y:0.1}},rot:{{a:1}}}}')"),
+        format!(
+            "Spline({ports},{frame},Points='[{{}},{{pos:{{x:0.1}}}},{{pos:{{y:0.1}},rot:{{a:1}}}}]')"
+        ),
+    ] {
+        let net = format!("{controls}m=Motion::{motion}");
+        assert_eq!(allocations(&net, inputs, 5000), 0, "{motion}");
+    }
+}
+
 #[test]
 fn tracking_allocates_nothing() {
     let net = "g=Core::DoubleArrayNetcommIn(Key='g',Value='[0,0]'),s=Core::BooleanNetcommIn(Key='s'),\

@@ -257,11 +257,11 @@ impl Srs {
         &self,
         flange: &Frame,
         hint: &[f64; 7],
-    ) -> Option<([f64; 7], Result<[f64; 7], Unreachable>)> {
+    ) -> Option<[Result<[f64; 7], Unreachable>; 2]> {
         let (axes, pose) = (self.signed(*hint), self.pose(flange));
         let near = self.near(&pose, self.side(&axes)?, hint, &axes)?;
         let alpha = self.forward_alpha(hint).1;
-        Some((near, self.search(&pose, alpha, *hint, &axes)))
+        Some([Ok(near), self.search(&pose, alpha, *hint, &axes)])
     }
 
     fn pose(&self, flange: &Frame) -> Pose {

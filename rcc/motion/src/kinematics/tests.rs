@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
-use takt_net::Frame;
+use takt_net::{Frame, Twist};
 use takt_net::device::Unreachable;
 use takt_tests::Random;
 
@@ -444,10 +444,11 @@ fn srs_solution_near_hint_is_that_of_search() {
             let spread = [0.001, 0.1, 1.0][number % 3];
             let joints = hint.map(|q| q + random.between(-spread, spread));
             let flange = arm.forward(&joints);
-            let Some((near, search)) = arm.both(&flange, &hint) else {
+            let Some([near, search]) = arm.both(&flange, &hint) else {
                 continue;
             };
-            let search = search.expect("the solution without a search");
+            let near = near.expect("the solution without a search");
+            let search = search.expect("the same");
             let farther = difference(&near, &hint) - difference(&search, &hint);
             // Where several joints are close to their limits, the search may find one a little nearer.
             let on_limit = near

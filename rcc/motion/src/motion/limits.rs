@@ -5,9 +5,9 @@ use takt_net::{Build, Definition, Fault};
 use super::profile::Bounds;
 
 /// Largest allowed coordinate (rad or m) and limit: beyond, numbers lose precision.
-const LARGEST: f64 = 1e6;
+pub(super) const LARGEST: f64 = 1e6;
 /// Smallest allowed limit.
-const SMALLEST: f64 = 1e-6;
+pub(super) const SMALLEST: f64 = 1e-6;
 
 pub(super) const VELOCITY: &str = "Velocity";
 pub(super) const ACCELERATION: &str = "Acceleration";

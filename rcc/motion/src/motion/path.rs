@@ -5,6 +5,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use takt_net::{Frame, Twist};
 
 use super::profile::Bounds;
+use super::spline::Spline;
 
 /// Sine of the angle between the sides to the auxiliary point and to the end below which three
 /// points count as collinear.
@@ -12,7 +13,7 @@ const COLLINEAR: f64 = 1e-6;
 /// Distance below which points count as one, m.
 const SAME: f64 = 1e-9;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 enum Curve {
     Line {
         displacement: Vector3<f64>,
@@ -25,10 +26,12 @@ enum Curve {
         /// Angle of the arc, rad.
         angle: f64,
     },
+    /// Position and orientation.
+    Spline(Spline),
 }
 
 /// A path of a frame, from part 0 to part 1.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Path {
     from: Frame,
     curve: Curve,
@@ -84,11 +87,39 @@ impl Path {
         })
     }
 
+    /// The smooth curve through points.
+    pub(super) const fn spline(spline: Spline, from: Frame) -> Self {
+        Self {
+            from,
+            curve: Curve::Spline(spline),
+            turn: Vector3::new(0.0, 0.0, 0.0),
+        }
+    }
+
+    /// The part of a line nearest to a position, and the line's length, m; `None` if the position does not change.
+    pub(super) fn nearest(&self, position: &Vector3<f64>) -> Option<f64> {
+        let Curve::Line { displacement } = &self.curve else {
+            return None;
+        };
+        let square = displacement.norm_squared();
+        let from = position - self.from.translation.vector;
+        (square > SAME * SAME).then(|| from.dot(displacement) / square)
+    }
+
+    /// The same line from another frame.
+    pub(super) fn starting_at(&self, from: Frame, to: &Frame) -> Self {
+        match self.curve {
+            Curve::Line { .. } => Self::line(from, to),
+            Curve::Arc { .. } | Curve::Spline(_) => self.clone(),
+        }
+    }
+
     /// Length of the path of the position, m.
     fn translation_length(&self) -> f64 {
-        match self.curve {
+        match &self.curve {
             Curve::Line { displacement } => displacement.norm(),
             Curve::Arc { x, angle, .. } => x.norm() * angle,
+            Curve::Spline(spline) => spline.length(),
         }
     }
 
@@ -97,9 +128,10 @@ impl Path {
     pub(super) fn bounds(&self, translation: Bounds, rotation: Bounds) -> (f64, Bounds) {
         let (distance, angle) = (self.translation_length(), self.turn.norm());
         let length = distance.max(angle);
-        let translation = match self.curve {
+        let translation = match &self.curve {
             Curve::Line { .. } => translation,
             Curve::Arc { x, .. } => on_arc(translation, x.norm()),
+            Curve::Spline(spline) => return (length, spline.bounds(translation, rotation)),
         };
         let along = match (distance > 0.0, angle > 0.0) {
             (true, true) => {
@@ -114,7 +146,8 @@ impl Path {
 
     /// The frame at this part of the path.
     pub(super) fn at(&self, part: f64) -> Frame {
-        let offset = match self.curve {
+        let offset = match &self.curve {
+            Curve::Spline(spline) => return spline.at(part, &self.from),
             Curve::Line { displacement } => displacement * part,
             Curve::Arc { x, y, angle } => {
                 let (sin, cos) = (angle * part).sin_cos();
@@ -128,7 +161,8 @@ impl Path {
 
     /// The velocity of the frame at this part of the path, where the part changes by `rate` (1/s).
     pub(super) fn velocity(&self, part: f64, rate: f64) -> Twist {
-        let vel = match self.curve {
+        let vel = match &self.curve {
+            Curve::Spline(spline) => return spline.velocity(part, rate),
             Curve::Line { displacement } => displacement * rate,
             Curve::Arc { x, y, angle } => {
                 let (sin, cos) = (angle * part).sin_cos();
@@ -139,6 +173,25 @@ impl Path {
             vel,
             rot: self.turn * rate,
         }
+    }
+
+    /// The acceleration of the frame at this part of the path, where the part changes by `rate` (1/s) and that by
+    /// `acceleration` (1/s²).
+    pub(super) fn acceleration(&self, part: f64, rate: f64, acceleration: f64) -> Twist {
+        let mut along = self.velocity(part, acceleration);
+        match &self.curve {
+            Curve::Line { .. } => {}
+            Curve::Arc { x, y, angle } => {
+                let (sin, cos) = (angle * part).sin_cos();
+                along.vel -= (x * cos + y * sin) * (angle * rate).powi(2);
+            }
+            Curve::Spline(spline) => {
+                let bend = spline.bend(part);
+                along.vel += bend.vel * rate * rate;
+                along.rot += bend.rot * rate * rate;
+            }
+        }
+        along
     }
 }
 

@@ -8,10 +8,13 @@ use super::planner::{Planner, Target};
 
 /// Limits of a coordinate, in its unit per s, s² and s³.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Bounds {
-    pub(super) velocity: f64,
-    pub(super) acceleration: f64,
-    pub(super) jerk: f64,
+pub struct Bounds {
+    /// Largest speed, per s.
+    pub velocity: f64,
+    /// Largest acceleration, per s².
+    pub acceleration: f64,
+    /// Largest jerk, per s³.
+    pub jerk: f64,
 }
 
 impl Bounds {
@@ -21,6 +24,15 @@ impl Bounds {
             velocity: self.velocity * factor,
             acceleration: self.acceleration * factor,
             jerk: self.jerk * factor,
+        }
+    }
+
+    /// The same limits with parts of acceleration and jerk.
+    pub(super) fn slower(self, [acceleration, jerk]: [f64; 2]) -> Self {
+        Self {
+            velocity: self.velocity,
+            acceleration: self.acceleration * acceleration,
+            jerk: self.jerk * jerk,
         }
     }
 
@@ -36,13 +48,37 @@ impl Bounds {
 
 /// Position, velocity and acceleration of a coordinate, in its unit, per s and per s².
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct State {
-    pub(super) position: f64,
-    pub(super) velocity: f64,
-    pub(super) acceleration: f64,
+pub struct State {
+    /// Position, m or rad.
+    pub position: f64,
+    /// Velocity, per s.
+    pub velocity: f64,
+    /// Acceleration, per s².
+    pub acceleration: f64,
 }
 
 impl State {
+    /// At rest at this position.
+    pub const fn at_rest(position: f64) -> Self {
+        Self {
+            position,
+            velocity: 0.0,
+            acceleration: 0.0,
+        }
+    }
+
+    /// Whether these are plausible numbers.
+    pub(super) fn is_sensible(self) -> bool {
+        let Self {
+            position,
+            velocity,
+            acceleration,
+        } = self;
+        [position, velocity, acceleration]
+            .into_iter()
+            .all(super::is_sensible)
+    }
+
     fn is_finite(self) -> bool {
         self.position.is_finite() && self.velocity.is_finite() && self.acceleration.is_finite()
     }
@@ -56,6 +92,8 @@ pub(super) struct Profile {
     bounds: Bounds,
     /// Whether it moves forwards only.
     forward_only: bool,
+    /// Whether the state in which it began requires it to move backwards nevertheless.
+    returns: bool,
     period_s: f64,
     now: State,
     /// Where the plan ends; `None` if it only brakes.
@@ -79,6 +117,7 @@ impl Profile {
             spare: Trajectory::new(None),
             bounds,
             forward_only: false,
+            returns: false,
             period_s,
             now: State {
                 position,
@@ -111,6 +150,69 @@ impl Profile {
         };
         self.goal = Some(position);
         self.cycles = None;
+        self.returns = false;
+    }
+
+    /// Replaces the limits; they apply from the next plan on.
+    pub(super) const fn set_bounds(&mut self, bounds: Bounds) {
+        self.bounds = bounds;
+    }
+
+    /// Whether a plan may lead backwards.
+    pub(super) const fn may_return(&self) -> bool {
+        !self.forward_only || self.returns
+    }
+
+    /// Begins in a state of motion, and plans to come to rest at `goal` as [`Self::go_to`] does. Where the coordinate
+    /// cannot stop before its goal it passes it and returns. Without a plan it brakes, and without that it rests.
+    /// Returns whether there is a plan for the goal.
+    pub(super) fn begin(&mut self, state: State, goal: f64, part: f64) -> bool {
+        self.now = state;
+        self.cycles = None;
+        self.returns = false;
+        // A deceleration turns the coordinate back before jerk can end it.
+        let lost = state.acceleration.min(0.0).powi(2) / (2.0 * self.bounds.jerk);
+        if state.velocity >= lost && self.go_to(goal, part) {
+            return true;
+        }
+        self.returns = true;
+        if self.go_to(goal, part) {
+            return true;
+        }
+        self.start(state);
+        false
+    }
+
+    /// Begins in a state of motion, and brakes; without a plan for that it rests.
+    pub(super) fn start(&mut self, state: State) {
+        self.now = state;
+        self.cycles = None;
+        self.returns = false;
+        if !self.brake() {
+            self.reset(state.position);
+        }
+    }
+
+    /// Duration of the plan, s; 0 at rest.
+    pub(super) fn duration(&self) -> f64 {
+        self.cycles.map_or(0.0, |_| self.plan.get_duration())
+    }
+
+    /// The state at a time after the beginning of the plan, s.
+    pub(super) fn peek(&self, time: f64) -> State {
+        match self.cycles {
+            Some(_) => sample(&self.plan, time.min(self.plan.get_duration())),
+            None => self.now,
+        }
+    }
+
+    /// Where the coordinate would come to rest if it braked two cycles from now.
+    pub(super) fn rest(&self) -> f64 {
+        let Some(cycles) = self.cycles else {
+            return self.now.position;
+        };
+        let state = self.peek(f64::from(cycles.saturating_add(2)) * self.period_s);
+        state.position + stopping(state, self.bounds)
     }
 
     /// Plans to come to rest at `goal`, at most at `part` (0 to 1) of the velocity limit. Returns
@@ -135,7 +237,7 @@ impl Profile {
             ..self.bounds
         };
         let target = goal.map_or(Target::Anywhere, Target::Position);
-        let lowest = if self.forward_only { 0.0 } else { -velocity };
+        let lowest = if self.may_return() { -velocity } else { 0.0 };
         let plan = &mut self.spare;
         let is_planned = self.planner.plan(self.now, target, bounds, lowest, plan);
         if is_planned {
@@ -167,6 +269,36 @@ impl Profile {
             self.reset(self.goal.unwrap_or(sample.position));
         }
     }
+}
+
+/// Distance to standstill: from the present acceleration to the strongest deceleration, some time at it, and back.
+fn stopping(state: State, bounds: Bounds) -> f64 {
+    let direction = 1.0_f64.copysign(state.velocity);
+    let (speed, acceleration) = (state.velocity.abs(), state.acceleration * direction);
+    let jerk = bounds.jerk;
+    // Speed to be taken by deceleration.
+    let whole = speed + acceleration * acceleration / (2.0 * jerk);
+    let peak = (jerk * whole)
+        .sqrt()
+        .min(bounds.acceleration)
+        .max(-acceleration);
+    let times = [
+        (acceleration + peak) / jerk,
+        if peak > 0.0 {
+            (whole / peak - peak / jerk).max(0.0)
+        } else {
+            0.0
+        },
+        peak / jerk,
+    ];
+    let starts = [(acceleration, -jerk), (-peak, 0.0), (-peak, jerk)];
+    let (mut distance, mut now) = (0.0, speed);
+    for (time, (acceleration, jerk)) in times.into_iter().zip(starts) {
+        let square = time * time;
+        distance += now * time + acceleration * square / 2.0 + jerk * square * time / 6.0;
+        now += acceleration * time + jerk * square / 2.0;
+    }
+    distance * direction
 }
 
 /// The state of a trajectory at `time`, s.
@@ -284,6 +416,38 @@ mod tests {
                 );
                 last = position;
             }
+        }
+    }
+
+    #[test]
+    fn rest_is_where_braking_ends() {
+        let mut draw = series();
+        for number in 0..300 {
+            let bounds = Bounds {
+                velocity: draw(-1.0, 0.5),
+                acceleration: draw(-0.5, 1.0),
+                jerk: draw(0.5, 2.0),
+            };
+            let mut profile = Profile::new(0.0, bounds, 1e-3).forward_only();
+            assert!(profile.go_to(draw(-2.0, 0.5), 1.0));
+            let until = profile.plan.get_duration() * draw(-2.0, 0.0);
+            let mut time = 0.0;
+            while time < until {
+                profile.advance();
+                time += 1e-3;
+            }
+            let expected = profile.rest();
+            profile.advance();
+            profile.advance();
+            assert!(profile.is_at_rest() || profile.brake(), "{number}");
+            while !profile.is_at_rest() {
+                profile.advance();
+            }
+            let found = profile.now().position;
+            assert!(
+                (found - expected).abs() < 1e-6,
+                "{number}: {found} {expected}"
+            );
         }
     }
 

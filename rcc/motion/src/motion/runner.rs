@@ -1,13 +1,10 @@
-//! Runs along a path that is fixed at load time: from its start to its end, slower on demand, and
-//! to a stop on the path. Its owner knows the path.
+//! Ports of a motion along a path that is fixed at load time: its controls and its progress.
 
 use takt_net::definition::{Port, port};
 use takt_net::{Build, Cycle, Definition, Fault, In, Out};
 
-use super::profile::{Bounds, Profile};
-
-/// Override below which a motion holds.
-const HOLD_BELOW: f64 = 0.001;
+use super::course::{Course, Progress};
+use super::profile::Bounds;
 
 const OVERRIDE: Port = port(
     "inOverride",
@@ -15,40 +12,18 @@ const OVERRIDE: Port = port(
 )
 .or("Override", "1");
 
-/// The target of the profile.
-#[derive(Clone, Copy, PartialEq)]
-enum Aim {
-    /// The end of the path, at this part of the velocity limit.
-    End(f64),
-    /// Standstill, to continue later.
-    Hold,
-    /// Standstill for good.
-    Stop,
-}
-
-/// The state on the path.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Progress {
-    /// Part of the path, 0 to 1.
-    pub(super) part: f64,
-    /// Its rate, 1/s.
-    pub(super) rate: f64,
-    /// Whether the motion is over.
-    pub(super) is_done: bool,
-}
+/// Cost of the first cycle of a motion that begins in motion, in array elements: it tries several speeds.
+const BEGINNING: usize = 4_500;
 
 /// A motion along a path.
 pub(super) struct Runner {
-    profile: Profile,
-    length: f64,
-    aim: Aim,
-    has_started: bool,
-    is_stopped: bool,
+    pub(super) course: Course,
     speed: In<f64>,
     stop: In<bool>,
     reset: In<bool>,
     progress: Out<f64>,
     done: Out<bool>,
+    on_path: Out<bool>,
 }
 
 /// Adds the ports common to all motions.
@@ -64,96 +39,65 @@ pub(super) fn with_ports(definition: Definition) -> Definition {
         ))
         .output::<f64>("outProgress", "completed part of the path, 0 to 1")
         .output::<bool>("outDone", "at rest at the end, or stopped")
+        .output::<bool>(
+            "outOnPath",
+            "on the path; false while a motion that begins beside it, or not along it, joins it",
+        )
 }
 
 impl Runner {
-    /// A runner on a path of that length (in the unit of the bounds, at most the largest of the
-    /// lengths from which the bounds are derived).
-    pub(super) fn new(b: &mut Build<'_, '_>, length: f64, bounds: Bounds) -> Result<Self, Fault> {
-        let mut profile = Profile::new(0.0, bounds, b.period_s()).forward_only();
-        if !profile.go_to(length, 1.0) {
+    /// A runner on a path with that length and these bounds along it; with `axes`, it may begin beside the path.
+    pub(super) fn new(
+        b: &mut Build<'_, '_>,
+        along: (f64, Bounds),
+        axes: Option<usize>,
+    ) -> Result<Self, Fault> {
+        let period_s = b.period_s();
+        let Some(course) = Course::new(along, period_s) else {
             let why = "no motion keeps these limits: their magnitudes differ too much".to_owned();
             return Err(b.parameter_fault(super::VELOCITY, why));
-        }
+        };
+        let course = match axes {
+            Some(axes) => {
+                b.adds_elements(BEGINNING);
+                course.with_lead(axes, period_s)
+            }
+            None => course,
+        };
         Ok(Self {
-            profile,
-            length,
-            aim: Aim::End(1.0),
-            has_started: false,
-            is_stopped: false,
+            course,
             speed: b.input("inOverride")?,
             stop: b.input("inStop")?,
             reset: b.input("inReset")?,
             progress: b.output("outProgress"),
             done: b.output("outDone"),
+            on_path: b.output("outOnPath"),
         })
+    }
+
+    /// The override of this cycle, and whether the motion begins in it.
+    pub(super) fn begins(&mut self, cycle: &Cycle<'_>) -> Option<f64> {
+        if self.reset.get(cycle) == Some(true) {
+            self.course.restart();
+        }
+        let speed = self.speed.get(cycle).unwrap_or(0.0);
+        (!self.course.has_started()).then_some(speed)
+    }
+
+    /// A cycle without a motion: it has not begun.
+    pub(super) fn wait(&self, cycle: &Cycle<'_>) {
+        self.progress.set(cycle, None);
+        self.done.set(cycle, false);
+        self.on_path.set(cycle, false);
     }
 
     /// One cycle: reads the inputs and writes the outputs common to all motions.
     pub(super) fn step(&mut self, cycle: &Cycle<'_>) -> Progress {
-        if self.reset.get(cycle) == Some(true) {
-            self.restart();
-        }
-        self.is_stopped |= self.stop.get(cycle) == Some(true);
-        let speed = self.speed.get(cycle).unwrap_or(0.0);
-        self.aim_at(speed);
-        if self.has_started {
-            self.profile.advance();
-        }
-        self.has_started = true;
-        let progress = self.progress();
-        self.progress.set(cycle, progress.part);
+        let stop = self.stop.get(cycle) == Some(true);
+        let progress = self.course.step(self.speed.get(cycle).unwrap_or(0.0), stop);
+        self.progress.set(cycle, progress.part.clamp(0.0, 1.0));
         self.done.set(cycle, progress.is_done);
+        self.on_path.set(cycle, self.course.is_on_path());
         progress
-    }
-
-    fn restart(&mut self) {
-        self.profile.reset(0.0);
-        self.aim = Aim::Hold;
-        self.has_started = false;
-        self.is_stopped = false;
-    }
-
-    /// Replans if the target has changed.
-    fn aim_at(&mut self, speed: f64) {
-        let wanted = if self.is_stopped {
-            Aim::Stop
-        } else if speed >= HOLD_BELOW {
-            Aim::End(speed.min(1.0))
-        } else {
-            Aim::Hold
-        };
-        if wanted == self.aim || self.is_at_end() {
-            return;
-        }
-        let is_planned = match wanted {
-            Aim::End(speed) => self.profile.go_to(self.length, speed),
-            Aim::Hold | Aim::Stop => self.profile.is_at_rest() || self.profile.brake(),
-        };
-        if is_planned {
-            self.aim = wanted;
-        }
-    }
-
-    fn is_at_end(&self) -> bool {
-        self.profile.is_at_rest() && self.profile.now().position >= self.length
-    }
-
-    fn progress(&self) -> Progress {
-        let now = self.profile.now();
-        let is_over = self.is_at_end() || self.aim == Aim::Stop;
-        // A path without length is completed as soon as it begins.
-        let (part, rate) = if self.length > 0.0 {
-            // Rounding must not lead beyond the ends.
-            let part = (now.position / self.length).clamp(0.0, 1.0);
-            (part, now.velocity / self.length)
-        } else {
-            (1.0, 0.0)
-        };
-        Progress {
-            part,
-            rate,
-            is_done: is_over && self.profile.is_at_rest(),
-        }
     }
 }

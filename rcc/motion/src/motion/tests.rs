@@ -1,6 +1,10 @@
 //! Motions in nets, checked by their outputs: velocity, acceleration and jerk are computed from
 //! differences of positions alone.
 
+mod coupled;
+mod departures;
+mod plans;
+
 use nalgebra::{UnitQuaternion, Vector3};
 use takt_net::value::text::{TextValue, format_array, parse_array};
 use takt_net::{Frame, Twist};

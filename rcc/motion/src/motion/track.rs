@@ -4,7 +4,8 @@
 use takt_net::definition::port;
 use takt_net::{ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, In, NullRule, Out, Primitive};
 
-use super::profile::Profile;
+use super::profile::{Profile, State};
+use super::ptp::{JointsFrom, with_joints_from};
 use super::{is_sensible, joint_bounds, joint_positions, with_joint_limits};
 
 struct Joint {
@@ -33,26 +34,50 @@ impl Joint {
         self.profile.reset(self.start);
         self.goal = self.start;
     }
+
+    /// Begins in a state of motion, towards rest.
+    fn begin(&mut self, state: State) {
+        self.profile.start(state);
+        // The first goal is a new one.
+        self.goal = f64::NAN;
+    }
 }
 
 struct Track {
     joints: Box<[Joint]>,
     goal: ArrayIn<f64>,
+    from: Option<JointsFrom>,
     stop: In<bool>,
     reset: In<bool>,
     has_started: bool,
     is_stopped: bool,
     position: ArrayOut<f64>,
     velocity: ArrayOut<f64>,
+    acceleration: ArrayOut<f64>,
     done: Out<bool>,
 }
 
 impl Track {
-    fn aim(&mut self, cycle: &Cycle<'_>) {
+    /// Begins in the state at the ports, if they are connected; returns whether the motion has begun.
+    fn begin(&mut self, cycle: &Cycle<'_>) -> bool {
         if self.reset.get(cycle) == Some(true) {
             self.joints.iter_mut().for_each(Joint::reset);
             (self.has_started, self.is_stopped) = (false, false);
         }
+        let (false, Some(from)) = (self.has_started, &mut self.from) else {
+            return true;
+        };
+        if !from.read(cycle) {
+            return false;
+        }
+        for (joint, state) in self.joints.iter_mut().zip(&from.states) {
+            joint.begin(*state);
+        }
+        self.has_started = true;
+        true
+    }
+
+    fn aim(&mut self, cycle: &Cycle<'_>) {
         self.is_stopped |= self.stop.get(cycle) == Some(true);
         if self.is_stopped {
             self.joints.iter_mut().for_each(Joint::brake);
@@ -66,6 +91,13 @@ impl Track {
 
 impl Primitive for Track {
     fn step(&mut self, cycle: &Cycle<'_>) {
+        if !self.begin(cycle) {
+            for out in [&self.position, &self.velocity, &self.acceleration] {
+                out.set_null(cycle);
+            }
+            self.done.set(cycle, false);
+            return;
+        }
         self.aim(cycle);
         if self.has_started {
             for joint in &mut self.joints {
@@ -76,6 +108,8 @@ impl Primitive for Track {
         let now = || self.joints.iter().map(|joint| joint.profile.now());
         self.position.set(cycle, now().map(|state| state.position));
         self.velocity.set(cycle, now().map(|state| state.velocity));
+        self.acceleration
+            .set(cycle, now().map(|state| state.acceleration));
         let is_done = self.joints.iter().all(|joint| joint.profile.is_at_rest());
         self.done.set(cycle, is_done);
     }
@@ -85,6 +119,10 @@ fn build(b: &mut Build<'_, '_>) -> Result<Track, Fault> {
     let goal = b.array_input::<f64>("inGoal")?;
     let bounds = joint_bounds(b, goal.len())?;
     let from = joint_positions(b, "From", goal.len())?;
+    let present = JointsFrom::new(b)?;
+    if let Some(present) = &present {
+        present.fits(b, goal.len())?;
+    }
     let period_s = b.period_s();
     let joint = |(start, bounds)| Joint {
         profile: Profile::new(start, bounds, period_s),
@@ -93,12 +131,14 @@ fn build(b: &mut Build<'_, '_>) -> Result<Track, Fault> {
     };
     Ok(Track {
         joints: from.into_iter().zip(bounds).map(joint).collect(),
+        from: present,
         stop: b.input("inStop")?,
         reset: b.input("inReset")?,
         has_started: false,
         is_stopped: false,
         position: b.array_output("outPosition", goal.len())?,
         velocity: b.array_output("outVelocity", goal.len())?,
+        acceleration: b.array_output("outAcceleration", goal.len())?,
         done: b.output("outDone"),
         goal,
     })
@@ -107,7 +147,8 @@ fn build(b: &mut Build<'_, '_>) -> Result<Track, Fault> {
 pub(super) fn definition() -> Definition {
     let definition = Definition::new(
         "Motion::Track",
-        "Moves each joint to its goal as fast as its limits allow; goals may change in every cycle.",
+        "Moves each joint to its goal as fast as its limits allow; goals may change in every cycle. \
+         It may begin in motion.",
         build,
     )
     .stateful()
@@ -125,12 +166,14 @@ pub(super) fn definition() -> Definition {
     )
     .array_output::<f64>("outPosition", "position of each joint, rad")
     .array_output::<f64>("outVelocity", "velocity of each joint, rad/s")
+    .array_output::<f64>("outAcceleration", "acceleration of each joint, rad/s²")
     .output::<bool>("outDone", "all joints are at rest, at their goals or stopped");
     // A new goal is planned for within the cycle in which it arrives, joint by joint.
-    let mut definition = with_joint_limits(definition).cost_ns(1_000);
-    // Three arrays have an element for each joint.
-    definition.cost.element_ns = 2_000.0;
+    let mut definition = with_joints_from(with_joint_limits(definition)).cost_ns(1_000);
+    // Four arrays or more have an element for each joint.
+    definition.cost.element_ns = 1_500.0;
     definition.null(NullRule::Own(
-        "Never null while active; a null goal keeps the previous one.",
+        "Never null while active, once begun; a null goal keeps the previous one. It begins when inFrom and the ports \
+         of its rates, where connected, are numbers.",
     ))
 }

@@ -196,6 +196,12 @@ impl Build<'_, '_> {
         Ok(ArrayIn(slot, PhantomData))
     }
 
+    /// Adds work to the cost bound of this instance that its links or parameters cause, as if it had that many more
+    /// array elements.
+    pub const fn adds_elements(&mut self, elements: usize) {
+        self.parts.elements += elements;
+    }
+
     /// A handle that always reads `value`: for a port whose default consists of several parameters.
     pub fn constant<T: Value>(&mut self, value: T) -> In<T> {
         In(constant(&mut self.parts.slots, value), PhantomData)

@@ -7,6 +7,7 @@ pub(super) struct Origin {
     pub(super) port: u32,
 }
 
+/// The number of the next primitive, unit or scope after `len` others.
 pub(super) fn number(len: usize) -> u32 {
     u32::try_from(len).expect("Limits bounds the number of primitives far below 2^32")
 }

@@ -1,6 +1,6 @@
 //! The time of an inverse of a seven-axis arm on a smooth path, compared with the same formulas written as one straight
-//! line for one known branch; and of a net that moves two arms on a line. Judges no figure; ratios count.
-//! `cargo bench -p takt-motion --bench inverse [-- [--json]]`.
+//! line for one known branch; of a net that moves two arms on a line; and of the cycle in which a motion begins in
+//! motion. Judges no figure; ratios count. `cargo bench -p takt-motion --bench motion [-- [--json]]`.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 
@@ -210,7 +210,8 @@ fn two_arms() -> String {
     )
 }
 
-fn net() -> serde_json::Value {
+/// Times the cycles of a net; `name` is the subject of the line that it prints.
+fn net(name: &str, text: &str) -> serde_json::Value {
     let mut registry = Registry::core();
     registry.add(takt_motion::all());
     let context = LoadContext {
@@ -219,13 +220,12 @@ fn net() -> serde_json::Value {
         period: Duration::from_millis(1),
         limits: Limits::default(),
     };
-    let text = two_arms();
     let image = Image::default();
     let poses = [Frame::identity(); 1000];
     let mut times = Vec::new();
     for _ in 0..ROUNDS {
-        let mut plan = load(&text, &context)
-            .map_err(|rejection| rejection.render("two arms", &text))
+        let mut plan = load(text, &context)
+            .map_err(|rejection| rejection.render(name, text))
             .expect("the net has no faults");
         let mut cycle = 0_i32;
         times.append(&mut timed(&poses, |_| {
@@ -241,8 +241,26 @@ fn net() -> serde_json::Value {
         }));
     }
     let [p50, p99] = [0.5, 0.99].map(|share| quantile(&mut times, share));
-    println!("two arms on a line, one cycle: p50 {p50:5.0} ns, p99 {p99:5.0} ns");
+    println!("{name}, one cycle: p50 {p50:6.0} ns, p99 {p99:6.0} ns");
     json!({ "p50_ns": p50, "p99_ns": p99 })
+}
+
+/// Seven joints that begin in motion in every cycle, across their way.
+fn ptp_begins() -> String {
+    "{p=Core::DoubleArrayNetcommIn(Key='p',Value='[0,0,0,0,0,0,0]'),\
+     v=Core::DoubleArrayNetcommIn(Key='v',Value='[0.5,-0.4,0.3,0.2,-0.3,0.1,0.4]'),on=Core::BooleanValue(Value='true'),\
+     m=Motion::Ptp(inReset=on.outValue,inFrom=p.outValue,inFromVelocity=v.outValue,To='[1,1,-1,0.5,0.2,-0.4,1]',\
+     Velocity='[0.6]',Acceleration='[2]',Jerk='[20]'),never=Core::BooleanValue(),outTerminate=never.outValue}"
+        .to_owned()
+}
+
+/// A frame that begins in motion in every cycle, across its line.
+fn lin_begins() -> String {
+    "{p=World::FrameValue(Value='{pos:{y:-0.1}}'),v=World::TwistValue(Value='{vel:{y:0.1},rot:{x:0.2}}'),\
+     on=Core::BooleanValue(Value='true'),\
+     m=Motion::Lin(inReset=on.outValue,inFrom=p.outValue,inFromVelocity=v.outValue,To='{pos:{x:0.5},rot:{a:1}}',\
+     Join='0.4'),never=Core::BooleanValue(),outTerminate=never.outValue}"
+        .to_owned()
 }
 
 fn main() {
@@ -254,8 +272,19 @@ fn main() {
     ] {
         members.insert(name.to_owned(), inverse(name, &arm));
     }
-    members.insert("two_arm_lin_net".to_owned(), net());
+    let subjects = [
+        ("two_arm_lin_net", "two arms on a line", two_arms()),
+        (
+            "ptp_begins",
+            "a Ptp of seven joints begins in motion",
+            ptp_begins(),
+        ),
+        ("lin_begins", "a Lin begins in motion", lin_begins()),
+    ];
+    for (key, name, text) in subjects {
+        members.insert(key.to_owned(), net(name, &text));
+    }
     if std::env::args().any(|argument| argument == "--json") {
-        println!("{}", json!({ "inverse": members }));
+        println!("{}", json!({ "motion": members }));
     }
 }
