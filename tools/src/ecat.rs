@@ -2,14 +2,18 @@
 //! the protocol; `takt doctor` checks the host.
 
 mod cell;
+mod cell_file;
+mod controller;
 mod dc;
 mod difference;
 mod directions;
 mod drive;
 mod dump;
 mod finding;
+mod esi;
 mod foe;
 mod frames;
+mod graph;
 mod pdos;
 mod recording;
 mod reg;
@@ -34,11 +38,13 @@ use target::{REQUEST_CYCLE, Source, Target};
 
 /// Inspect an EtherCAT segment, read and write objects of its slaves, decode recordings.
 ///
-/// Commands that send are masters: stop the controller that owns the segment first (`systemctl stop takt`). Where frames
-/// of another master are received, nothing is sent.
+/// Commands that send are masters: stop the controller that owns the segment first (`systemctl stop takt`), or ask it by
+/// `--controller`. Where frames of another master are received, nothing is sent.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Ecat {
     Scan(scan::Scan),
+    Cell(cell_file::Cell),
+    Graph(graph::Graph),
     Sdo(sdo::Sdo),
     Sii(sii::Sii),
     Reg(reg::Reg),
@@ -51,12 +57,15 @@ pub(crate) enum Ecat {
     Pdos(pdos::Pdos),
     Dc(dc::Dc),
     Dump(dump::Dump),
+    Esi(esi::Esi),
 }
 
 impl Ecat {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         match self {
             Self::Scan(scan) => scan.run(),
+            Self::Cell(cell) => cell.run(),
+            Self::Graph(graph) => graph.run(),
             Self::Sdo(sdo) => sdo.run(),
             Self::Sii(sii) => sii.run(),
             Self::Reg(reg) => reg.run(),
@@ -69,6 +78,7 @@ impl Ecat {
             Self::Pdos(pdos) => pdos.run(),
             Self::Dc(dc) => dc.run(),
             Self::Dump(dump) => dump.run(),
+            Self::Esi(esi) => esi.run(),
         }
     }
 }

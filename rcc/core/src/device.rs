@@ -1,6 +1,7 @@
 //! Devices: the data that nets and drivers exchange, which devices a controller has, and the parts that drivers share.
 //! Drivers are crates of their own; what nets see of a device is in `takt_net::device`.
 
+pub mod bus;
 pub mod continuity;
 pub mod driver;
 pub mod endpoint;

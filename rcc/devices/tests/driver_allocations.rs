@@ -90,6 +90,10 @@ fn allocations(cell: &Cell, device: &str, nets: &[String]) -> u64 {
     let before = real_time_allocations();
     for text in nets {
         let net = cell.load(text);
+        // Those who look at a bus make and free all buffers.
+        for bus in cell.controller.buses() {
+            bus.report().unwrap();
+        }
         // A stall of the host may just have ended the command; allocations after that count too.
         if cell.controller.start_net(net).is_ok() {
             cell.wait_for_end(net);

@@ -12,6 +12,7 @@ use takt_ethercat::master::{Master, SlaveView};
 
 use super::difference::Range;
 use super::finding::indented;
+use super::controller::{self, Remote};
 use super::session::{Session, Wire, phase_error};
 use super::{Source, recording, scan};
 use crate::Verdict;
@@ -25,6 +26,7 @@ use crate::output::{positive_span, say, span, time};
 #[command(after_help = "Examples:
   takt ecat dc enp2s0
   takt ecat dc enp2s0 --duration 1min --window 200ns --json
+  takt ecat dc --controller localhost:8080    while the controller runs
   takt ecat dc --config /etc/takt/cell.toml
   takt ecat dc --from run.pcap
 
@@ -32,6 +34,8 @@ Differences are those of register 092Ch, positive where the slave is ahead of th
 pub(crate) struct Dc {
     #[command(flatten)]
     source: Source,
+    #[command(flatten)]
+    remote: Remote,
     /// How long to watch.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = positive_span)]
     duration: Duration,
@@ -51,6 +55,18 @@ pub(crate) struct Dc {
 
 impl Dc {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        if self.remote.is_given() {
+            let report = self.remote.report(self.source.interface.as_deref())?;
+            let (findings, verdict) = controller::verdict(&report);
+            let table = || format!("{}{findings}", controller::dc(&report));
+            let shown = if self.json {
+                report.to_string()
+            } else {
+                table()
+            };
+            say(shown.trim_end())?;
+            return Ok(verdict);
+        }
         if let Some(path) = &self.source.from {
             let read = recording::Recording::read(path)?;
             return recording::dc(&read, self.window).print(self.json, false);

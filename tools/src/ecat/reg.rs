@@ -8,6 +8,7 @@ use takt_cia402::dictionary::DataType;
 use takt_ethercat::AlState;
 use takt_ethercat::master::{JobError, JobKind};
 
+use super::controller::Remote;
 use super::session::{Session, Wire};
 use super::{REQUEST_CYCLE, Target};
 use crate::output::{complain, say};
@@ -24,6 +25,8 @@ use crate::{Verdict, confirm};
 pub(crate) struct Reg {
     #[command(flatten)]
     target: Target,
+    #[command(flatten)]
+    remote: Remote,
     /// The slave: its position from 0, or its name or order code if it is unique.
     slave: String,
     #[command(subcommand)]
@@ -63,6 +66,8 @@ pub(super) enum Action {
     },
 }
 
+/// The error without a length.
+const NO_LEN: &str = "how many bytes?\nhint: give --len or a --type of fixed length";
 /// Longest register access, bytes.
 const LEN_MAX: usize = 128;
 
@@ -75,6 +80,25 @@ fn address(text: &str) -> Result<u16, String> {
 
 impl Reg {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        if self.remote.is_given() {
+            let Action::Read {
+                address,
+                len,
+                data_type,
+                json,
+            } = self.action
+            else {
+                anyhow::bail!("a running controller writes no registers\nhint: stop it first");
+            };
+            let len = len.or_else(|| len_of(data_type)).context(NO_LEN)?;
+            let (segment, what) = (
+                &self.target.interface,
+                format!("reg/{address:04X}?len={len}"),
+            );
+            let bytes = self.remote.read(segment, &self.slave, &what)?;
+            say(&shown(&self.slave, address, &bytes, data_type, json))?;
+            return Ok(Verdict::Good);
+        }
         if let Action::Write { address, yes, .. } = &self.action {
             confirm::change(&format!("this writes register {address:04X}h"), *yes)?;
         }
@@ -107,11 +131,10 @@ pub(super) fn perform<W: Wire>(
             json,
         } => {
             let (at, len) = (*address, len.or_else(|| len_of(*data_type)));
-            let len =
-                len.context("how many bytes?\nhint: give --len or a --type of fixed length")?;
+            let len = len.context(NO_LEN)?;
             let kind = JobKind::ReadRegister { at, len };
             let read = session.request(slave, kind, Vec::with_capacity(LEN_MAX))?;
-            Ok(read.map(|bytes| shown(slave, at, &bytes, *data_type, *json)))
+            Ok(read.map(|bytes| shown(&slave.to_string(), at, &bytes, *data_type, *json)))
         }
         Action::Write {
             address,
@@ -140,7 +163,7 @@ fn len_of(data_type: DataType) -> Option<u16> {
     u16::try_from(bits.div_ceil(8)).ok()
 }
 
-fn shown(slave: usize, at: u16, bytes: &[u8], data_type: DataType, json: bool) -> String {
+fn shown(slave: &str, at: u16, bytes: &[u8], data_type: DataType, json: bool) -> String {
     let value = data_type.show(bytes);
     if !json {
         return format!("{at:04X}h: {value}");
@@ -166,9 +189,9 @@ mod tests {
     #[test]
     fn reg_read_and_write_reach_the_controller() {
         let mut session = up(tree(), AlState::PreOp);
-        let mut perform = |action| super::perform(&mut session, 1, &action).unwrap();
+        let mut performed = |action| perform(&mut session, 1, &action).unwrap();
         assert_eq!(
-            perform(read(0x0130, "u16", None)).unwrap(),
+            performed(read(0x0130, "u16", None)).unwrap(),
             "0130h: 2 (0002h)"
         );
         let write = Action::Write {
@@ -177,9 +200,9 @@ mod tests {
             data_type: DataType::named("u16").unwrap(),
             yes: true,
         };
-        assert_eq!(perform(write).unwrap(), "0420h <- 500 (01F4h)");
+        assert_eq!(performed(write).unwrap(), "0420h <- 500 (01F4h)");
         assert_eq!(
-            perform(read(0x0420, "bytes", Some(2))).unwrap(),
+            performed(read(0x0420, "bytes", Some(2))).unwrap(),
             "0420h: F4 01"
         );
     }

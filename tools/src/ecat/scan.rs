@@ -9,6 +9,7 @@ use takt_ethercat::AlState;
 use takt_ethercat::master::{Event, Master, SlaveView};
 use takt_ethercat::topology::Topology;
 
+use super::controller::{self, Remote};
 use super::session::{Session, Wire};
 use super::{REQUEST_CYCLE, Target};
 use crate::Verdict;
@@ -22,11 +23,14 @@ use crate::output::say;
 #[command(after_help = "Examples:
   takt ecat scan enp2s0
   takt ecat scan enp2s0 --json
+  takt ecat scan enp2s0 --controller localhost:8080    while the controller runs
 
 Ports: the number of a port in use, - without a link, ! with a link while the port is closed.")]
 pub(crate) struct Scan {
     #[command(flatten)]
     target: Target,
+    #[command(flatten)]
+    remote: Remote,
     /// Print one JSON object instead of the tree.
     #[arg(long)]
     json: bool,
@@ -34,6 +38,18 @@ pub(crate) struct Scan {
 
 impl Scan {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        if self.remote.is_given() {
+            let report = self.remote.report(Some(&self.target.interface))?;
+            let (findings, verdict) = controller::verdict(&report);
+            let table = || format!("{}{findings}", controller::scan(&report));
+            let shown = if self.json {
+                report.to_string()
+            } else {
+                table()
+            };
+            say(shown.trim_end())?;
+            return Ok(verdict);
+        }
         let session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
         if self.json {
             say(&object(&session).to_string())?;

@@ -10,6 +10,7 @@ use takt_ethercat::AlState;
 use takt_ethercat::coe::Whole;
 use takt_ethercat::master::{EntryDescription, JobError, JobKind, ObjectDescription};
 
+use super::controller::Remote;
 use super::session::{Session, Wire};
 use super::{REQUEST_CYCLE, Target};
 use crate::output::{complain, say};
@@ -23,10 +24,13 @@ use crate::{Verdict, confirm};
 #[command(after_help = "Examples:
   takt ecat sdo enp2s0 3 list
   takt ecat sdo enp2s0 3 upload 1018:01
+  takt ecat sdo enp2s0 3 upload 6064 --type i32 --controller localhost:8080
   takt ecat sdo enp2s0 EL3104 download 8000:06 true --type bool --yes")]
 pub(crate) struct Sdo {
     #[command(flatten)]
     target: Target,
+    #[command(flatten)]
+    remote: Remote,
     /// The slave: its position from 0, or its name or order code if it is unique.
     slave: String,
     #[command(subcommand)]
@@ -81,6 +85,9 @@ const DESCRIPTION_MAX: usize = 1500;
 
 impl Sdo {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        if self.remote.is_given() {
+            return self.uploaded();
+        }
         if let Action::Download {
             address,
             confirm_motion,
@@ -102,6 +109,35 @@ impl Sdo {
                 Ok(Verdict::Failed)
             }
         }
+    }
+}
+
+impl Sdo {
+    /// An entry through the master of a running controller.
+    fn uploaded(self) -> anyhow::Result<Verdict> {
+        let Action::Upload {
+            address,
+            data_type,
+            complete: false,
+            json,
+        } = self.action
+        else {
+            anyhow::bail!(
+                "through a running controller single entries are read\nhint: stop it first to list or write objects"
+            );
+        };
+        let what = format!("sdo/{:04X}/{:X}", address.index, address.sub);
+        let segment = &self.target.interface;
+        let bytes = self.remote.read(segment, &self.slave, &what)?;
+        let value = data_type.unwrap_or(DataType::OctetString).show(&bytes);
+        if json {
+            let slave = self.slave;
+            let address = address.to_string();
+            say(&json!({ "version": 1, "slave": slave, "address": address, "bytes": bytes, "value": value }).to_string())?;
+        } else {
+            say(&value)?;
+        }
+        Ok(Verdict::Good)
     }
 }
 

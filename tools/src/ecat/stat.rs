@@ -10,6 +10,7 @@ use takt_ethercat::AlState;
 use takt_ethercat::master::{Cable, Event, FrameCounters, Master, PortCounters, SlaveView};
 
 use super::finding::{Finding, nanos, percentiles, verdict, verdict_of};
+use super::controller::{self, Remote};
 use super::session::{Session, Wire};
 use super::{Source, recording, scan};
 use crate::output::{positive_span, say, time};
@@ -23,12 +24,15 @@ use crate::{Verdict, confirm};
 #[command(after_help = "Examples:
   takt ecat stat enp2s0
   takt ecat stat enp2s0 --duration 1min --json
+  takt ecat stat --controller localhost:8080    while the controller runs
   takt ecat stat --config /etc/takt/cell.toml --segment cell1
   takt ecat stat --from fault.pcap
   takt ecat stat enp2s0 --state op --yes    with working counters; all outputs are zero")]
 pub(crate) struct Stat {
     #[command(flatten)]
     source: Source,
+    #[command(flatten)]
+    remote: Remote,
     /// How long to measure.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = positive_span)]
     duration: Duration,
@@ -61,6 +65,18 @@ enum State {
 
 impl Stat {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        if self.remote.is_given() {
+            let report = self.remote.report(self.source.interface.as_deref())?;
+            let (findings, verdict) = controller::verdict(&report);
+            let table = || format!("{}{findings}", controller::stat(&report));
+            let shown = if self.json {
+                report.to_string()
+            } else {
+                table()
+            };
+            say(shown.trim_end())?;
+            return Ok(verdict);
+        }
         if let Some(path) = &self.source.from {
             let report = recording::stat(&recording::Recording::read(path)?);
             return report.print(self.json, self.quiet);
@@ -99,6 +115,8 @@ pub(super) struct Measured {
     /// Round trip times: median, 99th percentile, maximum; `None` if no frame returned.
     round_trip: Option<[Duration; 3]>,
     cables: Vec<String>,
+    /// Faults of slaves that were over before the end, with their times.
+    past: Vec<String>,
 }
 
 impl Measured {
@@ -109,6 +127,7 @@ impl Measured {
     ) -> anyhow::Result<Self> {
         read_counters(session)?;
         session.forget();
+        let begin = session.now()?;
         let (before, misses) = (session.master().frames(), misses(session.master()));
         session.run_for(duration)?;
         let (after, round_trip) = (
@@ -135,6 +154,7 @@ impl Measured {
             misses,
             round_trip,
             cables: cut_cables(session),
+            past: past_faults(session.events(), begin),
         })
     }
 
@@ -157,6 +177,7 @@ impl Measured {
                 .map(Finding::Cut),
         );
         all.extend(master.suspects().into_iter().map(Finding::Suspect));
+        all.extend(self.past.iter().cloned().map(Finding::Failure));
         for slave in slaves(master) {
             let number = slave.number();
             all.extend(slave.fault().map(|fault| Finding::Slave(number, fault)));
@@ -218,6 +239,28 @@ fn cut_cables<W: Wire>(session: &Session<W>) -> Vec<String> {
         }
     }
     cuts
+}
+
+/// Faults of slaves that began and ended in these events, with their times since `begin`.
+pub(super) fn past_faults(events: &[(Duration, Event)], begin: Duration) -> Vec<String> {
+    let mut open: Vec<(Duration, usize, Fault)> = Vec::new();
+    let mut past = Vec::new();
+    let since = |at: Duration| at.saturating_sub(begin).as_secs_f64();
+    for (at, event) in events {
+        if let Event::Fault { slave, fault } = event {
+            open.push((*at, *slave, *fault));
+        }
+        let Event::Reached { slave, .. } = event else {
+            continue;
+        };
+        let ended = open.iter().filter(|(_, it, _)| it == slave);
+        past.extend(ended.map(|(from, slave, fault)| {
+            let (from, to) = (since(*from), since(*at));
+            format!("slave {slave} from {from:.3} s to {to:.3} s: {fault}")
+        }));
+        open.retain(|(_, it, _)| it != slave);
+    }
+    past
 }
 
 /// Whether a port at an end of a cable lost its link, or the slave behind it is offline.

@@ -31,7 +31,7 @@ pub(super) struct Target {
 #[derive(Clone, Debug, Args)]
 pub(super) struct Source {
     /// The network interface, as `ip link` lists it; with `--config` that of the cell.
-    #[arg(value_name = "IFACE", required_unless_present_any = ["from", "config"])]
+    #[arg(value_name = "IFACE", required_unless_present_any = ["from", "config", "controller"])]
     pub(super) interface: Option<String>,
     /// The interface at the other end of a ring; with `--config` that of the cell, if it has a link.
     #[arg(long, value_name = "IFACE", conflicts_with = "from")]

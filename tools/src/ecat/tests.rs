@@ -500,3 +500,26 @@ fn dump_of_damaged_recording_does_not_panic() {
     }
     assert!(broken > 10, "{broken}");
 }
+
+#[test]
+fn stat_fault_that_is_over_says_when() {
+    use takt_ethercat::master::{Event, Fault};
+    let at = |ms: u64| Duration::from_millis(10_000 + ms);
+    let fault = |slave| Event::Fault {
+        slave,
+        fault: Fault::Lost,
+    };
+    let state = AlState::SafeOp;
+    let events = [
+        (at(250), fault(1)),
+        (at(300), fault(2)),
+        (at(1500), Event::Reached { slave: 1, state }),
+    ];
+    let past = stat::past_faults(&events, at(0));
+    assert_eq!(past.len(), 1);
+    let text = &past[0];
+    assert!(
+        text.starts_with("slave 1 from 0.250 s to 1.500 s: lost"),
+        "{text}"
+    );
+}

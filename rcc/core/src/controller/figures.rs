@@ -4,6 +4,7 @@
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use takt_rt::stats::StallReader;
@@ -14,6 +15,7 @@ use crate::controller::driver_log::{DriverReport, EventCounts};
 use crate::controller::faults::{DeviceFault, FaultCounts, StallCause, StallFigures};
 use crate::controller::limited::{self, LimitedInfo};
 use crate::controller::registry::Registry;
+use crate::device::bus::BusAccess;
 use crate::device::driver::DeviceDriver;
 use crate::executor::figures::{NetCounts, budget};
 use crate::executor::thread::NetThread;
@@ -113,6 +115,14 @@ impl Controller {
             .filter_map(|driver| driver.downcast_ref())
             .map(read)
             .collect()
+    }
+
+    /// The buses whose drivers offer access for diagnosis.
+    #[must_use]
+    pub fn buses(&self) -> Vec<Arc<dyn BusAccess>> {
+        let registry = self.inner.lock();
+        let drivers = registry.devices.drivers.iter();
+        drivers.filter_map(|driver| driver.bus()).collect()
     }
 
     /// The UDP addresses at which drivers wait for their robots, by device.

@@ -14,6 +14,7 @@ use takt_rt::servo::Estimate;
 use takt_rt::stats::StallReader;
 use takt_rt::thread::{Thread, ThreadConfig};
 
+use crate::device::bus::BusAccess;
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState};
 use crate::error::Error;
 
@@ -278,6 +279,11 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
 
     /// The oldest event on its wire that was not read yet; `None` if all were read.
     fn poll_event(&self) -> Option<DriverEvent> {
+        None
+    }
+
+    /// Access to its bus for diagnosis; `None` if it offers none.
+    fn bus(&self) -> Option<Arc<dyn BusAccess>> {
         None
     }
 

@@ -6,20 +6,20 @@
 //! any computation. It waits at most half a cycle for the answer, then steps the drives and publishes their state to
 //! nets.
 
+mod access;
 mod arm;
 mod describe;
 mod events;
 mod io;
+mod wires;
 mod youbot;
 
-use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use takt_ethercat::link::{Link, Port};
-use takt_ethercat::linux::PacketLink;
+use takt_ethercat::link::Port;
 use takt_ethercat::master::{Difference, Master, Phase};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Follow, Tick};
@@ -31,16 +31,19 @@ use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
 use crate::config::EthercatConfig;
+use access::{Access, Inspector};
 use arm::Arm;
 pub use describe::{check, describe, master_config};
 use events::SegmentEvent;
 use io::InOut;
 use takt_core::Error;
+use takt_core::device::bus::BusAccess;
 use takt_core::device::driver::{
     DeviceDriver, DriverEnds, DriverEvent, DriverThread, SHUTDOWN_MAX,
 };
 use takt_core::device::link_watch::{LinkErrors, LinkWatch};
 use takt_device_drives as drives;
+pub use wires::{EthernetLink, Wire, Wires, open};
 pub use youbot::{Wait, YouBotFigures};
 use youbot::{Waiting, YouBots};
 
@@ -56,68 +59,6 @@ const EVENTS: usize = 32;
 const REFUSED: Duration = Duration::from_secs(2);
 /// Time slice of each link while waiting for both.
 const TURN: Duration = Duration::from_micros(20);
-
-/// A link that a driver thread can own.
-pub trait EthernetLink: Link + Send + fmt::Debug {}
-
-impl<T: Link + Send + fmt::Debug> EthernetLink for T {}
-
-/// A link and the source address of its frames.
-#[derive(Debug)]
-pub struct Wire {
-    /// The link.
-    pub link: Box<dyn EthernetLink>,
-    /// Its MAC address.
-    pub source: [u8; 6],
-}
-
-/// The wires of a segment: one, or two of a ring.
-#[derive(Debug)]
-pub struct Wires {
-    /// To the first slave.
-    pub first: Wire,
-    /// To the last slave.
-    pub second: Option<Wire>,
-}
-
-impl From<Wire> for Wires {
-    fn from(first: Wire) -> Self {
-        Self {
-            first,
-            second: None,
-        }
-    }
-}
-
-/// How long to detect another master before the first frame: longer than any usual cycle.
-const LISTEN: Duration = Duration::from_millis(60);
-
-/// Opens the network interfaces of a segment, exclusively for this process.
-///
-/// # Errors
-/// If an interface does not exist, access is denied, another Takt process has it, or frames of another master arrive.
-pub fn open(config: &EthercatConfig) -> Result<Wires, Error> {
-    let open = |interface: &String| {
-        let link = PacketLink::open_locked(interface).and_then(|mut link| {
-            link.listen_first(interface, LISTEN)?;
-            Ok(link)
-        });
-        let link = link.map_err(|source| Error::Device {
-            name: config.name.clone(),
-            what: format!("open {interface}"),
-            source,
-        })?;
-        let source = link.mac();
-        Ok(Wire {
-            link: Box::new(link.spinning(config.spin)),
-            source,
-        })
-    };
-    Ok(Wires {
-        first: open(&config.interface)?,
-        second: config.second.as_ref().map(open).transpose()?,
-    })
-}
 
 /// Counters of a running segment that other threads read.
 #[derive(Debug, Default)]
@@ -159,6 +100,8 @@ pub struct Ethercat {
     slaves: Vec<String>,
     waiting: Mutex<LatestReader<Option<Waiting>>>,
     events: Mutex<Consumer<SegmentEvent>>,
+    /// Diagnosis by other threads.
+    access: Arc<Access>,
     /// One per wire.
     links: Vec<LinkWatch>,
     /// Timing of the cycle; its phase error is relative to SYNC0.
@@ -197,6 +140,7 @@ impl Ethercat {
         let slaves = slave_names(&master);
         let (mut recorded, stats) = stats::pair();
         let (own_events, events) = ring(EVENTS_MAX);
+        let (access, inspector) = access::pair(config);
         let phase = config.phase.unwrap_or(config.cycle / 2);
         let mut driver = Box::new(Driver {
             master,
@@ -212,6 +156,7 @@ impl Ethercat {
             shared: Arc::clone(&shared),
             waiting: own_waiting,
             events: own_events,
+            inspector,
             refused: Refused::default(),
             stop_by: None,
         });
@@ -244,6 +189,7 @@ impl Ethercat {
             slaves,
             waiting: Mutex::new(waiting),
             events: Mutex::new(events),
+            access: Arc::new(access),
             links,
             stats,
             thread,
@@ -346,7 +292,13 @@ impl DeviceDriver for Ethercat {
             return Some(event);
         }
         let mut events = self.events.lock().unwrap_or_else(PoisonError::into_inner);
-        events.pop().map(|event| event.event())
+        let event = events.pop()?;
+        self.access.note(&event);
+        Some(event.event())
+    }
+
+    fn bus(&self) -> Option<Arc<dyn BusAccess>> {
+        Some(Arc::clone(&self.access) as Arc<dyn BusAccess>)
     }
 }
 
@@ -377,6 +329,7 @@ struct Driver {
     waiting: LatestWriter<Option<Waiting>>,
     /// Events; unread ones are dropped.
     events: Producer<SegmentEvent>,
+    inspector: Inspector,
     refused: Refused,
     /// Deadline of the shutdown, once requested.
     stop_by: Option<Nanos>,
@@ -523,6 +476,9 @@ impl Driver {
             io.cycle(&mut self.master, tick);
         }
         while let Some(reply) = self.master.poll_reply() {
+            let Some(reply) = self.inspector.handle_reply(reply) else {
+                continue;
+            };
             let mut arms = self.arms.iter_mut();
             let other = arms.try_fold(reply, |reply, arm| arm.handle_reply(reply, tick).err());
             if let Some(reply) = other {
@@ -530,6 +486,7 @@ impl Driver {
             }
         }
         self.youbots.cycle(&mut self.master, tick, stopping);
+        self.inspector.cycle(&mut self.master, tick.scheduled);
         let frames = self.master.frames();
         let shared = &self.shared;
         shared.cycles.store(self.master.cycles(), Ordering::Relaxed);

@@ -2,6 +2,7 @@
 
 pub(super) mod debug;
 mod devices;
+mod ethercat;
 mod eval;
 mod interfaces;
 mod metrics;
@@ -20,7 +21,7 @@ use crate::site::Site;
 
 /// List of the resources, sent with status 404.
 const MAP: &str = "Resources: / /status/ /metrics /stats/ /nets/ /eval/ /sessions/ /types/ \
-    /modules/ /modulesdetails/ /devices/ /extensions/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
+    /modules/ /modulesdetails/ /devices/ /ethercat/ /extensions/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
 
 /// A response, or an error response.
 type Outcome = Result<Response, Response>;
@@ -68,6 +69,11 @@ impl Handler<'_> {
             ("nets", [net], false) => self.net(net),
             ("nets", [net], true) => self.control_net(net),
             ("nets", [net, part], false) => self.net_part(net, part),
+            ("ethercat", [], false) => Ok(self.segments()),
+            ("ethercat", [segment], false) => self.segment(segment),
+            ("ethercat", [segment, slave, kind, rest @ ..], false) => {
+                self.slave_part(segment, slave, kind, rest)
+            }
             ("eval", [], true) => self.evaluate(),
             ("sessions", [], false) => Ok(self.sessions()),
             ("sessions", [], true) => self.open_session(),
@@ -84,7 +90,8 @@ impl Handler<'_> {
             ("devices", [device, interface], post) => self.interface(device, interface, post),
             ("eval", [], false)
             | (
-                "" | "types" | "modules" | "modulesdetails" | "status" | "metrics" | "log",
+                "" | "types" | "modules" | "modulesdetails" | "status" | "metrics" | "log"
+                | "ethercat",
                 _,
                 true,
             ) => Err(Response::text(

@@ -6,6 +6,7 @@ const KNOWN_CLIENT: &str = "GET /DirectIO/ HTTP/1.1\r\nHost: h\r\nUpgrade: webso
     Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
 
 mod access;
+mod ethercat;
 mod metrics;
 mod resources;
 

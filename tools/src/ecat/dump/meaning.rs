@@ -6,6 +6,7 @@ use std::fmt::Write as _;
 
 use takt_cia402::dictionary::DataType;
 use takt_ethercat::coe::{Information, Sdo, Whole};
+use takt_ethercat::foe::Foe;
 use takt_ethercat::{
     Address, AlStatus, AlStatusCode, CoeService, Command, Datagram, Emergency, MailboxError,
     MailboxHeader, MailboxKind, SyncManager, register,
@@ -362,14 +363,34 @@ fn mailbox(data: &[u8], known: bool) -> Option<String> {
     let text = match header.kind {
         MailboxKind::Coe => coe(rest)?,
         MailboxKind::Error => MailboxError::decode(rest)?.to_string(),
-        MailboxKind::Aoe
-        | MailboxKind::Eoe
-        | MailboxKind::Foe
-        | MailboxKind::Soe
-        | MailboxKind::Voe
-        | MailboxKind::Other(_) => bytes(rest),
+        MailboxKind::Foe => Foe::decode(rest)?.to_string(),
+        MailboxKind::Eoe => eoe(rest)?,
+        MailboxKind::Aoe | MailboxKind::Soe | MailboxKind::Voe | MailboxKind::Other(_) => {
+            bytes(rest)
+        }
     };
     Some(format!("{} #{counter} {text}", header.kind))
+}
+
+/// EoE (ETG.1000.6, clause 5.9): type in bits 0 to 3, last fragment in bit 8; then the number of the fragment in bits 0 to 5
+/// and that of the frame in 12 to 15, or a result.
+fn eoe(rest: &[u8]) -> Option<String> {
+    let ([kind, flags, low, high], data) = rest.split_first_chunk()?;
+    let word = u16::from_le_bytes([*low, *high]);
+    Some(match kind & 0x0F {
+        0 => {
+            let last = if flags & 1 == 1 { ", last" } else { "" };
+            let (fragment, frame, len) = (word & 0x3F, word >> 12, data.len());
+            format!("Ethernet frame {frame}, fragment {fragment}{last}, {len} bytes")
+        }
+        2 => format!("set address {}", bytes(data)),
+        3 => format!("address set, result {word:04X}h"),
+        4 => "set filter".to_owned(),
+        5 => format!("filter set, result {word:04X}h"),
+        6 => "read address".to_owned(),
+        7 => format!("address {}", bytes(data)),
+        other => format!("type {other} {}", bytes(data)),
+    })
 }
 
 fn coe(rest: &[u8]) -> Option<String> {

@@ -96,6 +96,9 @@ struct SlavePlan {
     product: Option<u32>,
     /// The name in its SII.
     name: Option<String>,
+    /// Whether it has FoE and BOOT; devices have them as the real ones do.
+    #[serde(default)]
+    files: bool,
     /// Outputs and inputs of a terminal of a cell.
     #[serde(skip)]
     channels: [Vec<(u16, u8, u8, u8)>; 2],
@@ -125,6 +128,7 @@ impl SlavePlan {
             vendor: None,
             product: None,
             name: None,
+            files: false,
             channels: [const { Vec::new() }; 2],
             drift_ppm: 0.0,
         }
@@ -169,6 +173,9 @@ impl SlavePlan {
                 drive(ServoConfig::with_axes(axes), strict, emulation)?
             }
         };
+        if self.files {
+            slave = slave.with_files();
+        }
         self.customize(&mut slave);
         Ok(slave)
     }
