@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV4};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use takt_link::linux::Sniffer;
 use takt_link::linux::host::{Address, Transport, addresses, has_route, is_port_taken, list};
@@ -21,28 +21,9 @@ const KINDS_MAX: usize = 64;
 /// Unanswered ARP requests after which an address counts as unassigned.
 const UNANSWERED: u32 = 2;
 
-/// How often [`analyse`] polls the captured packets.
-const POLL_EVERY: Duration = Duration::from_millis(50);
-
-/// Captures packets for a while and returns why no measurement arrives at `listen`. `refusal` is the error of the last
-/// datagram that arrived there and was rejected, if any did. It blocks for `capture`: not for a real-time thread.
-///
-/// A controller that gets no answer to its ARP requests repeats them every second: capture for three seconds.
-pub fn analyse(listen: SocketAddr, capture: Duration, refusal: Option<DatagramError>) -> Cause {
-    let mut watch = Watch::new(listen);
-    let until = Instant::now() + capture;
-    loop {
-        watch.poll();
-        let left = until.saturating_duration_since(Instant::now());
-        if left.is_zero() {
-            return watch.cause(refusal);
-        }
-        std::thread::sleep(left.min(POLL_EVERY));
-    }
-}
-
-/// Captures packets while no measurement arrives at an address. Drop it as soon as one does: each packet of the host costs
-/// a copy.
+/// Captures packets while no measurement arrives at an address; then [`cause`](Self::cause) says why. A controller that gets
+/// no answer to its ARP requests repeats them every second: capture for three. Drop it as soon as a measurement arrives:
+/// each packet of the host costs a copy.
 #[derive(Debug)]
 pub struct Watch {
     listen: SocketAddr,
@@ -73,7 +54,8 @@ impl Watch {
         sniffer.poll(|kind, packet| evidence.handle_packet(kind, packet));
     }
 
-    /// Why nothing arrives, by what was captured so far; `refusal` as in [`analyse`].
+    /// Why nothing arrives, by what was captured so far. `refusal` is the error of the last datagram that arrived there and
+    /// was rejected, if any did.
     pub fn cause(&self, refusal: Option<DatagramError>) -> Cause {
         let is_taken = |port| is_port_taken(Transport::Udp, port);
         self.evidence

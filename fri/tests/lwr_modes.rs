@@ -7,7 +7,7 @@
 use std::time::Duration;
 use takt_fri::guard::Guard;
 use takt_fri::lwr::emulator::{Contact, ExitReason, Krc, KrcConfig, Script, Shape, Stiffness};
-use takt_fri::lwr::wire::{Cmd, CmdFlags, Control, Msr, State};
+use takt_fri::lwr::wire::{Cmd, CmdFlags, Control, Msr, Quality, State};
 use takt_fri::lwr::{
     AXES, Dialog, DialogError, Fields, JOINT_NAMES, Load, Progress, Protocol, Request, Session,
     SessionConfig, Settings,
@@ -646,4 +646,61 @@ fn dialog_wrong_program_times_out() {
         error.to_string(),
         "no reaction of the KRL program (tum) for 10 s while waiting for TO_BOOL[1]: check that it runs and uses these indices"
     );
+}
+
+#[test]
+fn stanford_program_waits_for_ok_announces_close() {
+    let mut pair = Pair::new(KrcConfig {
+        script: Script::Handshake(Protocol::Stanford),
+        ..KrcConfig::default()
+    });
+    pair.krc.faults_mut().quality = Some(Quality::Bad);
+    pair.run(2);
+    // FRM_INT[16] requests friStart.
+    let krl = pair.session.krl_mut();
+    (krl.int[14], krl.int[15]) = (10, 10);
+    pair.run(300);
+    assert_eq!(pair.msr().interface.state, State::Mon);
+    pair.krc.faults_mut().quality = None;
+    pair.run(300);
+    assert_eq!(pair.msr().interface.state, State::Cmd);
+    assert_eq!(pair.msr().krl.int[15], 20);
+    // A client closes by the number that the program announces in TO_INT[15].
+    let close = pair.msr().krl.int[14];
+    assert_eq!(close, 30);
+    pair.session.krl_mut().int[15] = close;
+    pair.run(10);
+    assert_eq!(pair.msr().interface.state, State::Mon);
+    assert_eq!(pair.msr().krl.int[15], 30);
+}
+
+#[test]
+fn lwr_measures_weight_and_moment_of_tool() {
+    let config = KrcConfig {
+        joints: JOINTS,
+        tool_m: [0.0, 0.0, 0.1],
+        ..KrcConfig::default()
+    };
+    let tip = Krc::new(config.clone(), Duration::ZERO).tip();
+    let contact = Contact {
+        shape: Shape::Spring,
+        point: [tip[0] + 0.01, tip[1], tip[2]],
+        normal: [1.0, 0.0, 0.0],
+        stiffness: 1_000.0,
+        damping: 50.0,
+    };
+    let mut pair = Pair::new(KrcConfig {
+        contact: Some(contact),
+        ..config
+    });
+    pair.run(10);
+    let msr = pair.msr();
+    assert!((msr.external_wrench[0] - 10.0).abs() < 0.1, "{msr}");
+    let moment: f32 = msr.external_wrench[3..].iter().map(|it| it.abs()).sum();
+    assert!(moment > 0.1, "{:?}", msr.external_wrench);
+    assert!(msr.gravity[1].abs() > 5.0, "{:?}", msr.gravity);
+    for joint in 0..AXES {
+        let rest = msr.measured_torque[joint] - msr.gravity[joint];
+        assert!((rest + msr.external_torque[joint]).abs() < 1e-3);
+    }
 }

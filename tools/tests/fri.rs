@@ -312,6 +312,123 @@ fn krc_with_handshake_starts_on_request_only() {
     );
 }
 
+/// A loopback address and port that nothing has.
+fn free_address() -> String {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.local_addr().unwrap().to_string()
+}
+
+#[test]
+fn stat_started_after_controller_is_good() {
+    steady(|| {
+        let _alone = alone();
+        let address = free_address();
+        for robot in ["lwr", "iiwa"] {
+            let words = ["emulate", robot, "--connect", &address, "--period", "10ms"];
+            let mut arm = Process::start(&words);
+            arm.wait_for("from 127.0.0.1:");
+            let words = [
+                "fri",
+                "stat",
+                "--listen",
+                &address,
+                "--duration",
+                "2s",
+                "--json",
+            ];
+            let (lines, status) = Process::start(&words).end();
+            assert_eq!(status, Some(0), "{lines:#?}");
+            let report = report(&lines);
+            let connection = &report["connections"][0];
+            assert_eq!(connection["verdict"], "good", "{report}");
+            assert!(connection["wake_up_us"]["p50"].as_f64().unwrap() > 0.0);
+            arm.kill();
+        }
+    });
+}
+
+#[test]
+fn client_connected_to_robot_receives_messages() {
+    let _alone = alone();
+    // As a client of KUKA does: it receives from the address of the robot alone.
+    let client = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let robot = UdpSocket::bind("127.0.0.2:0")
+        .unwrap()
+        .local_addr()
+        .unwrap();
+    client.connect(robot).unwrap();
+    client
+        .set_read_timeout(Some(Duration::from_secs(60)))
+        .unwrap();
+    let (target, bind) = (client.local_addr().unwrap().to_string(), robot.to_string());
+    let mut words = vec!["emulate", "iiwa", "--connect", &target, "--bind", &bind];
+    words.extend([
+        "--input",
+        "Media.Key=true",
+        "--output",
+        "Media.Count=3",
+        "--frame",
+        "Tool",
+    ]);
+    let mut arm = Process::start(&words);
+    let mut bytes = [0; 1_500];
+    let mut next = || {
+        let len = client.recv(&mut bytes).unwrap();
+        takt_fri::sunrise::wire::Monitoring::decode(&bytes[..len]).unwrap()
+    };
+    let message = next();
+    let ios = message.monitor.unwrap().ios;
+    let names: Vec<_> = ios.iter().map(|io| io.name.to_string()).collect();
+    assert_eq!(names, ["Media.Key", "Media.Count"]);
+    assert!(message.requested.iter().next().unwrap().name.is("Tool"));
+    // It handles signals once it prints its state.
+    arm.wait_for("MONITORING_WAIT");
+    for _ in 0..300 {
+        next();
+    }
+    arm.terminate();
+    // The last message says that the session is closed.
+    while next().state() != takt_fri::sunrise::wire::SessionState::Idle {}
+    assert_eq!(arm.end().1, Some(0));
+}
+
+#[test]
+fn fri_move_names_wrong_overlay_at_once() {
+    let _alone = alone();
+    let (process, address) = listening(&["move", "--joint", "1", "--by", "5deg", "--yes"]);
+    let _arm = Process::start(&[
+        "emulate",
+        "iiwa",
+        "--connect",
+        &address,
+        "--overlay",
+        "wrench",
+    ]);
+    let (lines, status) = process.end();
+    assert_eq!(status, Some(1), "{lines:#?}");
+    let says = |text: &str| lines.iter().any(|line| line.contains(text));
+    assert!(
+        says("the overlay of the robot program accepts wrench"),
+        "{lines:#?}"
+    );
+}
+
+#[test]
+fn cut_recording_is_judged_up_to_the_cut() {
+    let folder = Folder::new();
+    let path = folder.file("cut.pcap");
+    let whole = recording(Duration::from_micros(50));
+    std::fs::write(&path, &whole[..whole.len() - 400]).unwrap();
+    let output = run(&["fri", "stat", "--from", &path, "--quiet"]);
+    let text = expect_status(&output, 0);
+    assert_eq!(text, "192.168.0.20:49152 > 192.168.0.5:49938: good\n");
+    assert!(
+        complaint(&output).starts_with("note: "),
+        "{}",
+        complaint(&output)
+    );
+}
+
 /// 500 measurements of an emulated arm in virtual time, and their answers `late` after them.
 fn recording(late: Duration) -> Vec<u8> {
     let (robot, host) = ("192.168.0.20:49152", "192.168.0.5:49938");
@@ -356,7 +473,11 @@ fn recordings_are_judged_as_live_connections_are() {
     let late: Value = serde_json::from_str(&late).unwrap();
     let connection = &late["connections"][0];
     let verdict = connection["verdict"].as_str().unwrap();
-    assert!(verdict.starts_with("this host is late: 100.0 %"), "{late}");
+    let expected = "this host answers late: 100.0 % of answers";
+    assert!(verdict.starts_with(expected), "{late}");
+    let timeline = connection["timeline"].as_array().unwrap();
+    assert_eq!(timeline[0]["state"], "MON", "{late}");
+    assert!(timeline.iter().any(|it| it["state"] == "CMD"), "{late}");
     assert_eq!(connection["latency_us"], Value::Null);
     let path = folder.file("good.pcap");
     let shown = run(&["fri", "monitor", "--from", &path, "--count", "2"]);

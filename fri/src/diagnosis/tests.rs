@@ -404,7 +404,7 @@ fn observer_zero_counters_prove_no_reception() {
 }
 
 #[test]
-fn observer_start_after_controller_is_nobodys_fault() {
+fn observer_start_after_controller_has_good_verdict() {
     let verdict = run(|i, _| (true, (i >= 300).then_some(US * 50)));
     assert_eq!(verdict, Verdict::Good);
 }

@@ -56,11 +56,16 @@ pub(crate) struct Body {
     /// Flange pose at `joints`.
     pose: Pose,
     jacobian: Jacobian,
-    /// What the flange touches.
+    /// What the tip of the tool touches.
     pub(crate) contact: Option<Contact>,
+    /// Tip of the tool in the frame of the flange, m.
+    pub(crate) tool: [f64; 3],
     /// External force on the flange, N, in the base frame.
     force: [f64; 3],
+    /// Its moment about the flange, Nm.
+    moment: [f64; 3],
     external: Joints,
+    /// Of the drives, Nm, without gravity.
     torque: Joints,
 }
 
@@ -75,7 +80,9 @@ impl Body {
             pose,
             jacobian,
             contact: None,
+            tool: [0.0; 3],
             force: [0.0; 3],
+            moment: [0.0; 3],
             external: [0.0; AXES],
             torque: [0.0; AXES],
         }
@@ -145,14 +152,17 @@ impl Body {
     fn touch(&mut self) {
         (self.pose, self.jacobian) = self.chain.jacobian(&self.joints);
         let Some(contact) = self.contact else {
-            (self.force, self.external) = ([0.0; 3], [0.0; AXES]);
+            (self.force, self.moment) = ([0.0; 3], [0.0; 3]);
+            self.external = [0.0; AXES];
             return;
         };
-        let [x, y, z, ..] = self.jacobian.times(&self.speed);
-        let velocity = Vector3::new(x, y, z);
-        self.force = contact.force(&self.pose.position, &velocity).into();
-        let [x, y, z] = self.force;
-        self.external = self.jacobian.torques(&[x, y, z, 0.0, 0.0, 0.0]);
+        let [x, y, z, a, b, c] = self.jacobian.times(&self.speed);
+        let lever = self.pose.rotation * Vector3::from(self.tool);
+        let velocity = Vector3::new(x, y, z) + Vector3::new(a, b, c).cross(&lever);
+        let force = contact.force(&(self.pose.position + lever), &velocity);
+        (self.force, self.moment) = (force.into(), lever.cross(&force).into());
+        let ([x, y, z], [a, b, c]) = (self.force, self.moment);
+        self.external = self.jacobian.torques(&[x, y, z, a, b, c]);
     }
 
     fn joint(&self, set_point: &Joints, law: &Law) -> Joints {
@@ -208,9 +218,15 @@ impl Body {
         self.joints
     }
 
-    /// Measured joint torques, Nm, without gravity.
-    pub(crate) fn torque(&self) -> Joints {
-        self.torque
+    /// Joint torques that hold the arm's own weight, Nm.
+    pub(crate) fn gravity(&self) -> Joints {
+        self.chain.gravity(&self.joints)
+    }
+
+    /// Measured joint torques, Nm: what the sensors between drives and links read, the arm's own weight included.
+    pub(crate) fn measured_torque(&self) -> Joints {
+        let gravity = self.gravity();
+        std::array::from_fn(|joint| self.torque[joint] + gravity[joint])
     }
 
     /// External joint torques, Nm.
@@ -221,6 +237,16 @@ impl Body {
     /// External force on the flange, N, in the base frame.
     pub(crate) fn force(&self) -> [f64; 3] {
         self.force
+    }
+
+    /// Moment of that force about the flange in the base frame, about x, y and z, Nm.
+    pub(crate) fn moment(&self) -> [f64; 3] {
+        self.moment
+    }
+
+    /// Tip of the tool in the base frame, m.
+    pub(crate) fn tip(&self) -> [f64; 3] {
+        (self.pose.position + self.pose.rotation * Vector3::from(self.tool)).into()
     }
 
     /// Flange pose.
@@ -349,6 +375,31 @@ mod tests {
     }
 
     #[test]
+    fn body_tool_contact_has_moment_about_flange() {
+        let mut body = body();
+        body.tool = [0.0, 0.0, 0.1];
+        body.contact = Some(Contact {
+            point: body.tip(),
+            shape: Shape::Spring,
+            ..table(&body, 20_000.0)
+        });
+        let mut lower = Q;
+        lower[1] += 0.01;
+        for _ in 0..1000 {
+            body.advance(&lower, &Law::Position, 0.001);
+        }
+        let (force, moment) = (body.force(), body.moment());
+        let lever = Vector3::from(body.tip()) - body.pose().position;
+        assert!((lever.norm() - 0.1).abs() < 1e-9);
+        let expected = lever.cross(&Vector3::from(force));
+        assert!((Vector3::from(moment) - expected).norm() < 1e-9);
+        assert!(expected.norm() > 1.0, "{expected}");
+        let measured = body.measured_torque();
+        assert!((measured[1] - body.torque[1] - body.gravity()[1]).abs() < 1e-9);
+        assert!(body.gravity()[1].abs() > 10.0);
+    }
+
+    #[test]
     fn body_position_control_stays_stiff() {
         let mut body = body();
         body.contact = Some(table(&body, 20_000.0));
@@ -358,9 +409,9 @@ mod tests {
             body.advance(&lower, &Law::Position, 0.001);
         }
         assert!((body.joints()[1] - lower[1]).abs() < 1e-9);
-        assert!(body.force()[2] > 50.0 && body.torque()[1] > 20.0);
+        assert!(body.force()[2] > 50.0 && body.torque[1] > 20.0);
         body.freeze();
-        assert!(body.torque()[1].abs() < 1e-12);
+        assert!(body.torque[1].abs() < 1e-12);
     }
 
     #[test]

@@ -60,23 +60,31 @@ pub(crate) struct Chain {
     links: [f64; 4],
     /// Sense of each axis against z for roll and y for pitch axes.
     signs: [f64; AXES],
+    /// Masses of upper arm, forearm and hand, kg, in the middle of their links. The data sheets give the whole arm's; the
+    /// shares are an *assumption*.
+    masses: [f64; 3],
 }
+
+/// Of the earth, m/s2.
+const GRAVITY: f64 = 9.81;
 
 impl Chain {
     /// LWR 4+.
     pub(crate) const LWR: Self = Self {
         links: [0.3105, 0.400, 0.390, 0.078],
         signs: [1.0, -1.0, 1.0, 1.0, 1.0, -1.0, 1.0],
+        masses: [5.0, 4.0, 2.0],
     };
     /// LBR iiwa 7 R800 with its basic media flange.
-    pub(crate) const IIWA7: Self = Self::iiwa(0.340, 0.400);
+    pub(crate) const IIWA7: Self = Self::iiwa(0.340, 0.400, [7.0, 5.0, 3.0]);
     /// LBR iiwa 14 R820 with its basic media flange.
-    pub(crate) const IIWA14: Self = Self::iiwa(0.360, 0.420);
+    pub(crate) const IIWA14: Self = Self::iiwa(0.360, 0.420, [9.0, 6.0, 4.0]);
 
-    const fn iiwa(base: f64, upper: f64) -> Self {
+    const fn iiwa(base: f64, upper: f64, masses: [f64; 3]) -> Self {
         Self {
             links: [base, upper, 0.400, 0.126],
             signs: [1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0],
+            masses,
         }
     }
 
@@ -109,6 +117,24 @@ impl Chain {
     pub(crate) fn forward(&self, joints: &[f64; AXES]) -> Pose {
         let (columns, position, _) = self.axes(joints);
         Pose::new(&columns, position)
+    }
+
+    /// Joint torques that hold the arm's own weight, Nm.
+    pub(crate) fn gravity(&self, joints: &[f64; AXES]) -> [f64; AXES] {
+        let (_, flange, axes) = self.axes(joints);
+        let [shoulder, elbow, wrist] = [1, 3, 5].map(|axis: usize| axes[axis].0);
+        // Each mass loads the axes before its end.
+        let loads = [(shoulder, elbow, 3), (elbow, wrist, 5), (wrist, flange, 7)];
+        let mut torques = [0.0; AXES];
+        for ((from, to, count), mass) in loads.iter().zip(self.masses) {
+            let centre = sum(from, 0.5, to, 0.5);
+            for (torque, (origin, [a, b, _])) in torques.iter_mut().zip(axes).take(*count) {
+                let [x, y, _] = sum(&centre, 1.0, &origin, -1.0);
+                // About the axis: the lever times the force that lifts the mass.
+                *torque += (a * y - b * x) * mass * GRAVITY;
+            }
+        }
+        torques
     }
 
     pub(crate) fn jacobian(&self, joints: &[f64; AXES]) -> (Pose, Jacobian) {
@@ -153,6 +179,32 @@ mod tests {
     use super::*;
 
     const Q: [f64; AXES] = [0.3, -0.4, 0.5, 1.1, -0.7, 0.8, 0.9];
+
+    #[test]
+    fn chain_gravity_loads_levers_alone() {
+        for chain in [Chain::LWR, Chain::IIWA7, Chain::IIWA14] {
+            let upright = chain.gravity(&[0.0; AXES]);
+            assert!(
+                upright.iter().all(|torque| torque.abs() < 1e-9),
+                "{upright:?}"
+            );
+            // Stretched out to the side by the shoulder alone.
+            let mut joints = [0.0; AXES];
+            joints[1] = std::f64::consts::FRAC_PI_2;
+            let torques = chain.gravity(&joints);
+            let [_, upper, fore, hand] = chain.links;
+            let [a, b, c] = chain.masses;
+            let levers =
+                a * upper / 2.0 + b * (upper + fore / 2.0) + c * (upper + fore + hand / 2.0);
+            assert!(
+                (torques[1].abs() - levers * GRAVITY).abs() < 1e-9,
+                "{torques:?}"
+            );
+            assert!(torques[0].abs() < 1e-9 && torques[3].abs() > 1.0);
+            // The potential energy falls that way: holding it takes a torque against it.
+            assert!(torques[1] * chain.signs[1] * joints[1] * chain.signs[1] < 0.0);
+        }
+    }
 
     #[test]
     fn chain_forward_stretched_and_right_angle() {

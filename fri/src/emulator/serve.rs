@@ -15,7 +15,8 @@ const WAIT_MAX: Duration = Duration::from_millis(50);
 const BUFFER_LEN: usize = 1501;
 
 /// Serves `controller` on `link` until `stop`, on the clock [`monotonic`], which must also have given its start. A late
-/// host skips to the grid. After the first cycle nothing is allocated.
+/// host skips to the grid. After the first cycle nothing is allocated. At the end a cabinet closes
+/// its session and sends IDLE.
 ///
 /// The wait for answers ends at the next deadline of the grid: it uses the same high-resolution timer as an absolute
 /// sleep, and its length is computed from the grid each time, so nothing accumulates.
@@ -43,6 +44,17 @@ pub fn serve<C: Served, L: Link>(
             receive(controller, link, wait.min(WAIT_MAX))?;
         }
     }
+    controller.close();
+    // The last datagram is due with the next cycle, at most 100 ms from now.
+    loop {
+        let wait = controller.due().saturating_sub(monotonic()?);
+        if wait.is_zero() {
+            break;
+        }
+        receive(controller, link, wait)?;
+    }
+    transmit(controller, link, monotonic()?)?;
+    status.publish(controller);
     Ok(())
 }
 

@@ -1,9 +1,10 @@
 //! Implements the shared status for the controllers of both generations. Both have the same accessor names; only types
 //! and the name of the return line differ. No behaviour.
 
-/// Implements [`Served`](crate::emulator::Served); `$code` is the wire type of codes, `$back` the faults of answers.
+/// Implements [`Served`](crate::emulator::Served); `$code` is the wire type of codes, `$back` the faults of answers, `$close`
+/// ends the connection.
 macro_rules! served {
-    ($controller:ty, $state:ty, $quality:ty, $reason:ty, $code:ty, $back:ident) => {
+    ($controller:ty, $state:ty, $quality:ty, $reason:ty, $code:ty, $back:ident, $close:expr) => {
         impl crate::emulator::Served for $controller {
             type State = $state;
             type Quality = $quality;
@@ -54,6 +55,11 @@ macro_rules! served {
 
             fn switch(&mut self, power: bool) {
                 self.set_power(power);
+            }
+
+            fn close(&mut self) {
+                let close: fn(&mut Self) = $close;
+                close(self);
             }
 
             fn lines(&mut self) -> [&mut crate::emulator::LineFaults; 2] {

@@ -54,6 +54,9 @@ pub trait Served {
     fn last_exit(&self) -> Option<Self::ExitReason>;
     #[doc(hidden)]
     fn switch(&mut self, power: bool);
+    /// Ends the connection, as the robot program does; the last datagram of a cabinet reports it.
+    #[doc(hidden)]
+    fn close(&mut self);
     #[doc(hidden)]
     fn lines(&mut self) -> [&mut LineFaults; 2];
 }

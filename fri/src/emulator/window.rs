@@ -88,9 +88,13 @@ impl Window {
         self.missed
     }
 
-    /// Quality by the thresholds, from 0 (worst) to 3: the codes of both generations.
+    /// Quality by the thresholds, from 0 (worst) to 3: the codes of both generations. Without any answer it is 0, however
+    /// tolerant the thresholds are.
     pub(crate) fn rank(&self, timing: &Timing) -> u8 {
         let rate = self.answer_rate();
+        if self.latencies().next().is_none() {
+            return 0;
+        }
         let reached = |threshold: f64| u8::from(rate >= threshold);
         [timing.bad_from, timing.ok_from, timing.perfect_from]
             .map(reached)
@@ -149,6 +153,17 @@ mod tests {
                 "{answered}"
             );
         }
+    }
+
+    #[test]
+    fn window_without_answers_has_lowest_quality() {
+        let tolerant = Timing {
+            bad_from: 0.0,
+            ok_from: 0.0,
+            ..Timing::default()
+        };
+        assert_eq!(window(0).rank(&tolerant), 0);
+        assert_eq!(window(1).rank(&tolerant), 2);
     }
 
     #[test]

@@ -62,9 +62,11 @@ fn receive<S: SockaddrLike>(
     let fd = socket.as_raw_fd();
     let received = recvmsg::<S>(fd, &mut parts, Some(&mut control.0), MsgFlags::empty())?;
     let mut stamps = received.cmsgs().into_iter().flatten();
-    let stamp = stamps.find_map(|message| match message {
-        ControlMessageOwned::ScmTimestampns(stamp) => Some(Duration::from(stamp)),
-        _ => None,
+    let stamp = stamps.find_map(|message| {
+        let ControlMessageOwned::ScmTimestampns(stamp) = message else {
+            return None;
+        };
+        Some(Duration::from(stamp))
     });
     let (len, from) = (received.bytes, received.address);
     Ok((len, from, arrival(stamp)?))
@@ -107,6 +109,10 @@ mod tests {
     use std::net::{Ipv4Addr, UdpSocket};
 
     #[test]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "time passes between arrival and reading"
+    )]
     fn stamp_is_arrival_not_reading() {
         let receiver = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let sender = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();

@@ -6,15 +6,18 @@ use std::time::Duration;
 
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
-use takt_fri::sunrise::DEFAULT_PORT;
 use takt_fri::sunrise::emulator::{
-    Cabinet, CabinetConfig, Control, Faults, Limits, Overlay, Program, Robot as Arm, Timing,
+    Cabinet, CabinetConfig, Control, Faults, Io, Limits, Overlay, Program, Robot as Arm, Timing,
 };
-use takt_fri::sunrise::wire::{CommandMode, Dialect, OperationMode};
+use takt_fri::sunrise::wire::{
+    CommandMode, Dialect, IOS_MAX, IoDirection, Name, OperationMode, TRANSFORMATIONS_MAX,
+};
+use takt_fri::sunrise::{DEFAULT_PORT, IoLevel};
 
 use super::Robot;
 use super::knobs::{Knobs, MISSES_MAX};
 use super::lwr::Strategy;
+use super::robot::connect;
 use crate::Verdict;
 use crate::output::{say, span_of_ms};
 
@@ -49,6 +52,22 @@ pub(crate) struct Iiwa {
     /// Operation mode at the smartPAD; in T1 the flange is limited to 250 mm/s.
     #[arg(long, value_enum, default_value = "aut")]
     mode: Mode,
+    /// An input that the robot program shares, read by the client; up to 10 inputs and outputs. Its type is that of the
+    /// value: `Media.Key=true` is boolean, `Media.Count=3` digital, `Media.Level=0.5` analogue.
+    #[arg(long = "input", value_name = "GROUP.NAME=VALUE", value_parser = shared)]
+    inputs: Vec<Shared>,
+    /// An output that the client may write, with its value at the start, as for --input.
+    #[arg(long = "output", value_name = "GROUP.NAME=VALUE", value_parser = shared)]
+    outputs: Vec<Shared>,
+    /// A frame that the robot program requests of the client; up to 5.
+    #[arg(long = "frame", value_name = "NAME", value_parser = frame)]
+    frames: Vec<String>,
+    /// How long quality must be GOOD before the session leaves MONITORING_WAIT.
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = span)]
+    monitoring_wait: Duration,
+    /// How long COMMANDING_WAIT lasts at least.
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = span)]
+    commanding_wait: Duration,
     #[command(flatten)]
     knobs: Knobs,
 }
@@ -75,6 +94,53 @@ enum Mode {
     T2,
     /// Automatic.
     Aut,
+}
+
+/// An input or output as an option value.
+#[derive(Clone, Debug, PartialEq)]
+struct Shared {
+    name: String,
+    level: IoLevel,
+}
+
+impl Shared {
+    fn io(&self, direction: IoDirection) -> Io {
+        Io {
+            name: self.name.clone(),
+            direction,
+            level: self.level,
+        }
+    }
+}
+
+/// Reads an input or output with its value.
+fn shared(text: &str) -> Result<Shared, String> {
+    let example =
+        "write a name and a value, such as Media.Lamp=false, Media.Count=3 or Media.Level=0.5";
+    let (name, value) = text
+        .split_once('=')
+        .ok_or_else(|| format!("`{text}`: {example}"))?;
+    let level = match value {
+        "true" => Some(IoLevel::Boolean(true)),
+        "false" => Some(IoLevel::Boolean(false)),
+        number => {
+            let digital = number.parse().map(IoLevel::Digital).ok();
+            let analog = number.parse().ok().filter(|value: &f64| value.is_finite());
+            digital.or_else(|| analog.map(IoLevel::Analog))
+        }
+    };
+    let level = level.ok_or_else(|| format!("`{value}` is no value: {example}"))?;
+    let name = frame(name)?;
+    Ok(Shared { name, level })
+}
+
+/// Reads a name of an input, output or frame.
+fn frame(name: &str) -> Result<String, String> {
+    if name.is_empty() || Name::new(name).is_none() {
+        let most = Name::LEN_MAX;
+        return Err(format!("`{name}` is no name: it has 1 to {most} bytes"));
+    }
+    Ok(name.to_owned())
 }
 
 /// Pause of the robot program after a motion has ended.
@@ -123,9 +189,11 @@ impl ValueEnum for Model {
 impl Iiwa {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let config = self.config()?;
-        let robot = Robot::launch("cabinet", self.connect, |start| Cabinet::new(config, start))?;
+        let link = connect(self.knobs.bind, self.connect, DEFAULT_PORT)?;
+        let local = link.local_addr()?;
+        let robot = Robot::launch("cabinet", link, |start| Cabinet::new(config, start))?;
         say(&format!(
-            "iiwa sends messages to {} every {:?}",
+            "iiwa sends messages to {} every {:?}, from {local}",
             self.connect, self.period
         ))?;
         robot.watch(self.knobs.duration)
@@ -165,13 +233,45 @@ impl Iiwa {
                 ..Faults::default()
             },
             seed: self.knobs.seed,
+            ios: self.ios()?,
+            requested_frames: self.frames()?,
+            monitoring_wait: self.monitoring_wait,
+            commanding_wait: self.commanding_wait,
+            tool_m: self.knobs.tool_m(),
             ..CabinetConfig::default()
         };
-        let flange = Cabinet::new(config.clone(), Duration::ZERO).flange();
+        let tip = Cabinet::new(config.clone(), Duration::ZERO).tip();
         Ok(CabinetConfig {
-            contact: self.knobs.contact(flange),
+            contact: self.knobs.contact(tip),
             ..config
         })
+    }
+
+    /// Inputs and outputs that the robot program shares.
+    fn ios(&self) -> anyhow::Result<Vec<Io>> {
+        let inputs = self.inputs.iter().map(|it| it.io(IoDirection::Input));
+        let outputs = self.outputs.iter().map(|it| it.io(IoDirection::Output));
+        let ios: Vec<_> = inputs.chain(outputs).collect();
+        let found = ios.len();
+        anyhow::ensure!(
+            found <= IOS_MAX,
+            "{found} inputs and outputs; FRI carries {IOS_MAX} at most"
+        );
+        for (number, io) in ios.iter().enumerate() {
+            let is_twice = ios.iter().take(number).any(|it| it.name == io.name);
+            anyhow::ensure!(!is_twice, "`{}` is given twice", io.name);
+        }
+        Ok(ios)
+    }
+
+    /// Frames that the robot program requests.
+    fn frames(&self) -> anyhow::Result<Vec<String>> {
+        let found = self.frames.len();
+        anyhow::ensure!(
+            found <= TRANSFORMATIONS_MAX,
+            "{found} frames; FRI carries {TRANSFORMATIONS_MAX} at most"
+        );
+        Ok(self.frames.clone())
     }
 
     /// The motion of the robot program, if a cabinet supports it.
@@ -264,6 +364,31 @@ mod tests {
     }
 
     #[test]
+    fn iiwa_inputs_outputs_and_frames_reach_the_cabinet() {
+        let words = "--input Media.Key=true --input Media.Count=3 --output Media.Level=0.5 --frame Tool --frame Part";
+        let cabinet = Cabinet::new(config(words).unwrap(), Duration::ZERO);
+        assert_eq!(cabinet.io("Media.Key"), Some(IoLevel::Boolean(true)));
+        assert_eq!(cabinet.io("Media.Count"), Some(IoLevel::Digital(3)));
+        assert_eq!(cabinet.io("Media.Level"), Some(IoLevel::Analog(0.5)));
+        assert_eq!(config(words).unwrap().requested_frames, ["Tool", "Part"]);
+        let many: String = (0..11).map(|i| format!("--output A.B{i}=1 ")).collect();
+        for (wrong, cause) in [
+            ("--input Media.Key", "such as Media.Lamp=false"),
+            ("--input =true", "is no name"),
+            ("--output A.B=NaN", "is no value"),
+            ("--output A.B=-1 --input A.B=2", "`A.B` is given twice"),
+            (many.as_str(), "FRI carries 10 at most"),
+            (
+                "--frame a --frame b --frame c --frame d --frame e --frame f",
+                "carries 5 at most",
+            ),
+        ] {
+            let error = config(wrong).unwrap_err();
+            assert!(error.contains(cause), "{wrong}: {error}");
+        }
+    }
+
+    #[test]
     fn knobs_reach_the_cabinet() {
         let words =
             "--receive-multiplier 3 --mode t1 --duplicate 0.1 --drift -20 --contact wall:0.02:5000";
@@ -275,7 +400,7 @@ mod tests {
         assert!((cabinet.faults.to_cabinet.duplicate - 0.1).abs() < 1e-12);
         assert!((cabinet.faults.drift_ppm + 20.0).abs() < 1e-12);
         let contact = cabinet.contact.unwrap();
-        let flange = Cabinet::new(CabinetConfig::default(), Duration::ZERO).flange();
+        let flange = Cabinet::new(CabinetConfig::default(), Duration::ZERO).tip();
         assert!((flange[2] - contact.point[2] - 0.02).abs() < 1e-9);
         assert_eq!(cabinet.timing.misses_max, MISSES_MAX);
         assert_eq!(config("--strict").unwrap().timing, Timing::default());

@@ -1,6 +1,7 @@
 //! What `takt emulate lwr|iiwa` have in common: faults of the network and of the robot, tolerance of the controller,
 //! contact of the flange. It starts nothing.
 
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use clap::Args;
@@ -41,10 +42,16 @@ pub(super) struct Knobs {
     /// Apply the limits assumed of a real controller: 10 missing answers, or bad quality, end command mode.
     #[arg(long)]
     strict: bool,
-    /// Obstacle below the flange: `wall:DEPTH[:STIFFNESS]` or `spring:DEPTH[:STIFFNESS]`, DEPTH in m below its rest
+    /// Obstacle below the tool: `wall:DEPTH[:STIFFNESS]` or `spring:DEPTH[:STIFFNESS]`, DEPTH in m below its rest
     /// position, STIFFNESS in N/m (default 10000).
     #[arg(long, value_name = "WHAT", value_parser = touch)]
     contact: Option<Touch>,
+    /// Length of a tool along the flange's axis, such as 100mm: a contact at its tip has a moment about the flange.
+    #[arg(long, value_name = "LENGTH", default_value = "0mm", value_parser = length)]
+    tool: f64,
+    /// Address and port of the controller, from which its datagrams leave: for clients that connect to the robot.
+    #[arg(long, alias = "listen", value_name = "IP:PORT")]
+    pub(super) bind: Option<SocketAddr>,
     /// Switch the drives off this long after the start.
     #[arg(long, value_name = "TIME", value_parser = span)]
     power_off: Option<Duration>,
@@ -100,9 +107,14 @@ impl Knobs {
         }
     }
 
-    /// The obstacle below `flange`, m in the base frame.
-    pub(super) fn contact(&self, flange: [f64; 3]) -> Option<Contact> {
-        let [x, y, z] = flange;
+    /// Tip of the tool in the frame of the flange, m.
+    pub(super) fn tool_m(&self) -> [f64; 3] {
+        [0.0, 0.0, self.tool]
+    }
+
+    /// The obstacle below `tip`, m in the base frame.
+    pub(super) fn contact(&self, tip: [f64; 3]) -> Option<Contact> {
+        let [x, y, z] = tip;
         self.contact.map(|touch| Contact {
             shape: touch.shape,
             point: [x, y, z - touch.depth],
@@ -119,6 +131,23 @@ fn drift(text: &str) -> Result<f64, String> {
         Ok(ppm)
     } else {
         Err(format!("must be {} to {DRIFT_MAX_PPM}", -DRIFT_MAX_PPM))
+    }
+}
+
+/// Reads a length with its unit, m.
+fn length(text: &str) -> Result<f64, String> {
+    let wrong =
+        || format!("`{text}` is no length: write a number and a unit, such as 100mm or 0.1m");
+    let (number, factor) = match (text.strip_suffix("mm"), text.strip_suffix('m')) {
+        (Some(millimetres), _) => (millimetres, 1e-3),
+        (None, Some(metres)) => (metres, 1.0),
+        (None, None) => return Err(wrong()),
+    };
+    let length = number.trim().parse::<f64>().map_err(|_| wrong())? * factor;
+    if (0.0..=1.0).contains(&length) {
+        Ok(length)
+    } else {
+        Err(format!("`{text}`: must be 0 to 1m"))
     }
 }
 
@@ -179,6 +208,15 @@ mod tests {
         ] {
             let error = touch(wrong).unwrap_err();
             assert!(error.contains("such as wall:0.01:5000"), "{error}");
+        }
+    }
+
+    #[test]
+    fn tool_length_has_unit_and_bound() {
+        assert!((length("100mm").unwrap() - 0.1).abs() < 1e-12);
+        assert!((length("0.25m").unwrap() - 0.25).abs() < 1e-12);
+        for wrong in ["0.1", "m", "2m", "-1mm", "NaNm", "1cm "] {
+            assert!(length(wrong).is_err(), "{wrong}");
         }
     }
 

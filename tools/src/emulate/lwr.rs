@@ -11,6 +11,7 @@ use takt_fri::lwr::wire::Control;
 use takt_fri::lwr::{DEFAULT_PORT, Protocol};
 
 use super::knobs::Knobs;
+use super::robot::connect;
 use super::{Robot, resting};
 use crate::Verdict;
 use crate::output::{say, span_of_ms};
@@ -75,9 +76,12 @@ pub(super) enum Strategy {
 
 impl Lwr {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let robot = Robot::start("krc", self.connect, self.config())?;
+        let link = connect(self.knobs.bind, self.connect, 0)?;
+        let local = link.local_addr()?;
+        let config = self.config();
+        let robot = Robot::launch("krc", link, |start| Krc::new(config, start))?;
         say(&format!(
-            "LWR sends measurements to {} every {:?}",
+            "LWR sends measurements to {} every {:?}, from {local}",
             self.connect, self.period
         ))?;
         robot.watch(self.knobs.duration)
@@ -93,12 +97,16 @@ impl Lwr {
             drift_ppm: self.knobs.drift_ppm(),
             ..emulator::Faults::default()
         };
-        let flange = Krc::new(patient.clone(), Duration::ZERO).flange();
+        let patient = KrcConfig {
+            tool_m: self.knobs.tool_m(),
+            ..patient
+        };
+        let tip = Krc::new(patient.clone(), Duration::ZERO).tip();
         KrcConfig {
             faults,
             seed: self.knobs.seed,
             timing: self.knobs.timing(patient.timing),
-            contact: self.knobs.contact(flange),
+            contact: self.knobs.contact(tip),
             control: match self.strategy {
                 Strategy::Position => Control::Position,
                 Strategy::Joint => Control::JointImpedance,

@@ -25,8 +25,10 @@ pub struct KrcConfig {
     pub control: Control,
     /// `$STIFFNESS`: used by the impedance modes unless the client commands other values.
     pub stiffness: Stiffness,
-    /// What the flange touches.
+    /// What the tip of the tool touches.
     pub contact: Option<Contact>,
+    /// Tip of the tool in the frame of the flange, m.
+    pub tool_m: [f64; 3],
     /// The KRL program.
     pub script: Script,
     /// Faults.
@@ -47,6 +49,7 @@ impl Default for KrcConfig {
             control: Control::Position,
             stiffness: Stiffness::default(),
             contact: None,
+            tool_m: [0.0; 3],
             script: Script::default(),
             faults: Faults::default(),
             seed: 1,

@@ -142,6 +142,7 @@ impl Krc {
         let period_s = grid.period().as_secs_f64();
         let mut body = Body::new(Chain::LWR, config.joints, config.lag);
         body.contact = config.contact;
+        body.tool = config.tool_m;
         Self {
             grid,
             state: State::Mon,
@@ -286,6 +287,11 @@ impl Krc {
     /// Flange position in the base frame, m.
     pub fn flange(&self) -> [f64; 3] {
         self.arm.body.pose().position.into()
+    }
+
+    /// Tip of the tool in the base frame, m.
+    pub fn tip(&self) -> [f64; 3] {
+        self.arm.body.tip()
     }
 
     /// Force of the contact on the flange in the base frame, N.
@@ -443,7 +449,8 @@ impl Krc {
         let Some(program) = &mut self.program else {
             return;
         };
-        let calls = program.step(&self.krl_in, &mut self.krl_out, state, time);
+        let is_ok = self.quality.code() >= Quality::Ok.code();
+        let calls = program.step(&self.krl_in, &mut self.krl_out, (state, is_ok), time);
         for call in calls.into_iter().flatten() {
             match call {
                 // Refused while the robot brakes, without quality or power: the program tries again in the next cycle.

@@ -49,6 +49,8 @@ pub(super) struct Program {
     load: Load,
 }
 
+/// Request that closes the interface in Stanford's program, as it announces it.
+const STANFORD_CLOSE: i32 = 30;
 /// Delay of RCC's program after friOpen.
 const RCC_BOOT: Duration = Duration::from_secs(2);
 
@@ -64,11 +66,17 @@ impl Program {
         }
     }
 
-    /// One iteration of the program's loop.
-    pub(super) fn step(&mut self, from: &Krl, to: &mut Krl, state: State, time: Duration) -> Calls {
+    /// One iteration of the program's loop; `is_ok` is whether `$FRIQUALITY` is OK or better.
+    pub(super) fn step(
+        &mut self,
+        from: &Krl,
+        to: &mut Krl,
+        (state, is_ok): (State, bool),
+        time: Duration,
+    ) -> Calls {
         match self.protocol {
             Protocol::Rcc => self.rcc(from, to, state, time),
-            Protocol::Stanford => self.stanford(from, to, state),
+            Protocol::Stanford => self.stanford(from, to, (state, is_ok)),
             Protocol::KukaLwr => self.kuka_lwr(from, to, state),
             Protocol::Tum => self.tum(from, to, state),
             Protocol::FirstApp => self.first_app(from, to, state, time),
@@ -149,8 +157,10 @@ impl Program {
         calls
     }
 
-    fn stanford(&mut self, from: &Krl, to: &mut Krl, state: State) -> Calls {
+    /// FRM_INT\[16\] requests; TO_INT\[15\] holds the request that closes, which clients copy there.
+    fn stanford(&mut self, from: &Krl, to: &mut Krl, (state, is_ok): (State, bool)) -> Calls {
         let closed = self.phase == Phase::Parameters;
+        to.int[14] = STANFORD_CLOSE;
         to.int[15] = match state {
             _ if closed => 30,
             State::Cmd => 20,
@@ -158,7 +168,7 @@ impl Program {
         };
         match from.int[15] {
             _ if closed => Calls::default(),
-            10 => Self::start(state, from.int[14]),
+            10 if is_ok => Self::start(state, from.int[14]),
             20 => Self::stop(state),
             30 | 40 => {
                 // friClose ends the program; the emulator keeps sending measurements so that the client sees the end.

@@ -8,4 +8,4 @@ use crate::lwr::wire::{Quality, State};
 /// Live state of a controller in [`super::serve`], shared by an `Arc`.
 pub type KrcStatus = Status<Krc>;
 
-served!(Krc, State, Quality, ExitReason, u16, to_krc);
+served!(Krc, State, Quality, ExitReason, u16, to_krc, |_| {});

@@ -114,6 +114,8 @@ pub struct Cabinet {
     added: Added,
     window: Window,
     quality: Quality,
+    /// Since when quality has been GOOD; `None` while it is not.
+    good_since: Option<Duration>,
     misses: u32,
     /// Messages since the last command period ended.
     in_period: u32,
@@ -147,6 +149,7 @@ impl Cabinet {
         let period_s = grid.period().as_secs_f64();
         let mut body = Body::new(config.robot.chain(), config.joints, config.lag);
         body.contact = config.contact;
+        body.tool = config.tool_m;
         let deceleration = config.limits.acceleration_rad_per_s2;
         Self {
             grid,
@@ -160,6 +163,7 @@ impl Cabinet {
             added: Added::default(),
             window: Window::new(),
             quality: Quality::Poor,
+            good_since: None,
             misses: 0,
             in_period: 0,
             tracker: Tracker::wide(COUNTER_WINDOW),
@@ -283,6 +287,7 @@ impl Cabinet {
         self.closed_at = None;
         self.sequence = 0;
         self.window = Window::new();
+        self.good_since = None;
         self.misses = 0;
         self.history = History::new();
         self.tracker = Tracker::wide(COUNTER_WINDOW);
@@ -343,6 +348,11 @@ impl Cabinet {
     /// Flange position in the base frame, m.
     pub fn flange(&self) -> [f64; 3] {
         self.arm.body.pose().position.into()
+    }
+
+    /// Tip of the tool in the base frame, m.
+    pub fn tip(&self) -> [f64; 3] {
+        self.arm.body.tip()
     }
 
     /// Force of the contact on the flange in the base frame, N.

@@ -45,6 +45,12 @@ pub struct CabinetConfig {
     pub lag: Duration,
     /// How answers are rated.
     pub timing: Timing,
+    /// How long quality must be GOOD before MONITORING_READY; zero, the default, as soon as it is. No length is published;
+    /// clients see seconds.
+    pub monitoring_wait: Duration,
+    /// How long COMMANDING_WAIT lasts at least, with answers that agree all the time; zero, the default, one answer. No
+    /// length is published.
+    pub commanding_wait: Duration,
     /// Largest deviation of the first commands of an overlay from the interpolator, rad; *assumption*: 0.01.
     pub synchronisation_tolerance_rad: f64,
     /// Largest deviation of positions commanded with torques from the measured ones, rad; *assumption*: 0.2.
@@ -57,8 +63,10 @@ pub struct CabinetConfig {
     pub ios: Vec<Io>,
     /// Names of frames that the robot program requests, at most 5.
     pub requested_frames: Vec<String>,
-    /// What the flange touches.
+    /// What the tip of the tool touches.
     pub contact: Option<Contact>,
+    /// Tip of the tool in the frame of the flange, m.
+    pub tool_m: [f64; 3],
     /// The robot program.
     pub program: Program,
     /// Faults.
@@ -78,6 +86,8 @@ impl Default for CabinetConfig {
             limits: Limits::of(Robot::Iiwa14),
             lag: Duration::from_millis(10),
             timing: Timing::default(),
+            monitoring_wait: Duration::ZERO,
+            commanding_wait: Duration::ZERO,
             synchronisation_tolerance_rad: 0.01,
             axis_delta_max_rad: 0.2,
             synchronisation_timeout: Duration::from_secs(10),
@@ -85,6 +95,7 @@ impl Default for CabinetConfig {
             ios: Vec::new(),
             requested_frames: Vec::new(),
             contact: None,
+            tool_m: [0.0; 3],
             program: Program::default(),
             faults: Faults::default(),
             seed: 1,

@@ -8,4 +8,12 @@ use crate::sunrise::wire::{Quality, SessionState};
 /// Live state of a cabinet in [`super::serve`], shared by an `Arc`.
 pub type CabinetStatus = Status<Cabinet>;
 
-served!(Cabinet, SessionState, Quality, ExitReason, i32, to_cabinet);
+served!(
+    Cabinet,
+    SessionState,
+    Quality,
+    ExitReason,
+    i32,
+    to_cabinet,
+    Cabinet::close_session
+);

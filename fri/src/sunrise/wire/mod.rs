@@ -31,7 +31,7 @@ use std::fmt;
 pub const MESSAGE_MAX: usize = 1500;
 
 /// Maximum number of frames in one message.
-pub(crate) const TRANSFORMATIONS_MAX: usize = 5;
+pub const TRANSFORMATIONS_MAX: usize = 5;
 
 /// Maximum number of inputs and outputs in one message.
 pub const IOS_MAX: usize = 10;

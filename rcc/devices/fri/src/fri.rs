@@ -338,7 +338,7 @@ impl<P: Protocol> Exchange<P> {
                 }
             };
             if number == 0 {
-                self.note_stall(at.into());
+                self.note_wake_up(at.into());
             }
             let Some(from) = self.link.peer() else {
                 break;
@@ -362,9 +362,10 @@ impl<P: Protocol> Exchange<P> {
         }
     }
 
-    /// How long this thread left a datagram waiting that arrived `at`.
-    fn note_stall(&mut self, at: Nanos) {
+    /// How long this thread left a datagram waiting that arrived `at`, by the kernel's stamp.
+    fn note_wake_up(&mut self, at: Nanos) {
         let now = takt_rt::monotonic();
+        self.driver.note_wake_up(now - at);
         if now - at >= STALL {
             self.stalls.note(now, now - at);
         }

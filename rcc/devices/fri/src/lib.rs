@@ -11,6 +11,8 @@ pub mod lwr;
 mod plant;
 
 pub use config::{IiwaConfig, IiwaIo, IiwaModel, LwrConfig};
-pub use fri::{AXES, FriArm, FriFigures, Joints, Orders, Protocol, Reception, Totals};
+pub use fri::{
+    AXES, FriArm, FriFigures, Joints, Orders, Protocol, Reception, RefusedOutput, Totals,
+};
 pub use iiwa::Iiwa;
 pub use lwr::Lwr;

@@ -38,6 +38,7 @@ impl Krc {
         let body = &self.arm.body;
         let commanded = body.pose_of(&self.base);
         let [x, y, z] = body.force().map(to_f32);
+        let [a, b, c] = body.moment().map(to_f32);
         Msr {
             header: Header {
                 sequence: self.sequence,
@@ -53,12 +54,12 @@ impl Krc {
             joint_offset: offset.map(to_f32),
             commanded_frame: frame(&commanded),
             frame_offset: frame(&commanded.to(&body.pose_of(&self.arm.set_point))),
-            measured_torque: body.torque().map(to_f32),
+            measured_torque: body.measured_torque().map(to_f32),
             external_torque: body.external().map(to_f32),
-            external_wrench: [x, y, z, 0.0, 0.0, 0.0],
+            external_wrench: [x, y, z, c, b, a],
             jacobian: self.jacobian(),
             mass_matrix: mass_matrix(),
-            gravity: [0.0; AXES],
+            gravity: body.gravity().map(to_f32),
         }
     }
 

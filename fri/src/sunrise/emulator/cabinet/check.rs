@@ -38,6 +38,9 @@ impl Cabinet {
         let answers = received.filter(|it| it.sent.is_some_and(|sent| sent.in_command));
         let verdict = answers.map(|it| self.agrees(it.command.data.as_ref()));
         match verdict {
+            Some(Ok(())) if self.grid.time() < self.waiting.0 + self.config.commanding_wait => {
+                return;
+            }
             Some(Ok(())) => {
                 self.state = SessionState::CommandingActive;
                 self.last = (self.grid.index().saturating_sub(1), self.ipo);

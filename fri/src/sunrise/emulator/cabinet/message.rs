@@ -82,15 +82,16 @@ impl Cabinet {
     fn monitor(&self) -> MonitorData {
         let dialect = self.config.dialect;
         let body = &self.arm.body;
-        let [x, y, z] = body.force();
+        let ([x, y, z], [a, b, c]) = (body.force(), body.moment());
+        let torque = body.measured_torque();
         let time = self.grid.time();
         MonitorData {
             measured: Some(body.joints()),
-            torque: Some(body.torque()),
+            torque: Some(torque),
             commanded: (dialect == Dialect::V1).then_some(self.arm.set_point),
-            commanded_torque: Some(body.torque()),
+            commanded_torque: Some(torque),
             external_torque: Some(body.external()),
-            external_force: (dialect == Dialect::V3).then_some([x, y, z, 0.0, 0.0, 0.0]),
+            external_force: (dialect == Dialect::V3).then_some([x, y, z, c, b, a]),
             ios: self.ios,
             pose: (dialect != Dialect::V1).then(|| pose(&body.pose())),
             redundancy: (dialect != Dialect::V1).then(|| elbow(body.joints()[2])),

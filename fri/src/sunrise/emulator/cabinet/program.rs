@@ -23,6 +23,8 @@ impl Cabinet {
         let forced = self.config.faults.quality;
         let rank = i32::from(self.window.rank(&self.config.timing));
         self.quality = forced.unwrap_or_else(|| rank.into());
+        let now = self.grid.time();
+        self.good_since = self.good_since.or(Some(now)).filter(|_| self.is_good());
         let answer_rate = self.window.answer_rate();
         if self.misses >= self.misses_max() {
             let cycles = self.misses;
@@ -42,7 +44,11 @@ impl Cabinet {
     }
 
     fn monitoring(&self) -> SessionState {
-        if self.is_good() && self.misses < self.misses_max() {
+        let wait = self.config.monitoring_wait;
+        let is_settled = self
+            .good_since
+            .is_some_and(|since| self.grid.time() >= since + wait);
+        if is_settled && self.misses < self.misses_max() {
             SessionState::MonitoringReady
         } else {
             SessionState::MonitoringWait

@@ -418,10 +418,9 @@ fn cabinet_torque_deflects_joint_by_stiffness() {
     }
     let moved = bench.cabinet.joints()[2] - before[2];
     assert!((moved - 0.01).abs() < 1e-5, "{moved}");
-    assert!(
-        (bench.message.monitor.unwrap().torque.unwrap()[2]).abs() < 1e-3,
-        "spring and overlay agree"
-    );
+    let weight = bench.cabinet.arm.body.gravity()[2];
+    let measured = bench.message.monitor.unwrap().torque.unwrap()[2];
+    assert!((measured - weight).abs() < 1e-3, "spring and overlay agree");
 }
 
 #[test]
@@ -690,4 +689,48 @@ fn cabinet_accepts_outputs_and_frames() {
     assert_eq!(bench.cabinet.io("G.in"), Some(IoLevel::Analog(1.5)));
     assert_eq!(bench.cabinet.counters().refused_ios, 1);
     assert_eq!(bench.cabinet.frame("Part"), Some(placement));
+}
+
+#[test]
+fn cabinet_wait_phases_last_as_configured() {
+    let mut bench = Bench::new(CabinetConfig {
+        monitoring_wait: Duration::from_secs(1),
+        commanding_wait: Duration::from_millis(500),
+        ..CabinetConfig::default()
+    });
+    let mut cycles = |while_in: SessionState| {
+        let mut count = 0;
+        while bench.cabinet.state() == while_in {
+            bench.cycle(|_| {});
+            count += 1;
+        }
+        PERIOD * count
+    };
+    // Quality is good after 90 of 100 answers.
+    let monitoring = cycles(SessionState::MonitoringWait);
+    let expected = Duration::from_millis(1_180)..Duration::from_millis(1_220);
+    assert!(expected.contains(&monitoring), "{monitoring:?}");
+    cycles(SessionState::MonitoringReady);
+    let commanding = cycles(SessionState::CommandingWait);
+    let expected = Duration::from_millis(498)..Duration::from_millis(510);
+    assert!(expected.contains(&commanding), "{commanding:?}");
+    assert_eq!(bench.cabinet.state(), SessionState::CommandingActive);
+}
+
+#[test]
+fn cabinet_without_answers_has_poor_quality() {
+    let timing = crate::emulator::Timing {
+        bad_from: 0.0,
+        ok_from: 0.0,
+        ..Default::default()
+    };
+    let mut bench = Bench::new(CabinetConfig {
+        timing,
+        ..CabinetConfig::default()
+    });
+    for _ in 0..300 {
+        bench.receive();
+    }
+    assert_eq!(bench.cabinet.quality(), Quality::Poor);
+    assert_eq!(bench.cabinet.state(), SessionState::MonitoringWait);
 }

@@ -64,9 +64,9 @@ impl DatagramClock {
         self.period
     }
 
-    /// Whether an arrival at `at` is so late that another datagram may be waiting.
-    pub(super) fn is_late(&self, at: Nanos) -> bool {
-        at - self.now() > Nanos(self.period.0 * 3 / 4)
+    /// Whether `now` is so long after the newest datagram that another one may be waiting.
+    pub(super) fn is_late(&self, now: Nanos) -> bool {
+        now - self.now() > Nanos(self.period.0 * 3 / 4)
     }
 }
 

@@ -26,6 +26,17 @@ use takt_core::device::{DeviceDescription, DeviceStatus};
 /// A joint faster than this moves, rad/s.
 const MOVES_FROM: f64 = 1e-3;
 
+/// Life of the thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Life {
+    /// Nets command the arm.
+    Running,
+    /// The joints brake: no command is followed.
+    Stopping,
+    /// They brake, and an answer was sent since: nothing is added.
+    LetGo,
+}
+
 /// Measurements published last, for differences.
 #[derive(Default)]
 struct Published {
@@ -58,10 +69,7 @@ pub(super) struct Driver<P> {
     was_commanding: bool,
     /// Whether the robot restarted while its published state was operational; nets that command it must see this.
     has_fallen: bool,
-    /// Whether the thread is stopping: no command is followed.
-    is_stopping: bool,
-    /// Whether an answer was sent since the stop: nothing is added.
-    has_let_go: bool,
+    life: Life,
     shared: Arc<Shared>,
     event_sender: EventSender,
     pub(super) answer_time: Recorder,
@@ -92,8 +100,7 @@ impl<P: Protocol> Driver<P> {
             cycles: 0,
             was_commanding: false,
             has_fallen: false,
-            is_stopping: false,
-            has_let_go: false,
+            life: Life::Running,
             shared,
             event_sender,
             answer_time: Recorder::new(),
@@ -109,13 +116,13 @@ impl<P: Protocol> Driver<P> {
 
     /// Starts braking, whatever nets command.
     pub(super) const fn begin_stop(&mut self) {
-        self.is_stopping = true;
+        self.life = Life::Stopping;
     }
 
     /// Whether nothing moves by command, and the robot was sent that nothing is added.
     pub(super) fn is_at_rest(&self) -> bool {
         let is_resting = |joint: &Joint| joint.motion().1.abs() < f64::EPSILON;
-        !self.is_commanding() || (self.has_let_go && self.joints.iter().all(is_resting))
+        !self.is_commanding() || (self.life == Life::LetGo && self.joints.iter().all(is_resting))
     }
 
     /// The peer that answers go to.
@@ -128,9 +135,15 @@ impl<P: Protocol> Driver<P> {
         self.clock_out
     }
 
-    /// Whether an arrival at `at` is so late that another datagram may be waiting.
-    pub(super) fn is_late(&self, at: Nanos) -> bool {
-        self.clock.is_late(at)
+    /// Notes how long after its arrival this thread had a datagram.
+    pub(super) fn note_wake_up(&mut self, delay: Nanos) {
+        self.event_sender
+            .note_wake_up(Duration::try_from(delay).unwrap_or_default());
+    }
+
+    /// Whether it is so late that another datagram may be waiting.
+    pub(super) fn is_late(&self, now: Nanos) -> bool {
+        self.clock.is_late(now)
     }
 
     /// Handles the time `now` without a new datagram.
@@ -215,7 +228,9 @@ impl<P: Protocol> Driver<P> {
         };
         let answer = self.session.reply(&wanted, &mut brake, buffer)?;
         self.withheld = answer.refused;
-        self.has_let_go = self.is_stopping;
+        if self.life == Life::Stopping {
+            self.life = Life::LetGo;
+        }
         if self.is_commanding() {
             if answer.is_held {
                 // Otherwise the joints would run away from where the robot is held.
@@ -307,7 +322,7 @@ impl<P: Protocol> Driver<P> {
     /// Whether the net thread is alive and followed.
     fn is_fresh(&self) -> bool {
         let cycle = self.clock.period();
-        !self.is_stopping && self.end.is_fresh(self.clock.now(), cycle)
+        self.life == Life::Running && self.end.is_fresh(self.clock.now(), cycle)
     }
 
     /// The current joint positions, and the time since the last ones, s. In the first cycle in which the robot follows, they

@@ -21,6 +21,8 @@ const WINDOW: u32 = 100;
 const WAITING: usize = 64;
 /// Shortest time between two events of one kind.
 const PAUSE: Duration = Duration::from_secs(1);
+/// A rejected datagram, or another controller, that was absent for this long is a new onset.
+const ONSET: Duration = Duration::from_secs(10);
 /// Number of event kinds.
 const KINDS: usize = 7;
 
@@ -150,6 +152,8 @@ pub(super) struct EventSender {
     /// Whether the last command was withheld.
     withholds: bool,
     last_sent: [Option<Duration>; KINDS],
+    /// What comes with each datagram of a peer, and when it came last: reported at its onset only.
+    recurring: [Option<(Event, Duration)>; KINDS],
     events: Producer<Event>,
     out: LatestWriter<Diagnostics>,
 }
@@ -174,6 +178,7 @@ pub(super) fn event_channel(fresh: Observer) -> (EventSender, EventReceiver) {
         diagnostics: Diagnostics::default(),
         withholds: false,
         last_sent: [None; KINDS],
+        recurring: [None; KINDS],
         events: producer,
         out,
     };
@@ -200,8 +205,35 @@ impl EventReceiver {
 }
 
 impl EventSender {
-    /// Sends an event, unless one of its kind was sent a moment ago; returns whether it was sent.
+    /// Sends an event, unless one of its kind was sent a moment ago, or the same one recurs; returns whether it was sent.
     pub(super) fn send(&mut self, event: Event, now: Duration) -> bool {
+        if self.recurs(&event, now) {
+            return false;
+        }
+        let is_sent = self.push(event, now);
+        if is_sent && let Some(recurring) = self.recurring.get_mut(event.kind()) {
+            *recurring = Some((event, now));
+        }
+        is_sent
+    }
+
+    /// Whether an event that comes with every datagram of a peer was reported and has not ended since.
+    fn recurs(&mut self, event: &Event, now: Duration) -> bool {
+        let may_recur = match event {
+            Event::Refused(_) | Event::Foreign(_) => true,
+            Event::Quality { .. } | Event::Withheld(_) | Event::Lost | Event::Output(_) => false,
+        };
+        let recurring = self
+            .recurring
+            .get_mut(event.kind())
+            .and_then(Option::as_mut);
+        match recurring.filter(|(before, _)| may_recur && before == event) {
+            Some((_, last)) => now.saturating_sub(std::mem::replace(last, now)) < ONSET,
+            None => false,
+        }
+    }
+
+    fn push(&mut self, event: Event, now: Duration) -> bool {
         let Some(last_sent) = self.last_sent.get_mut(event.kind()) else {
             return false;
         };
@@ -243,6 +275,11 @@ impl EventSender {
         let now = Duration::from_nanos(now.0.unsigned_abs());
         self.older.handle_answer(now, sequence);
         self.newer.handle_answer(now, sequence);
+    }
+
+    pub(super) fn note_wake_up(&mut self, delay: Duration) {
+        self.older.handle_wake_up(delay);
+        self.newer.handle_wake_up(delay);
     }
 
     pub(super) const fn note_decode_error(&mut self, error: DecodeError) {
