@@ -21,7 +21,7 @@ pub use base::{ACCELERATION, Base, Motion};
 pub use command::{Command, Config, Gain, Integrators, Mode, SHUTDOWN};
 pub use cycle::{Cycles, Measurement};
 pub use driver::{Driver, DriverConfig, Hindrance, State};
-pub use model::{Model, Scales};
+pub use model::{Model, Scales, YawSign};
 pub use odometry::{Jump, Odometer, Pose};
 pub use omni::{BACK, FRONT, Geometry, Omni, OmniConfig, Wheels};
 pub use status::{ControlUnit, Message, StatusWord1, StatusWord2};

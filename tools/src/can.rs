@@ -3,6 +3,7 @@
 
 mod arguments;
 mod confirm;
+mod dbc;
 mod drive;
 mod dump;
 pub(crate) mod feed;

@@ -295,6 +295,7 @@ fn missing_interface_is_named_by_every_command() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table of arguments")]
 fn invalid_arguments_are_rejected_with_the_cause() {
     for (arguments, words) in [
         (
@@ -315,7 +316,7 @@ fn invalid_arguments_are_rejected_with_the_cause() {
             "`fast` is no mode",
         ),
         (
-            &["can", "drive", "can0", "5", "--jog", "5", "--mode", "pp"],
+            &["can", "drive", "can0", "5", "--jog", "5", "--mode", "hm"],
             "omit --mode",
         ),
         (
@@ -324,6 +325,43 @@ fn invalid_arguments_are_rejected_with_the_cause() {
         ),
         (&["can", "rmp", "can0", "--jog", "9,0"], "too fast to jog"),
         (&["can", "rmp", "can0", "--set", "scale=3"], "is no setting"),
+        (
+            &[
+                "emulate",
+                "drive",
+                "--interface",
+                "can0",
+                "--fault",
+                "burns",
+            ],
+            "`burns` is no fault; those of nodes are off, heartbeat-off",
+        ),
+        (
+            &[
+                "emulate",
+                "drive",
+                "--interface",
+                "can0",
+                "--interpolation",
+                "300ms",
+            ],
+            "60C2h cannot hold `300ms`",
+        ),
+        (
+            &["can", "dump", "can0", "--dbc", "tests/can/fault.log"],
+            "it is no DBC file",
+        ),
+        (
+            &[
+                "emulate",
+                "node",
+                "--eds",
+                "tests/can/fault.log",
+                "--interface",
+                "can0",
+            ],
+            "tests/can/fault.log",
+        ),
     ] {
         let output = run(arguments);
         expect_status(&output, 2);

@@ -62,7 +62,7 @@ fn replayed_recording_is_seen_by_stat() {
     let report: Value = serde_json::from_str(&report).unwrap();
     let found = report["findings"].as_array().unwrap();
     assert!(
-        found.iter().any(|finding| finding["name"] == "rebooted"),
+        found.iter().any(|finding| finding["name"] == "boot-loop"),
         "{report}"
     );
     assert!(
@@ -337,4 +337,66 @@ fn rmp_on_can_is_read() {
         cycles += seen["cycles"].as_u64().unwrap();
         assert!(Instant::now() < until, "{seen}");
     }
+}
+
+/// A device from its data sheet; then the same with a fault.
+#[test]
+fn emulated_node_answers_until_its_fault() {
+    let test = "emulated_node_answers_until_its_fault";
+    if vcan(test).is_none() {
+        return;
+    }
+    let Some(own) = OwnInterface::create(test, "taktvcan5") else {
+        return;
+    };
+    let vcan = own.0;
+    let file = std::env::temp_dir().join(format!("takt-vcan-{}.eds", std::process::id()));
+    let eds = file.to_str().unwrap();
+    let written = run(&["emulate", "drive", "--interface", vcan, "--write-eds", eds]);
+    expect_status(&written, 0);
+    let arguments = [
+        "emulate",
+        "node",
+        "--eds",
+        eds,
+        "--node",
+        "9",
+        "--interface",
+        vcan,
+        "--heartbeat",
+        "100ms",
+        "--signal",
+        "6064=ramp:5:100:1s",
+    ];
+    let mut node = Process::start(&arguments);
+    node.wait_for("node 9 on");
+    eventually(&[
+        "can",
+        "nmt",
+        vcan,
+        "9",
+        "start",
+        "--timeout",
+        "10s",
+        "--yes",
+    ]);
+    let read = [
+        "can",
+        "sdo",
+        vcan,
+        "9",
+        "upload",
+        "6064",
+        "--timeout",
+        "10s",
+    ];
+    let value = eventually(&read);
+    assert!(value.contains("position actual value = "), "{value}");
+    assert!(!value.contains("= 0 "), "{value}");
+    drop(node);
+    let mut silent = Process::start(&[&arguments[..], &["--fault", "sdo-silent"]].concat());
+    silent.wait_for("node 9 on");
+    let answer = run(&["can", "sdo", vcan, "9", "upload", "6064", "--timeout", "1s"]);
+    std::fs::remove_file(file).unwrap();
+    expect_status(&answer, 1);
 }

@@ -35,6 +35,8 @@ pub struct Base {
     /// Distances travelled by the left and the right wheel, m.
     rolled: [f64; 2],
     motion: Motion,
+    /// Rotation since the start by the yaw rate and by the integrated yaw, rad.
+    turned: [f64; 2],
 }
 
 /// Acceleration limits of power bases, m/s² and rad/s². No manual of a power base states one; riders regard these as
@@ -62,6 +64,9 @@ const JUMP_M: f64 = 0.2;
 /// Like [`JUMP_M`], for the heading, turns.
 const JUMP_TURNS: f64 = 0.15;
 
+/// A turn after which both measurements of it can be compared, rad.
+const TURN_MIN: f64 = 1.0;
+
 impl Base {
     /// A base with these limits of `acceleration`, m/s², and `angular_acceleration`, rad/s².
     pub fn new(config: DriverConfig, acceleration: f64, angular_acceleration: f64) -> Self {
@@ -79,6 +84,7 @@ impl Base {
             last: None,
             rolled: [0.0; 2],
             motion: Motion::default(),
+            turned: [0.0; 2],
         }
     }
 
@@ -111,6 +117,15 @@ impl Base {
     pub const fn jumps(&self) -> u64 {
         let [left, right, yaw] = &self.counters;
         left.jumps() + right.jumps() + yaw.jumps()
+    }
+
+    /// Whether the integrated yaw (404h) turned against the yaw rate (402h) so far: [`DriverConfig::yaw_integral`] is
+    /// wrong for this base. Known after a turn of about a sixth of a revolution one way.
+    pub fn yaw_contradicts(&self) -> bool {
+        let [by_rate, by_integral] = self.turned;
+        by_rate.abs() >= TURN_MIN
+            && by_rate * by_integral < 0.0
+            && by_integral.abs() > TURN_MIN / 2.0
     }
 
     /// The last of these steps.
@@ -146,8 +161,11 @@ impl Base {
         let ahead = f64::midpoint(distances[0], distances[1]);
         let turns = -measured.yaw_rate * dt_s / std::f64::consts::TAU;
         let tolerance = (JUMP_TURNS + 2.0 * turns.abs()) * scales.yaw;
-        let turned = yaw.advance(measured.travel[1], turns * scales.yaw, tolerance);
+        let count = self.config.yaw_integral.clockwise(measured.travel[1]);
+        let turned = yaw.advance(count, turns * scales.yaw, tolerance);
         let rotation = -turned / scales.yaw * std::f64::consts::TAU;
+        self.turned[0] -= turns * std::f64::consts::TAU;
+        self.turned[1] += rotation;
         let jumped = [
             l.jump(scales.displacement, false),
             r.jump(scales.displacement, false),

@@ -21,7 +21,7 @@ use std::time::Duration;
 use super::command::{CURRENT_MAX, SCALE_MAX, TURN_MAX, VELOCITY_MAX};
 use super::{
     Channel, Command, Config, Cycles, Gain, Integrators, Measurement, Message, Mode, Model,
-    SHUTDOWN, StatusWord1,
+    SHUTDOWN, StatusWord1, YawSign,
 };
 use crate::Frame;
 
@@ -37,6 +37,8 @@ const MODE_REQUESTS_MAX: u8 = 20;
 pub struct DriverConfig {
     /// Model.
     pub model: Model,
+    /// Which way the integrated yaw counts.
+    pub yaw_integral: YawSign,
     /// Time between commands, 10 ms to 300 ms.
     pub period: Duration,
     /// Timeout for a complete cycle, after which the power base is silent.
@@ -55,6 +57,7 @@ impl Default for DriverConfig {
     fn default() -> Self {
         Self {
             model: Model::default(),
+            yaw_integral: YawSign::default(),
             period: Duration::from_millis(50),
             silence: Duration::from_millis(200),
             mode: Mode::Tractor,

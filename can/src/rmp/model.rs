@@ -79,3 +79,49 @@ impl Model {
         Self::ALL.into_iter().find(|model| model.name() == name)
     }
 }
+
+/// Which way the integrated yaw (404h) counts. Public drivers disagree: all take the yaw rate (402h) as clockwise, some
+/// the integral as counter-clockwise. A turn of a real base decides it: [`super::Base::yaw_contradicts`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum YawSign {
+    /// As the yaw rate.
+    #[default]
+    Clockwise,
+    /// Against the yaw rate.
+    CounterClockwise,
+}
+
+impl YawSign {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Clockwise, Self::CounterClockwise];
+
+    /// Its name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Clockwise => "clockwise",
+            Self::CounterClockwise => "counter_clockwise",
+        }
+    }
+
+    /// The sign with this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|sign| sign.name() == name)
+    }
+
+    /// The other one.
+    #[must_use]
+    pub const fn other(self) -> Self {
+        match self {
+            Self::Clockwise => Self::CounterClockwise,
+            Self::CounterClockwise => Self::Clockwise,
+        }
+    }
+
+    /// A count of the integral as a clockwise one.
+    pub(super) const fn clockwise(self, count: i32) -> i32 {
+        match self {
+            Self::Clockwise => count,
+            Self::CounterClockwise => count.wrapping_neg(),
+        }
+    }
+}

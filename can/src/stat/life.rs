@@ -9,6 +9,15 @@ use crate::canopen::{NmtCommand, NmtState};
 /// Time after a change of state in which PDOs of the state before may still be sent.
 const GRACE: Duration = Duration::from_millis(100);
 
+/// How much of a node runs in a state.
+const fn rank(state: NmtState) -> u8 {
+    match state {
+        NmtState::BootUp | NmtState::Stopped | NmtState::Other(_) => 0,
+        NmtState::PreOperational => 1,
+        NmtState::Operational => 2,
+    }
+}
+
 /// Life cycle of one node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Life {
@@ -16,7 +25,8 @@ pub struct Life {
     state: Option<(NmtState, Duration)>,
     /// A command was sent since the last report.
     commanded: bool,
-    /// Number of changes of the reported state without a command.
+    /// Number of changes of the reported state without a command towards Operational. By itself a node only leaves that, by
+    /// an error, or enters it once after its start.
     pub flips: u32,
     /// Number of TPDOs outside of Operational; number of the last one, and the state then.
     pub stray_pdos: (u32, Option<(u8, NmtState)>),
@@ -58,8 +68,10 @@ impl Life {
             return;
         }
         self.beats.record(at);
-        let is_other = self.state().is_some_and(|before| before != state);
-        self.flips += u32::from(is_other && !was_commanded);
+        let is_upward = self
+            .state()
+            .is_some_and(|before| rank(state) > rank(before));
+        self.flips += u32::from(is_upward && !was_commanded);
         self.enter(state, at);
     }
 

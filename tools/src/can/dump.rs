@@ -9,13 +9,14 @@ use serde_json::json;
 use takt_can::AnyFrame;
 use takt_can::canopen::Message;
 
+use super::dbc::{self, Database};
 use super::feed::{Feed, Seen};
 use super::filter::{Filter, is_shown};
 use crate::Verdict;
 use crate::output::{complain, positive_span, say};
 use crate::signal::Stop;
 
-/// Print frames, one per line, with their CANopen meaning.
+/// Print frames, one per line, with their CANopen meaning, or the signals that a DBC file describes.
 ///
 /// Filters: an identifier (181, 18FEF100), identifier and mask (180:780, 180~780 for all others), node=5,
 /// nmt, sync, time, emcy, pdo, sdo, heartbeat, lss, error; a leading ! inverts a filter. Several filters are combined.
@@ -24,7 +25,8 @@ use crate::signal::Stop;
   takt can dump can0
   takt can dump any --filter node=5 --filter '!sync' --time delta
   takt can dump can0 --log > fault.log             in the format of candump -L -x, for --from and canplayer
-  takt can dump --from fault.blf --filter error")]
+  takt can dump --from fault.blf --filter error
+  takt can dump can0 --dbc car.dbc --filter 123")]
 pub(crate) struct Dump {
     /// CAN interfaces, or any.
     #[arg(required_unless_present = "from", conflicts_with = "from")]
@@ -35,6 +37,9 @@ pub(crate) struct Dump {
     /// Print only these frames.
     #[arg(long, value_name = "FILTER")]
     filter: Vec<Filter>,
+    /// Decode signals by this DBC file; may be given several times.
+    #[arg(long, value_name = "FILE", conflicts_with = "log")]
+    dbc: Vec<PathBuf>,
     /// Reference of the time stamps.
     #[arg(long, value_name = "KIND", default_value = "zero")]
     time: Time,
@@ -67,6 +72,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 impl Dump {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let database = Database::open(&self.dbc)?;
         let mut feed = Feed::open(&self.interfaces, self.from.as_deref())?;
         let stop = Stop::listen()?;
         let until = self.duration.map(|duration| Instant::now() + duration);
@@ -90,7 +96,7 @@ impl Dump {
             };
             if is_shown(&self.filter, &seen.received.frame) {
                 left -= 1;
-                say(&self.line(&mut printer, &seen))?;
+                say(&self.line(&mut printer, &database, &seen))?;
             }
         }
         // A frame reports only the losses before it.
@@ -98,13 +104,13 @@ impl Dump {
         Ok(Verdict::Good)
     }
 
-    fn line(&self, printer: &mut Printer, seen: &Seen) -> String {
+    fn line(&self, printer: &mut Printer, database: &Database, seen: &Seen) -> String {
         if self.log {
             seen.record().to_string()
         } else if self.json {
-            object(seen).to_string()
+            object(seen, database).to_string()
         } else {
-            printer.line(seen)
+            printer.line(seen, database)
         }
     }
 }
@@ -128,7 +134,7 @@ struct Printer {
 }
 
 impl Printer {
-    fn line(&mut self, seen: &Seen) -> String {
+    fn line(&mut self, seen: &Seen, database: &Database) -> String {
         let at = seen.received.at;
         let reference = match self.time {
             Time::Absolute => Duration::ZERO,
@@ -147,14 +153,14 @@ impl Printer {
             .direction
             .map_or_else(String::new, |direction| direction.to_string());
         let interface = &seen.interface;
-        let content = content(&seen.received.frame);
+        let content = content(&seen.received.frame, database);
         let line = format!("{time:>11}  {interface:<8} {direction:1} {content}");
         line.trim_end().to_owned()
     }
 }
 
 /// Identifier, length, data and meaning.
-fn content(frame: &AnyFrame) -> String {
+fn content(frame: &AnyFrame, database: &Database) -> String {
     let id = frame
         .id()
         .map_or_else(|| "ERROR".to_owned(), |id| id.to_string());
@@ -179,6 +185,8 @@ fn content(frame: &AnyFrame) -> String {
         }
         AnyFrame::Error(_) => (8, meaning(frame).unwrap_or_default()),
     };
+    let signals = database.decode(frame);
+    let meaning = signals.map_or(meaning, |signals| dbc::text(&signals));
     let data = data.trim_end();
     format!("{id:>8}  [{len:>2}]  {data:<23}  {meaning}")
 }
@@ -197,7 +205,7 @@ fn meaning(frame: &AnyFrame) -> Option<String> {
     }
 }
 
-fn object(seen: &Seen) -> serde_json::Value {
+fn object(seen: &Seen, database: &Database) -> serde_json::Value {
     let frame = &seen.received.frame;
     let kind = match frame {
         AnyFrame::Classic(frame) if frame.is_remote() => "remote",
@@ -216,5 +224,6 @@ fn object(seen: &Seen) -> serde_json::Value {
         "frame": frame.to_string(),
         "direction": seen.direction.map(|direction| direction.to_string()),
         "meaning": meaning(frame),
+        "dbc": database.decode(frame).map(|signals| dbc::json(&signals)),
     })
 }

@@ -11,7 +11,7 @@ use std::io::Write as _;
 use std::time::Duration;
 
 use clap::Args;
-use takt_can::rmp::{Config, Gain, Model};
+use takt_can::rmp::{Config, Gain, Model, YawSign};
 
 use super::confirm;
 use super::wire::Live;
@@ -29,7 +29,8 @@ use session::{Jog, Plan, Session, View};
   takt can rmp can0
   takt can rmp --serial /dev/ttyUSB0 --model rmp50 --duration 5s --json
   takt can rmp can0 --set velocity=16,turn=16
-  takt can rmp can0 --jog 0.2,0 --duration 2s --yes")]
+  takt can rmp can0 --jog 0.2,0 --duration 2s --yes
+  takt can rmp can0 --jog 0,0.5 --duration 4s --yes        checks the sign of its yaw")]
 pub(crate) struct Rmp {
     /// The CAN interface.
     #[arg(required_unless_present = "serial", conflicts_with = "serial")]
@@ -51,6 +52,10 @@ pub(crate) struct Rmp {
     /// Drive it: metres per second forward and radians per second counter-clockwise.
     #[arg(long, value_name = "M/S,RAD/S", value_parser = velocity, allow_hyphen_values = true)]
     jog: Option<Velocity>,
+    /// Which way its integrated yaw (404h) counts: clockwise, or counter_clockwise. A jog that turns it by a sixth of a
+    /// revolution or more says whether that is right.
+    #[arg(long, value_name = "SIGN", default_value = "clockwise", value_parser = yaw_sign)]
+    yaw_integral: YawSign,
     /// Print one JSON object at the end instead.
     #[arg(long)]
     json: bool,
@@ -79,6 +84,13 @@ fn model(text: &str) -> Result<Model, String> {
     Model::named(text).ok_or_else(|| {
         let known = Model::ALL.map(Model::name).join(", ");
         format!("there is no such model\nhint: write one of {known}")
+    })
+}
+
+fn yaw_sign(text: &str) -> Result<YawSign, String> {
+    YawSign::named(text).ok_or_else(|| {
+        let known = YawSign::ALL.map(YawSign::name).join(" or ");
+        format!("`{text}` is no sign: write {known}")
     })
 }
 
@@ -147,6 +159,7 @@ impl Rmp {
         let live = is_terminal() && !self.json;
         let plan = Plan {
             model: self.model,
+            yaw_integral: self.yaw_integral,
             duration: self
                 .duration
                 .filter(|_| self.jog.is_none())

@@ -272,27 +272,37 @@ pub(super) fn perform<W: Wire>(
             json,
             timeout,
         } => {
-            let sheet = Sheet::open(Some(with))?;
             let mut client = SdoClient::new(node, *timeout);
-            let stranger = match sheet.stranger(wire, &mut client)? {
-                Ok(stranger) => stranger,
-                Err(error) => return Ok(Err(error)),
-            };
-            let compared = match whole::compare(wire, &mut client, &sheet, *all)? {
-                Ok(compared) => compared,
-                Err(error) => return Ok(Err(error)),
-            };
-            let text = match (json, &stranger) {
-                (true, _) => compared.json(&sheet, node, stranger.as_deref()).to_string(),
-                (false, None) => compared.text(&sheet, node),
-                (false, Some(stranger)) => {
-                    format!("{stranger}\n{}", compared.text(&sheet, node))
-                }
-            };
-            let good = compared.is_equal() && stranger.is_none();
-            Ok(Ok(Report { text, good }))
+            compare(wire, &mut client, with, *all, *json)
         }
     }
+}
+
+/// Compares the settings of a node with those of a file, which must be of its vendor and product.
+fn compare<W: Wire>(
+    wire: &mut W,
+    client: &mut SdoClient,
+    with: &Path,
+    all: bool,
+    json: bool,
+) -> anyhow::Result<Result<Report, SdoError>> {
+    let node = client.node();
+    let sheet = Sheet::open(Some(with))?;
+    let stranger = match sheet.stranger(wire, client)? {
+        Ok(stranger) => stranger,
+        Err(error) => return Ok(Err(error)),
+    };
+    let compared = match whole::compare(wire, client, &sheet, all)? {
+        Ok(compared) => compared,
+        Err(error) => return Ok(Err(error)),
+    };
+    let text = match (json, &stranger) {
+        (true, _) => compared.json(&sheet, node, stranger.as_deref()).to_string(),
+        (false, None) => compared.text(&sheet, node),
+        (false, Some(stranger)) => format!("{stranger}\n{}", compared.text(&sheet, node)),
+    };
+    let good = compared.is_equal() && stranger.is_none();
+    Ok(Ok(Report { text, good }))
 }
 
 /// Reports a data sheet of another device.

@@ -7,11 +7,13 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use takt_can::AnyFrame;
 use takt_can::bits::Rates;
 use takt_can::linux::{Interface, wall};
 use takt_can::stat::{Finding, Limits, Meter, Report, Severity};
 
 use super::bitrate;
+use super::dbc::{Database, Ranges};
 use super::feed::Feed;
 use crate::Verdict;
 use crate::output::{positive_span, say, share};
@@ -42,6 +44,9 @@ pub(crate) struct Stat {
     /// Bit rate for the load, if the interface does not report it: 500k, 1M, or bit/s.
     #[arg(long, value_name = "RATE", value_parser = bitrate)]
     bitrate: Option<u32>,
+    /// Names messages, and shows the range of each signal, by this DBC file; may be given several times.
+    #[arg(long, value_name = "FILE")]
+    dbc: Vec<PathBuf>,
     /// Mean load that is a warning, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.6, value_parser = share)]
     load_warning: f64,
@@ -56,14 +61,34 @@ pub(crate) struct Stat {
     quiet: bool,
 }
 
+/// Signals by DBC files.
+struct Signals<'d> {
+    database: &'d Database,
+    ranges: Ranges<'d>,
+}
+
+impl Signals<'_> {
+    fn handle(&mut self, frame: &AnyFrame) {
+        self.ranges.handle(self.database, frame);
+    }
+}
+
 /// Longest wait before the next check for the end.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 impl Stat {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let database = Database::open(&self.dbc)?;
+        let mut signals = Signals {
+            database: &database,
+            ranges: Ranges::default(),
+        };
         let (name, report) = match (&self.from, &self.interface) {
-            (Some(file), _) => self.of_file(file)?,
-            (None, Some(interface)) => (interface.clone(), self.of_interface(interface)?),
+            (Some(file), _) => self.of_file(file, &mut signals)?,
+            (None, Some(interface)) => (
+                interface.clone(),
+                self.of_interface(interface, &mut signals)?,
+            ),
             (None, None) => anyhow::bail!("neither an interface nor a recording (--from) given"),
         };
         let limits = Limits {
@@ -73,10 +98,10 @@ impl Stat {
         };
         let findings = report.findings(&limits);
         if self.json {
-            say(&text::json(&name, &report, &findings).to_string())?;
+            say(&text::json(&name, &report, &findings, &signals).to_string())?;
         } else {
             if !self.quiet {
-                say(&text::table(&name, &report))?;
+                say(&text::table(&name, &report, &signals))?;
             }
             for line in text::verdict(&name, &findings) {
                 say(&line)?;
@@ -91,13 +116,14 @@ impl Stat {
     }
 
     /// Reads one channel only: load and heartbeats of two buses must not be mixed.
-    fn of_file(&self, file: &Path) -> anyhow::Result<(String, Report)> {
+    fn of_file(&self, file: &Path, signals: &mut Signals<'_>) -> anyhow::Result<(String, Report)> {
         let mut feed = Feed::open(&[], Some(file))?;
         let mut meter = Meter::new(self.bitrate.map(Rates::classic));
         let mut channel = self.channel.clone();
         while let Some(seen) = feed.next(POLL_INTERVAL)? {
             let channel = channel.get_or_insert_with(|| seen.interface.to_string());
             if **channel == *seen.interface {
+                signals.handle(&seen.received.frame);
                 meter.handle_frame(&seen.received);
             }
         }
@@ -111,7 +137,7 @@ impl Stat {
         Ok((channel, report))
     }
 
-    fn of_interface(&self, name: &str) -> anyhow::Result<Report> {
+    fn of_interface(&self, name: &str, signals: &mut Signals<'_>) -> anyhow::Result<Report> {
         let interface = Interface::open(name)?;
         let before = interface.details()?;
         let rates = self.bitrate.map(Rates::classic).or_else(|| before.rates());
@@ -122,6 +148,7 @@ impl Stat {
         meter.handle_time(wall());
         while Instant::now() < until && !stop.is_requested() {
             if let Some(seen) = feed.next(POLL_INTERVAL)? {
+                signals.handle(&seen.received.frame);
                 meter.handle_frame(&seen.received);
             }
         }

@@ -17,7 +17,7 @@ use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
 use nix::sys::termios::{FlushArg, tcflush};
 use takt_can::linux::{Options, SocketCan, monotonic};
 use takt_can::rmp::emulator::{Powerbase, PowerbaseConfig, serve};
-use takt_can::rmp::{Channel, Model, Packet, PacketReader};
+use takt_can::rmp::{Channel, Model, Packet, PacketReader, YawSign};
 
 use super::service::Service;
 use crate::Verdict;
@@ -36,6 +36,9 @@ pub(crate) struct Rmp {
     /// The velocity scale that it has stored, 0 to 16.
     #[arg(long, value_name = "SIXTEENTHS", default_value_t = 12)]
     stored_scale: u8,
+    /// Which way its integrated yaw (404h) counts: clockwise, or counter_clockwise.
+    #[arg(long, value_name = "SIGN", default_value = "clockwise", value_parser = yaw_sign)]
+    yaw_integral: YawSign,
     /// Its emergency stop is open.
     #[arg(long)]
     emergency_stop: bool,
@@ -51,11 +54,19 @@ fn model(text: &str) -> Result<Model, String> {
     })
 }
 
+fn yaw_sign(text: &str) -> Result<YawSign, String> {
+    YawSign::named(text).ok_or_else(|| {
+        let known = YawSign::ALL.map(YawSign::name).join(" or ");
+        format!("`{text}` is no sign: write {known}")
+    })
+}
+
 impl Rmp {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let mut powerbase = Powerbase::new(PowerbaseConfig {
             model: self.model,
             start: monotonic(),
+            yaw_integral: self.yaw_integral,
             ..PowerbaseConfig::default()
         });
         powerbase.store_scale(self.stored_scale);

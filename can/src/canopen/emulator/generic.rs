@@ -144,10 +144,12 @@ impl Application for Generators {
 /// A number as an object of that type has it.
 fn encode(data_type: DataType, value: f64) -> Result<Vec<u8>, AbortCode> {
     let is_integer = data_type == DataType::Boolean || data_type.integer(&[0]).is_some();
-    let text = match data_type {
-        DataType::Real32 | DataType::Real64 => format!("{value}"),
-        _ if is_integer => format!("{:.0}", value.round() + 0.0),
-        _ => return Err(AbortCode::Value),
+    let text = if is_integer {
+        format!("{:.0}", value.round() + 0.0)
+    } else if matches!(data_type, DataType::Real32 | DataType::Real64) {
+        value.to_string()
+    } else {
+        return Err(AbortCode::Value);
     };
     data_type.read(&text).map_err(|_| AbortCode::Value)
 }
@@ -300,7 +302,7 @@ fn range(entry: &Entry) -> (f64, f64) {
         (DataType::Integer8, _) => (-100.0, 100.0),
         (DataType::Unsigned8, _) => (0.0, 200.0),
         (DataType::Real32 | DataType::Real64, _) => (-1.0, 1.0),
-        (kind, Some(_)) if kind.to_string().starts_with("INT") => (-RANGE, RANGE),
+        (kind, Some(size)) if kind.integer(&vec![0xFF; size]) == Some(-1) => (-RANGE, RANGE),
         _ => (0.0, RANGE),
     };
     #[expect(clippy::cast_precision_loss, reason = "the ends of a signal")]

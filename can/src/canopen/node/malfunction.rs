@@ -35,7 +35,7 @@ pub struct Malfunctions {
     next_emergency: Option<Duration>,
 }
 
-/// When what repeats at an interval is due again; `None` as long as it is not due.
+/// Whether what repeats at an interval is due; `due` is when it is due next.
 fn repeat(due: &mut Option<Duration>, every: Option<Duration>, now: Duration) -> bool {
     let Some(every) = every else {
         *due = None;

@@ -8,7 +8,7 @@ use super::super::model::COUNTS_PER_DEGREE;
 use super::super::status::ControlUnit;
 use super::super::{
     Channel, Command, Config, Gain, Integrators, Message, Mode, Model, Odometer, Pose, StatusWord1,
-    StatusWord2,
+    StatusWord2, YawSign,
 };
 use crate::Frame;
 
@@ -37,6 +37,8 @@ pub struct PowerbaseConfig {
     pub start: Duration,
     /// Whether both channels send; else only A.
     pub both_channels: bool,
+    /// Which way its integrated yaw counts.
+    pub yaw_integral: YawSign,
 }
 
 impl Default for PowerbaseConfig {
@@ -47,6 +49,7 @@ impl Default for PowerbaseConfig {
             turn_gain: None,
             start: Duration::ZERO,
             both_channels: false,
+            yaw_integral: YawSign::default(),
         }
     }
 }
@@ -252,7 +255,11 @@ impl Powerbase {
     fn raw_integrators(&self) -> [f64; 4] {
         let [left, right] = self.turned;
         let turns = self.odometer.pose().heading / std::f64::consts::TAU;
-        let yaw = -turns * self.config.model.scales().yaw;
+        let sign = match self.config.yaw_integral {
+            YawSign::Clockwise => -1.0,
+            YawSign::CounterClockwise => 1.0,
+        };
+        let yaw = sign * turns * self.config.model.scales().yaw;
         [right, left, yaw, f64::midpoint(left, right)]
     }
 

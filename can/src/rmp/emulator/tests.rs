@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::super::{
     BACK, Base, Channel, DriverConfig, FRONT, Hindrance, Integrators, Mode, Model, Omni,
-    OmniConfig, State, StatusWord1,
+    OmniConfig, State, StatusWord1, YawSign,
 };
 use super::*;
 
@@ -389,4 +389,40 @@ fn rmp_models_have_names_and_scales() {
         assert!(model.scales().displacement > model.scales().speed);
     }
     assert_eq!(Channel::default(), Channel::A);
+}
+
+/// Turns a base left for some seconds; returns its heading, and whether rate and integral contradict each other.
+fn turned_left(base: YawSign, setting: YawSign) -> (f64, bool) {
+    let mut powerbase = Powerbase::new(PowerbaseConfig {
+        yaw_integral: base,
+        ..PowerbaseConfig::default()
+    });
+    let config = DriverConfig {
+        yaw_integral: setting,
+        ..DriverConfig::default()
+    };
+    let mut driven = Base::new(config, 1.0, 1.5);
+    for ms in 0..8_000_u32 {
+        let now = Duration::from_millis(ms.into());
+        while let Some((channel, frame)) = powerbase.poll_transmit(now) {
+            driven.handle_frame(channel, &frame, now);
+        }
+        // After it is configured, it wants to be commanded to rest once.
+        let wanted = (ms > 3_000).then_some([0.0, 0.5]);
+        if let Some(frame) = driven.poll_transmit(wanted, now) {
+            powerbase.handle_frame(&frame, now);
+        }
+    }
+    (driven.motion().pose.heading, driven.yaw_contradicts())
+}
+
+#[test]
+fn rmp_yaw_integral_sign_is_set_and_checked() {
+    for base in YawSign::ALL {
+        let (heading, contradicts) = turned_left(base, base);
+        assert!(heading > 1.0 && !contradicts, "{base:?} {heading}");
+        let (heading, contradicts) = turned_left(base, base.other());
+        assert!(heading < -1.0 && contradicts, "{base:?} {heading}");
+        assert_eq!(YawSign::named(base.name()), Some(base));
+    }
 }

@@ -6,7 +6,7 @@ use crate::stat::Report;
 
 /// Answers in pairs, and changes of state without command, that are no coincidence.
 const ANSWERS: u32 = 2;
-const STATES: u32 = 4;
+const STATES: u32 = 3;
 /// Boot-ups right after another that are a loop of one node instead.
 const TWINS: std::ops::Range<u32> = 1..3;
 /// Stray PDOs of a node that are no coincidence.

@@ -60,6 +60,17 @@ fn stat_duplicate_number_is_found_by_each_sign() {
     assert_eq!(signs(answers.collect()), Some(DuplicateSign::Answers(3)));
 }
 
+/// A node leaves Operational by itself each time, and its master starts it again.
+#[test]
+fn stat_node_that_drops_out_is_no_duplicate() {
+    let turn = |_| {
+        every(100, 3, "705#05")
+            .chain(every(100, 2, "705#7F"))
+            .chain(once(10, "000#0105"))
+    };
+    assert_eq!(found((0..6).flat_map(turn)), [""; 0]);
+}
+
 /// A client that repeats its request gets an answer to each.
 #[test]
 fn stat_late_answers_to_repeats_are_no_duplicate() {
@@ -70,10 +81,12 @@ fn stat_late_answers_to_repeats_are_no_duplicate() {
 
 #[test]
 fn stat_tpdos_outside_operational_are_found() {
-    let running = || every(10, 50, "185#3702");
+    let running = |state: &'static str| {
+        (0..5).flat_map(move |_| every(10, 10, "185#3702").chain(once(0, state)))
+    };
     let stopped = every(100, 5, "705#05")
         .chain(once(5, "000#0205"))
-        .chain(running());
+        .chain(running("705#04"));
     let (_, findings) = findings_of(stopped);
     let [
         Finding::StrayPdos {
@@ -85,7 +98,7 @@ fn stat_tpdos_outside_operational_are_found() {
     else {
         panic!("{findings:?}")
     };
-    let pre_operational = every(100, 5, "705#7F").chain(running());
+    let pre_operational = every(100, 5, "705#7F").chain(running("705#7F"));
     assert_eq!(found(pre_operational), ["stray-pdos"]);
     // Its last ones may still be under way.
     let ends = every(100, 5, "705#05")
@@ -93,13 +106,17 @@ fn stat_tpdos_outside_operational_are_found() {
         .chain(every(10, 5, "185#3702"));
     assert_eq!(found(ends), [""; 0]);
     // A node without heartbeat may start by itself.
-    assert_eq!(found(once(0, "705#00").chain(running())), [""; 0]);
+    assert_eq!(
+        found(once(0, "705#00").chain(every(10, 50, "185#3702"))),
+        [""; 0]
+    );
 }
 
 #[test]
 fn stat_emergency_storm_differs_from_one_emergency() {
     let beats = || every(100, 5, "705#05");
-    let storm = beats().chain(every(10, 100, "085#1042090000000000"));
+    let storm = |_| every(10, 10, "085#1042090000000000").chain(once(0, "705#05"));
+    let storm = beats().chain((0..10).flat_map(storm));
     let (_, findings) = findings_of(storm);
     assert!(
         matches!(findings[0], Finding::EmergencyStorm { times: 100, .. }),

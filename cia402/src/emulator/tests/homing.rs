@@ -51,6 +51,7 @@ fn home(method: i8, from: f64, offset: i32, quirks: Quirks) -> Rig {
         motor: geometry(method),
         position: from,
         quirks,
+        ..DriveConfig::default()
     };
     let mut rig = Rig::enabled(config, 6);
     rig.set(0x6098, method);

@@ -92,7 +92,24 @@ pub struct Arm {
     /// The shutdown, once requested.
     shutdown: Option<Shutdown>,
     held: bool,
+    returned: Return,
 }
+
+/// Drives that were lost while they followed, and returned. Their reaction to the loss may still be under way: they show
+/// Operation enabled for some cycles more, then a quick stop.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Return {
+    /// They follow, or were not enabled yet.
+    #[default]
+    None,
+    /// They are away.
+    Away,
+    /// They returned then.
+    Since(Nanos),
+}
+
+/// Time after a return in which a drive reacts to the loss.
+const SETTLE: Duration = Duration::from_millis(200);
 
 impl Arm {
     /// An arm on a bus with that cycle time.
@@ -107,6 +124,7 @@ impl Arm {
             powered: false,
             shutdown: None,
             held: false,
+            returned: Return::None,
         }
     }
 
@@ -129,7 +147,21 @@ impl Arm {
     }
 
     fn follows(&self) -> bool {
-        self.joints.iter().all(Driven::follows)
+        self.returned == Return::None && self.joints.iter().all(Driven::follows)
+    }
+
+    /// Notes whether its drives are away or returned.
+    fn note_return(&mut self, now: Nanos) {
+        let online = self.joints.iter().all(Driven::is_online);
+        self.returned = match self.returned {
+            Return::None if !online && self.end.reported.status == DeviceStatus::Operational => {
+                Return::Away
+            }
+            Return::Away if online => Return::Since(now),
+            Return::Since(_) if !online => Return::Away,
+            Return::Since(since) if now - since >= Nanos::from(SETTLE) => Return::None,
+            state @ (Return::None | Return::Away | Return::Since(_)) => state,
+        };
     }
 
     /// Steps its drives by one cycle: `axis` commands the axis of a joint and returns its feedback.
@@ -211,6 +243,7 @@ impl Arm {
     }
 
     fn publish(&mut self, tick: &Tick) {
+        self.note_return(tick.scheduled);
         let status = if self.follows() && !self.held {
             DeviceStatus::Operational
         } else if self.joints.iter().all(Driven::is_online) {

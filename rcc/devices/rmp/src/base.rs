@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use takt_can::rmp::{self, Model, Motion, State};
+use takt_can::rmp::{self, Model, Motion, State, YawSign};
 use takt_net::device::Base;
 use takt_net::value::{Frame, Rotation, Twist, Vector};
 
@@ -68,6 +68,13 @@ pub fn check(config: &RmpConfig) -> Result<(), String> {
             config.model
         ));
     };
+    if YawSign::named(&config.yaw_integral).is_none() {
+        let known = YawSign::ALL.map(YawSign::name).join(" or ");
+        return Err(format!(
+            "{name}: yaw_integral is `{}`; it is {known}",
+            config.yaw_integral
+        ));
+    }
     match (config.links.len(), model) {
         (1, _) | (2, Model::Rmp50) => {}
         (2, _) => return Err(format!("{name}: a platform of two power bases is of rmp50")),

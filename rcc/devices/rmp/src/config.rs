@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use serde::Deserialize;
+use takt_can::rmp::YawSign;
 use takt_core::Error;
 use takt_core::device::DeviceDescription;
 use takt_core::device::driver::{DeviceDriver, DriverConfig, DriverEnds};
@@ -22,6 +23,10 @@ pub struct RmpConfig {
     /// `rmp50`, `rmp100`, `rmp200` or `rmp400`; a platform of two is of RMP50.
     #[serde(default = "RmpConfig::default_model")]
     pub model: String,
+    /// Which way the integrated yaw (404h) of its power base counts: `clockwise`, as its yaw rate, or
+    /// `counter_clockwise`. `takt can rmp --jog 0,0.5 --duration 4s` says which.
+    #[serde(default = "RmpConfig::default_yaw_integral")]
+    pub yaw_integral: String,
     /// Time between commands, 10 ms to 300 ms.
     #[serde(
         default = "RmpConfig::default_period",
@@ -47,6 +52,7 @@ impl RmpConfig {
             name: name.into(),
             links: links.iter().map(|link| (*link).to_owned()).collect(),
             model: Self::default_model(),
+            yaw_integral: Self::default_yaw_integral(),
             period: Self::default_period(),
             priority: None,
             cpus: Vec::new(),
@@ -56,6 +62,10 @@ impl RmpConfig {
 
     fn default_model() -> String {
         "rmp50".to_owned()
+    }
+
+    fn default_yaw_integral() -> String {
+        YawSign::default().name().to_owned()
     }
 
     const fn default_period() -> Duration {

@@ -106,6 +106,7 @@ impl Cause {
 }
 
 impl fmt::Display for Diagnosis {
+    #[expect(clippy::too_many_lines, reason = "a table of texts")]
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let node = self.node;
         match self.cause {

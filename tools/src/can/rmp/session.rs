@@ -7,7 +7,7 @@ use std::time::Duration;
 use takt_can::Frame;
 use takt_can::rmp::{
     ACCELERATION, Base, Channel, Command, Config, DriverConfig, Measurement, Message, Mode, Model,
-    Motion, State,
+    Motion, State, YawSign,
 };
 
 use super::port::Port;
@@ -32,6 +32,8 @@ const PERIOD: Duration = Duration::from_millis(50);
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Plan {
     pub(super) model: Model,
+    /// Which way its integrated yaw counts.
+    pub(super) yaw_integral: YawSign,
     /// How long to receive; forever without it. A jog has its own duration.
     pub(super) duration: Option<Duration>,
     pub(super) configs: Vec<Config>,
@@ -83,6 +85,10 @@ pub(super) enum Finding {
     DoesNotStop,
     /// It shows another gain schedule than was set.
     Gain(u16, u16),
+    /// It was commanded to disable its motors and stays in this mode.
+    StaysEnabled(Mode),
+    /// Its integrated yaw counts against its yaw rate; this is the right setting.
+    YawSign(YawSign),
 }
 
 impl Finding {
@@ -99,6 +105,8 @@ impl Finding {
             Self::DoesNotMove => "does-not-move",
             Self::DoesNotStop => "does-not-stop",
             Self::Gain(..) => "gain-not-taken",
+            Self::StaysEnabled(_) => "stays-enabled",
+            Self::YawSign(_) => "yaw-sign",
         }
     }
 }
@@ -119,10 +127,21 @@ impl fmt::Display for Finding {
             ),
             Self::DoesNotMove => f.write_str(
                 "it follows commands and did not move\n\
-                 hint: check its stored velocity scale (--config velocity=16) and its wheels",
+                 hint: check its stored velocity scale (--set velocity=16) and its wheels",
             ),
             Self::DoesNotStop => f.write_str(
                 "it was commanded to rest and still moves\nhint: switch it off at its emergency stop",
+            ),
+            Self::StaysEnabled(mode) => write!(
+                f,
+                "it was commanded to disable its motors and stays in mode {mode}\n\
+                 hint: switch it off at its emergency stop; check whether another host commands it"
+            ),
+            Self::YawSign(sign) => write!(
+                f,
+                "its integrated yaw (404h) counts against its yaw rate (402h): headings turn the wrong way\n\
+                 hint: set yaw_integral = \"{sign}\" in its section of cell.toml (here --yaw-integral {sign})",
+                sign = sign.name()
             ),
             Self::Gain(set, shown) => write!(
                 f,
@@ -170,6 +189,7 @@ impl<'p, P: Port> Session<'p, P> {
     pub(super) fn new(port: &'p mut P, plan: Plan) -> Self {
         let config = DriverConfig {
             model: plan.model,
+            yaw_integral: plan.yaw_integral,
             period: PERIOD,
             ..DriverConfig::default()
         };
@@ -307,7 +327,21 @@ impl<'p, P: Port> Session<'p, P> {
         }
         self.rest(show)?;
         let disable = Config::Mode(Mode::Disabled);
-        self.set(disable, show)
+        self.set(disable, show)?;
+        let mode = self.view.measured.map(|measured| measured.mode);
+        if let Some(mode) = mode.filter(|mode| *mode != Mode::Disabled && self.is_recent()) {
+            self.findings.push(Finding::StaysEnabled(mode));
+        }
+        if self.base.yaw_contradicts() {
+            let right = self.plan.yaw_integral.other();
+            self.findings.push(Finding::YawSign(right));
+        }
+        Ok(())
+    }
+
+    /// Whether it still sends: a silent power base shows its last values forever.
+    fn is_recent(&self) -> bool {
+        self.port.now().saturating_sub(self.view.motion.stamp) < SILENT_AFTER
     }
 
     fn drive(&mut self, jog: Jog, show: Show<'_>) -> anyhow::Result<()> {
@@ -342,9 +376,7 @@ impl<'p, P: Port> Session<'p, P> {
         while self.speed() > AT_REST && self.port.now() < end {
             self.command(None, show)?;
         }
-        // A silent power base shows its last speed forever.
-        let is_recent = self.port.now().saturating_sub(self.view.motion.stamp) < SILENT_AFTER;
-        if self.speed() > AT_REST && is_recent {
+        if self.speed() > AT_REST && self.is_recent() {
             self.findings.push(Finding::DoesNotStop);
         }
         Ok(())

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use takt_can::Frame;
 use takt_can::rmp::emulator::PowerbaseConfig;
-use takt_can::rmp::{Base, Command, Config, DriverConfig, Gain, Mode, Model};
+use takt_can::rmp::{Base, Command, Config, DriverConfig, Gain, Mode, Model, YawSign};
 
 use super::session::{Finding, Jog, Plan, Report, Session};
 use super::{Configs, configs, text, velocity};
@@ -19,6 +19,7 @@ fn lab() -> Lab {
 fn watch() -> Plan {
     Plan {
         model: Model::Rmp200,
+        yaw_integral: YawSign::default(),
         duration: Some(Duration::from_secs(2)),
         configs: vec![],
         jog: None,
@@ -270,9 +271,42 @@ fn rmp_jog_without_motion_fails() {
     lab.rmp(0).store_scale(0);
     let report = run(&mut lab, jog([0.3, 0.0], 5000));
     assert_eq!(report.findings, [Finding::DoesNotMove]);
+    assert!(report.findings[0].to_string().contains("--set velocity=16"));
+}
+
+#[test]
+fn rmp_jog_that_turns_decides_the_yaw_sign() {
+    let mut lab = Lab::new();
+    lab.add_rmp(PowerbaseConfig {
+        yaw_integral: YawSign::CounterClockwise,
+        ..PowerbaseConfig::default()
+    });
+    let report = run(&mut lab, jog([0.0, 0.5], 4000));
+    assert_eq!(
+        report.findings,
+        [Finding::YawSign(YawSign::CounterClockwise)]
+    );
+    let text = text::report("can0", &report);
     assert!(
-        report.findings[0]
-            .to_string()
-            .contains("--config velocity=16")
+        text.contains("yaw_integral = \"counter_clockwise\""),
+        "{text}"
+    );
+    let right = Plan {
+        yaw_integral: YawSign::CounterClockwise,
+        ..jog([0.0, 0.5], 4000)
+    };
+    assert_eq!(run(&mut lab, right).findings, []);
+}
+
+/// It ignores the command that disables its motors.
+#[test]
+fn rmp_jog_that_stays_enabled_fails() {
+    let mut lab = lab();
+    lab.at(2500, |devices| rmp(devices, 0).faults.refuses_mode = true);
+    let report = run(&mut lab, jog([0.3, 0.0], 3000));
+    assert!(
+        names(&report).contains(&"stays-enabled"),
+        "{:?}",
+        report.findings
     );
 }

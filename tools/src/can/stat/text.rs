@@ -9,6 +9,9 @@ use takt_can::stat::{Finding, IdStat, Report, Severity};
 use takt_can::{Frame, Id};
 use takt_cia402::error_text;
 
+use super::Signals;
+use crate::can::dbc::Database;
+
 /// Number of identifiers in the table, those with the most time on the bus first.
 const IDS_MAX: usize = 40;
 
@@ -25,9 +28,10 @@ fn per_second(count: u64, span: Duration) -> f64 {
 }
 
 /// Everything but the verdict.
-pub(super) fn table(name: &str, report: &Report) -> String {
+pub(super) fn table(name: &str, report: &Report, signals: &Signals<'_>) -> String {
     let mut text = head(name, report);
-    ids(&mut text, report);
+    ids(&mut text, report, signals.database);
+    text.push_str(&signals.ranges.table(signals.database));
     nodes(&mut text, report);
     sdos(&mut text, report);
     text.trim_end().to_owned()
@@ -92,7 +96,7 @@ fn sync(text: &mut String, report: &Report) {
     }
 }
 
-fn ids(text: &mut String, report: &Report) {
+fn ids(text: &mut String, report: &Report, database: &Database) {
     if report.ids.is_empty() {
         return;
     }
@@ -122,7 +126,9 @@ fn ids(text: &mut String, report: &Report) {
             ms(intervals.shortest()),
             ms(intervals.longest()),
             ms(intervals.deviation()),
-            kind(**id),
+            database
+                .message(**id)
+                .map_or_else(|| kind(**id), str::to_owned),
         );
     }
     let more = ids.len().saturating_sub(IDS_MAX);
@@ -246,7 +252,12 @@ fn wrapped(text: &str) -> Vec<String> {
     lines.into_iter().enumerate().map(mark).collect()
 }
 
-pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
+pub(super) fn json(
+    name: &str,
+    report: &Report,
+    findings: &[Finding],
+    signals: &Signals<'_>,
+) -> Value {
     let us = |span: Duration| span.as_secs_f64() * 1e6;
     let ids = report.ids.iter().map(|(id, stat)| {
         json!({
@@ -305,6 +316,7 @@ pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
         "sync_jitter": report.sync_jitter(),
         "ids": ids.collect::<Vec<_>>(), "nodes": nodes.collect::<Vec<_>>(),
         "sdos": sdos.collect::<Vec<_>>(), "emergencies": emergencies.collect::<Vec<_>>(),
+        "signals": signals.ranges.json(signals.database),
         "findings": found.collect::<Vec<_>>(),
     })
 }

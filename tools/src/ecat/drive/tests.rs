@@ -358,3 +358,24 @@ fn ecat_drive_without_bit_12_needs_its_quirk() {
         "{outcome:?}, {lines:#?}"
     );
 }
+
+/// A fault between Operation enabled and the end.
+#[test]
+fn ecat_drive_fault_at_shutdown_fails() {
+    let (segment, drive) = line(ServoConfig::default());
+    let was_enabled = Cell::new(false);
+    let (outcome, lines) = done_with(segment, &order(), |line, _| {
+        was_enabled.set(was_enabled.get() || line.contains("s  operation enabled"));
+        if was_enabled.get() && line.ends_with("s  switched on") {
+            drive.axis(0, |axis| axis.fault(FaultCode::ENCODER));
+        }
+    });
+    let Outcome::Axis(why) = &outcome else {
+        panic!("{outcome:?} {lines:#?}");
+    };
+    assert!(
+        why.contains("in fault") && why.contains("incremental encoder 1"),
+        "{why}"
+    );
+    assert!(outcome.is_failure());
+}

@@ -605,3 +605,22 @@ fn drive_arm_power_after_fault_follows_recovery_setting() {
         }
     }
 }
+
+/// A drive that lost its master shows Operation enabled for some cycles after its return, then its quick stop.
+#[test]
+fn drive_arm_returning_drive_is_not_operational_at_once() {
+    let mut bench = Bench::new(2);
+    bench.run(100, false);
+    assert_eq!(bench.status(), DeviceStatus::Operational);
+    bench.drives[1].is_online = false;
+    bench.run(20, false);
+    assert_eq!(bench.status(), DeviceStatus::Offline);
+    bench.drives[1].is_online = true;
+    bench.drives[1].state = State::OperationEnabled;
+    for _ in 0..10 {
+        bench.run(1, false);
+        assert_eq!(bench.status(), DeviceStatus::SafeOperational);
+    }
+    bench.run(4000, false);
+    assert_eq!(bench.status(), DeviceStatus::Operational);
+}

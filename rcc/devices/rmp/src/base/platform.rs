@@ -5,7 +5,7 @@ use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
 use takt_can::rmp::{
-    self, ACCELERATION, Channel, DriverConfig, Model, Motion, Omni, OmniConfig, State,
+    self, ACCELERATION, Channel, DriverConfig, Model, Motion, Omni, OmniConfig, State, YawSign,
 };
 
 use super::{ROTATION_MAX, VELOCITY_MAX};
@@ -97,6 +97,7 @@ impl Platform {
         let [linear, angular] = ACCELERATION;
         let driver = DriverConfig {
             model: Model::named(&config.model).unwrap_or_default(),
+            yaw_integral: YawSign::named(&config.yaw_integral).unwrap_or_default(),
             period: config.period,
             ..DriverConfig::default()
         };

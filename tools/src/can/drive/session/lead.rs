@@ -202,7 +202,7 @@ impl<W: Wire> Session<'_, W> {
             has_run_away = rest.is_err();
         }
         let end = self.remove_power(has_run_away)?;
-        rest.and(judge_end(end))
+        rest.and_then(|()| judge_end(end))
     }
 
     /// Brakes a motor that moves, before anything else.

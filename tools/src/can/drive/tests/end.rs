@@ -84,5 +84,5 @@ fn can_drive_of_a_duplicate_number_is_refused() {
         matches!(Message::decode(frame), Message::SdoRequest(_, message)
             if matches!(Request::decode(&message), Some(Request::Download { .. })))
     };
-    assert!(!lab.sent.iter().any(|sent| is_download(sent)));
+    assert!(!lab.sent.iter().any(is_download));
 }
