@@ -76,6 +76,24 @@ impl Client {
         Ok(end.filter(|end| !end.is_empty()))
     }
 
+    /// The last values of a net that failed and of its devices, as a table; empty if it did not fail.
+    pub(crate) fn last_values(&mut self, net: &str) -> anyhow::Result<String> {
+        let nets = self.describe([net])?;
+        let table = nets.first().map(|(_, net)| text(net, "last"));
+        Ok(table.unwrap_or_default())
+    }
+
+    /// Its set-points that devices rejected, a text each.
+    pub(crate) fn rejected(&mut self, net: &str) -> anyhow::Result<Vec<String>> {
+        let net = self.describe([net])?.into_iter().next();
+        let rejected = net.and_then(|(_, mut net)| net.remove("rejected"));
+        let Some(Value::List(lines)) = rejected else {
+            return Ok(Vec::new());
+        };
+        let lines = lines.iter().filter_map(Value::as_str);
+        Ok(lines.map(str::to_owned).collect())
+    }
+
     /// The controller's report on nets, or on all of them.
     fn describe<'a>(
         &mut self,

@@ -22,6 +22,7 @@ use takt_core::stop_channel::{
     PRIORITY, StopChannel, StopChannelConfig, StopSwitch, default_socket,
 };
 use takt_core::{CellConfig, Controller};
+use takt_link::linux::host::{Transport, bind_error};
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::LogBook;
 
@@ -95,6 +96,12 @@ impl Run {
     }
 }
 
+/// The error of an address that cannot be listened at, with the program that holds its port.
+fn cannot_listen(what: &str, address: SocketAddr, source: &std::io::Error) -> anyhow::Error {
+    let why = bind_error(Transport::Tcp, address, source);
+    anyhow::anyhow!("{what} at {address}: {why}")
+}
+
 /// Starts the stop channel of a cell. Without a path in the cell its socket is where `takt stop` searches.
 pub(crate) fn stop_channel(
     cell: &CellConfig,
@@ -127,7 +134,15 @@ pub(crate) fn stop_channel(
             "the stop channel is to listen beyond loopback without a token\nhint: set token_file under [controller]"
         );
     }
-    Ok(StopChannel::start(config, switch.clone())?)
+    let tcp = config.tcp;
+    StopChannel::start(config, switch.clone()).map_err(|error| match (error, tcp) {
+        (takt_core::Error::StopChannel { address, source }, Some(tcp))
+            if address == tcp.to_string() =>
+        {
+            cannot_listen("the stop channel cannot listen", tcp, &source)
+        }
+        (error, _) => error.into(),
+    })
 }
 
 /// Addresses at which it can be stopped, as text.
@@ -230,7 +245,13 @@ impl Server {
             }),
             ..takt_server::ServerConfig::default()
         };
-        let server = runtime.block_on(access.bind(config))?;
+        let server = runtime.block_on(access.bind(config));
+        let server = server.map_err(|error| match error {
+            takt_server::Error::Listen { address, source } => {
+                cannot_listen("cannot listen", address, &source)
+            }
+            error => error.into(),
+        })?;
         let local = server.local_path().map(Path::to_owned);
         let (http, tcp) = (server.http_address(), server.tcp_address());
         let (stop, stopped) = tokio::sync::oneshot::channel();

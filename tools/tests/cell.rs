@@ -279,3 +279,49 @@ fn run_wrong_cell_exits_78_missing_address_2() {
     }
     expect_status(&run(&["run", "--config", "/nowhere.toml"]), 78);
 }
+
+#[test]
+fn watch_names_rejected_set_points_and_fails() {
+    let _alone = alone();
+    let mut cell = Cell::start();
+    let _arm = cell.arm();
+    let far = "{v=Core::DoubleValue(Value='30'),c=Cancel(),outTerminate=c.outCancel,
+        j=RobotArm::JointPosition(inPosition=v.outValue,Robot='left',Axis='4')}";
+    let id = cell.load(far);
+    let mut watch = cell.watch(&id);
+    expect_status(&cell.net(&["start", &id]), 0);
+    watch.wait_for("left joint 4 rejects set-points of rpinet0");
+    watch.wait_for("30.00 degrees are 0.5236 rad");
+    // It ends as `rejected_ends_after` says.
+    watch.wait_for("rejected for 5s: left joint 4");
+    watch.wait_for("all at /nets/rpinet0/last");
+    watch.wait_for("j4 measured");
+    let (lines, status) = watch.end();
+    assert_eq!(status, Some(1), "{lines:#?}");
+    cell.process.wait_for("left joint 4 rejects set-points");
+}
+
+#[test]
+fn taken_port_of_server_names_its_owner() {
+    let folder = Folder::new();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = taken.local_addr().map(|address| (taken, address)).unwrap();
+    let (stop, path) = (folder.file("stop.sock"), folder.file("cell.toml"));
+    for key in ["websocket", "tcp", "stop"] {
+        let free = ["websocket", "tcp", "stop"]
+            .into_iter()
+            .filter(|it| *it != key);
+        let free: String = free.map(|it| format!("{it} = '127.0.0.1:0'\n")).collect();
+        let text = format!(
+            "[controller]\n{free}{key} = '{}'\nsocket = ''\nstop_socket = '{stop}'\n",
+            taken.1
+        );
+        std::fs::write(&path, text).unwrap();
+        let output = run(&["run", "--config", &path]);
+        expect_status(&output, 2);
+        let owner = format!("(process {})", std::process::id());
+        let port = format!("TCP port {} is taken by `", taken.1.port());
+        let why = complaint(&output);
+        assert!(why.contains(&port) && why.contains(&owner), "{key}: {why}");
+    }
+}

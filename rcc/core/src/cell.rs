@@ -19,6 +19,7 @@
 //! phase = "300us"          # cycles begin so long after the device's own; leave out for at once
 //! need_estop = false       # true: devices stop unless a net with an EStop primitive runs
 //! on_loss = "end"          # nets of a lost client are cancelled, then aborted; "keep": they run on
+//! rejected_ends_after = "5s" # a net whose set-points are rejected for so long ends; "0s": it runs on
 //! log = "info"             # or debug, warn, error; also by part: "warn,takt_core=debug"
 //! costs = "costs.toml"     # what primitives cost here, by `takt net calibrate`; beside this file
 //!
@@ -123,6 +124,9 @@ pub struct ControllerConfig {
     pub phase: Option<Duration>,
     /// Whether all devices stop while no `EStop` primitive was evaluated for 20 ms.
     pub need_estop: bool,
+    /// How long the set-points of a net may be rejected without a pause before it is ended; zero for ever.
+    #[serde(deserialize_with = "span::text::deserialize")]
+    pub rejected_ends_after: Duration,
     /// What happens to the nets of a session whose client is lost, unless the session sets it. `None`:
     /// they end, except for clients whose WebSocket handshake has no version, which rely on keeping them.
     pub on_loss: Option<OnLoss>,
@@ -177,6 +181,7 @@ impl Default for ControllerConfig {
             follow: None,
             phase: None,
             need_estop: false,
+            rejected_ends_after: Duration::from_secs(5),
             on_loss: None,
             threads: Vec::new(),
             log: None,

@@ -12,12 +12,14 @@ mod eval;
 mod events;
 mod faults;
 mod figures;
+mod last_values;
 mod limited;
 mod load;
 mod monitor;
 mod nets;
 mod permission;
 mod registry;
+mod rejections;
 mod reload;
 mod rules;
 mod schedule;
@@ -26,7 +28,6 @@ mod shared;
 mod shutdown;
 mod start;
 mod supervisor;
-mod surroundings;
 mod threads;
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -41,6 +42,7 @@ use crate::stop_channel::StopSwitch;
 use clock::FollowedClock;
 use permission::Permission;
 use registry::Registry;
+use rejections::Rejections;
 use shared::Shared;
 use supervisor::supervise;
 use threads::NetThreads;
@@ -57,11 +59,13 @@ pub use driver_log::{DriverReport, EventCounts};
 pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};
 pub use faults::{DeviceFault, FaultCounts, StallCause, StallFigures};
 pub use figures::{NetFigures, ThreadInfo};
+pub use last_values::LastValues;
 pub use limited::LimitedInfo;
 pub use load::LoadRequest;
 pub use nets::{
     NETS_MAX, NetInfo, RECORDED_NETS_MAX, RetainedNet, TAPS_RECORDED_FOR, TapRecord, Taps,
 };
+pub use rejections::{RejectReason, RejectedCounts, RejectedInfo};
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 pub use sessions::SESSIONS_MAX;
 
@@ -145,6 +149,7 @@ impl Controller {
         let admission = Admission::of_mib(cell.controller.nets_memory_mib);
         let (devices, permission) = (DeviceSet::new(clock), Permission::new(stop));
         let mut registry = Registry::new(threads, devices, permission, recorder, admission);
+        registry.rejections = Rejections::ending_after(cell.controller.rejected_ends_after);
         for config in cell.drivers() {
             registry.add_of_cell(&**config)?;
         }

@@ -9,8 +9,10 @@ pub mod last_stage;
 pub mod link_watch;
 pub mod on_end;
 pub mod parts;
+pub mod rejected;
 pub mod setpoint;
 pub mod sim;
+mod surroundings;
 mod table;
 
 use std::borrow::Cow;
@@ -24,6 +26,8 @@ use takt_rt::Nanos;
 use continuity::Jumped;
 use last_stage::Limited;
 pub use parts::Part;
+use rejected::Rejected;
+pub(crate) use surroundings::Surroundings;
 pub use table::{Device, DevicePorts, DeviceTable};
 
 /// Bounds for positive parameters, such as the speed of a joint; beyond them, products with the cycle time would be
@@ -98,6 +102,8 @@ pub struct DeviceState {
     pub joints: [JointState; ARM_JOINTS_MAX],
     /// What the last stages of its driver limited: by joint, or of a base along the floor and turning.
     pub limited: [Limited; ARM_JOINTS_MAX],
+    /// Set-points that its driver rejected, by the same parts.
+    pub rejected: [Rejected; ARM_JOINTS_MAX],
     /// Position jumps; nets that were scheduled before a jump are returned.
     pub jumped: Jumped,
     /// Further values, in the words of its interfaces.
@@ -154,7 +160,7 @@ impl DeviceState {
     pub fn copy_from(&mut self, other: &Self) {
         (self.stamp, self.status, self.faults) = (other.stamp, other.status, other.faults);
         (self.joints, self.limited) = (other.joints, other.limited);
-        self.jumped = other.jumped;
+        (self.rejected, self.jumped) = (other.rejected, other.jumped);
         for (word, reported) in self.signals.iter_mut().zip(&other.signals) {
             *word = *reported;
         }

@@ -3,6 +3,7 @@
 //! live thread around it is in [`thread`], and what happens between nets in [`rules`].
 
 pub mod figures;
+pub mod flight;
 mod image;
 mod life;
 pub mod links;

@@ -14,6 +14,7 @@ pub mod netcomm;
 pub mod plan;
 pub mod primitives;
 pub mod registry;
+pub mod set_points;
 pub mod slots;
 pub mod taps;
 pub mod text;

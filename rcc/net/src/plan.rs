@@ -11,6 +11,7 @@ pub use crate::cycle::{Cycle, Moment};
 use crate::definition::Primitive;
 use crate::device::{Image, Target};
 use crate::netcomm::{Directory, Inter, Mailbox};
+use crate::set_points::SetPoints;
 use crate::slots::{In, SlotRef, Slots};
 use crate::taps::Taps;
 use crate::value::Type;
@@ -78,6 +79,7 @@ pub struct Plan {
     /// Cycles evaluated so far.
     pub(crate) count: i64,
     pub(crate) devices: Box<[String]>,
+    pub(crate) set_points: Box<[SetPoints]>,
     pub(crate) uses: Box<[String]>,
     pub(crate) cost: NetCost,
     /// Bytes of arrays and histories.
@@ -180,6 +182,11 @@ impl Plan {
     /// Devices that the net commands.
     pub fn devices(&self) -> &[String] {
         &self.devices
+    }
+
+    /// The set-points that the net gives, by primitive.
+    pub fn set_points(&self) -> &[SetPoints] {
+        &self.set_points
     }
 
     /// Devices that the net reads or commands.

@@ -29,20 +29,20 @@ impl Watch {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let mut client = self.server.connect()?;
         client.subscribe(&self.net, self.refresh)?;
+        let mut rejected = Rejected::default();
         let until = self.duration.map(|duration| Instant::now() + duration);
         loop {
             let left = until.map(|until| until.saturating_duration_since(Instant::now()));
             if left.is_some_and(|left| left.is_zero()) {
-                return Ok(Verdict::Good);
+                return rejected.verdict(&mut client, &self.net, Verdict::Good);
             }
-            let wait = left
-                .unwrap_or(Duration::from_secs(1))
-                .min(Duration::from_secs(1));
+            let wait = left.unwrap_or(REJECTED_EVERY).min(REJECTED_EVERY);
             if let Some(push) = client.next_push(wait)?
                 && let Some(verdict) = self.print(&mut client, &push)?
             {
-                return Ok(verdict);
+                return rejected.verdict(&mut client, &self.net, verdict);
             }
+            rejected.poll(&mut client, &self.net)?;
         }
     }
 
@@ -73,7 +73,59 @@ impl Watch {
             return Ok(Verdict::Good);
         };
         complain(&format!("{} did not end by itself: {why}", self.net));
+        let last = client.last_values(&self.net)?;
+        if !last.is_empty() {
+            complain(&format!(
+                "last values, all at /nets/{}/last:\n{}",
+                self.net,
+                last.trim_end()
+            ));
+        }
         Ok(Verdict::Failed)
+    }
+}
+
+/// Interval at which rejected set-points are asked for: they are no value of the net and are not pushed.
+const REJECTED_EVERY: Duration = Duration::from_millis(500);
+
+/// Rejected set-points that were printed.
+#[derive(Debug, Default)]
+struct Rejected {
+    printed: usize,
+    asked: Option<Instant>,
+}
+
+impl Rejected {
+    fn poll(&mut self, client: &mut Client, net: &str) -> anyhow::Result<()> {
+        if self
+            .asked
+            .is_some_and(|asked| asked.elapsed() < REJECTED_EVERY)
+        {
+            return Ok(());
+        }
+        self.asked = Some(Instant::now());
+        let lines = client.rejected(net)?;
+        for line in lines.iter().skip(self.printed) {
+            complain(line);
+        }
+        self.printed = self.printed.max(lines.len());
+        Ok(())
+    }
+
+    /// The verdict on a net with this one otherwise: a net whose set-points were rejected did not do what it was to.
+    fn verdict(
+        mut self,
+        client: &mut Client,
+        net: &str,
+        otherwise: Verdict,
+    ) -> anyhow::Result<Verdict> {
+        self.asked = None;
+        self.poll(client, net)?;
+        Ok(if self.printed > 0 {
+            Verdict::Failed
+        } else {
+            otherwise
+        })
     }
 }
 

@@ -1,7 +1,10 @@
 //! Ends of nets: by a request of a program, with their session, and as their thread reports them. How nets end with
 //! the controller is in [`shutdown`](super::shutdown).
 
+use std::sync::Arc;
+
 use crate::controller::Controller;
+use crate::controller::last_values::LastValues;
 use crate::controller::nets::{Change, Net};
 use crate::controller::registry::Registry;
 use crate::error::Error;
@@ -170,22 +173,59 @@ impl Registry {
         self.nets.unload(id)
     }
 
+    /// Aborts nets whose set-points were rejected for too long.
+    pub(super) fn end_rejected(&mut self) {
+        for (id, why) in self.rejections.overdue() {
+            let Some(net) = self.nets.get_mut(id).filter(|net| net.runs()) else {
+                continue;
+            };
+            net.abort_because(why);
+            // If the queue is full, the next poll repeats it.
+            self.command(Command::Abort(id.0)).ok();
+        }
+    }
+
     /// The thread ended a net that ran.
     pub(super) fn ended(&mut self, running: &Running, end: End) {
         let id = NetId(running.id);
         let why = self.end_text(running, end);
-        if let (Some(why), End::DeviceFault(_) | End::Runaway) = (&why, end) {
-            tracing::warn!(net = %id, why, "net ended");
+        let failed = match end {
+            End::DeviceFault(_) | End::Runaway => true,
+            End::Aborted => self
+                .nets
+                .get(id)
+                .is_some_and(|net| net.abort_reason().is_some()),
+            End::Terminated | End::Halted | End::Stopped => false,
+        };
+        if let (true, Some(why)) = (failed, &why) {
+            let table = self.keep_last_values(running).table();
+            tracing::warn!(net = %id, "net ended: {why}\nlast values, all at /nets/{id}/last:\n{table}");
         }
         self.nets.change(id, Change::End(why));
         self.answer_rules(id);
+    }
+
+    /// Keeps the last values of a net that failed and of the devices that it commanded.
+    fn keep_last_values(&mut self, running: &Running) -> Arc<LastValues> {
+        let devices = running.plan.devices().iter();
+        let devices = devices.filter_map(|name| self.devices.table.find(name).cloned());
+        let mut values = LastValues::of_devices(devices);
+        let id = NetId(running.id);
+        let thread = self.threads.get(self.nets.thread_of(running.id));
+        if let Some(thread) = thread {
+            values = values.with_net(id, running.plan.outbox(), &thread.flight);
+        }
+        self.monitor.flights_mut().keep_net(id, values)
     }
 
     /// The reason why a net ended, unless it terminated by itself.
     fn end_text(&self, net: &Running, end: End) -> Option<String> {
         match end {
             End::Terminated => None,
-            End::Aborted => Some("aborted".to_owned()),
+            End::Aborted => {
+                let why = self.nets.get(NetId(net.id)).and_then(Net::abort_reason);
+                Some(why.unwrap_or("aborted").to_owned())
+            }
             End::Halted => {
                 let by = self.permission.switch().last_stop();
                 let by = by.map(|(by, _)| format!(" by {by}"));

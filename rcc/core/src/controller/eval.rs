@@ -7,8 +7,7 @@ use takt_net::netcomm::OutStatus;
 use takt_net::{Image, Limits, LoadContext, Moment, Nanos, Plan, Rejection, load};
 
 use crate::controller::Controller;
-use crate::controller::surroundings::Surroundings;
-use crate::device::DeviceTable;
+use crate::device::{DeviceTable, Surroundings};
 
 impl Controller {
     /// Checks a net, evaluates its first cycle with the devices as they are now, and returns the
@@ -22,7 +21,7 @@ impl Controller {
             registry: &self.inner.primitives,
             devices: &Surroundings {
                 devices: &devices,
-                inner: &self.inner,
+                boxes: |id| self.inner.lock().nets.get(id)?.boxes(),
             },
             period: self.inner.period,
             limits: eval_limits(),

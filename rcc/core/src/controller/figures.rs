@@ -13,9 +13,11 @@ use crate::controller::Controller;
 use crate::controller::clock::ClockInfo;
 use crate::controller::driver_log::{DriverReport, EventCounts};
 use crate::controller::faults::{DeviceFault, FaultCounts, StallCause, StallFigures};
+use crate::controller::last_values::LastValues;
 use crate::controller::limited::{self, LimitedInfo};
 use crate::controller::registry::Registry;
 use crate::device::bus::BusAccess;
+use crate::controller::rejections::{RejectedCounts, RejectedInfo};
 use crate::device::driver::DeviceDriver;
 use crate::executor::figures::{NetCounts, budget};
 use crate::executor::thread::NetThread;
@@ -160,6 +162,41 @@ impl Controller {
         let mut found: Vec<_> = names.flat_map(|name| reports.of(name)).cloned().collect();
         found.sort_by_key(|report| report.at);
         found
+    }
+
+    /// The last second of values of a device before its last fault, or before now if it had none; `None` if there is no
+    /// such device.
+    #[must_use]
+    pub fn last_values(&self, device: &str) -> Option<Arc<LastValues>> {
+        let registry = self.inner.lock();
+        let found = registry.devices.table.find(device)?;
+        let kept = registry.monitor.flights().of_device(device);
+        Some(kept.unwrap_or_else(|| {
+            let device = std::iter::once(Arc::clone(found));
+            Arc::new(LastValues::of_devices(device))
+        }))
+    }
+
+    /// The last second of values of a net that failed, and of the devices that it commanded; `None` if it did not fail, or
+    /// long ago.
+    #[must_use]
+    pub fn last_values_of_net(&self, net: NetId) -> Option<Arc<LastValues>> {
+        self.inner.lock().monitor.flights().of_net(net)
+    }
+
+    /// The last rejections of set-points, at most 256 in all, oldest first: those of a net, or all.
+    #[must_use]
+    pub fn rejected(&self, net: Option<NetId>) -> Vec<RejectedInfo> {
+        let registry = self.inner.lock();
+        let recent = registry.rejections.recent();
+        let of_net = recent.filter(|it| net.is_none() || it.net == net);
+        of_net.cloned().collect()
+    }
+
+    /// How often set-points began to be rejected, by device, part and reason.
+    #[must_use]
+    pub fn rejected_counts(&self) -> RejectedCounts {
+        self.inner.lock().rejections.counts().clone()
     }
 
     /// Number of events by driver or device, each by severity.

@@ -42,6 +42,13 @@ fn line(part: &str, unit: Unit, limited: &Limited, onsets: u64) -> String {
     } else {
         String::new()
     };
+    if limited.is_exceeded {
+        return format!(
+            "{part}: {}{times}; it followed, as a simulation without strict limits does\nhint: a real arm is limited or \
+             rejects such set-points; make the device with limits=strict to see that",
+            why.unwrap_or_default()
+        );
+    }
     format!(
         "{part} was limited by its last stage: {}{times}; slow the motion, or give set-points that change less at once",
         why.unwrap_or_default()

@@ -10,9 +10,8 @@ use takt_rt::latest::latest;
 use crate::controller::Controller;
 use crate::controller::nets::{Change, NETS_MAX, Prepared, Values};
 use crate::controller::registry::Registry;
-use crate::controller::surroundings::Surroundings;
 use crate::controller::threads::{Placement, busy};
-use crate::device::DeviceTable;
+use crate::device::{DeviceTable, Surroundings};
 use crate::error::Error;
 use crate::executor::figures::budget;
 use crate::executor::links::OUT_READERS;
@@ -218,7 +217,7 @@ impl Controller {
             registry: &self.inner.primitives,
             devices: &Surroundings {
                 devices,
-                inner: &self.inner,
+                boxes: |id| self.inner.lock().nets.get(id)?.boxes(),
             },
             period: before.period,
             limits,

@@ -10,6 +10,7 @@ use takt_rt::stats::StallReader;
 use crate::controller::device_set::DeviceSet;
 use crate::controller::driver_log::{DriverLog, DriverReports};
 use crate::controller::faults::{Faults, StallCause, StallFigures, cause};
+use crate::controller::last_values::Flights;
 use crate::controller::limited::MotionReports;
 use crate::controller::permission::Permission;
 use crate::controller::threads::NetThreads;
@@ -81,6 +82,7 @@ pub(super) struct Monitor {
     reports: DriverReports,
     motion: MotionReports,
     faults: Faults,
+    flights: Flights,
     /// Other threads of this process that measure their stalls, by name.
     watched: Vec<(String, StallReader)>,
 }
@@ -96,6 +98,16 @@ impl Monitor {
     /// The faults of devices.
     pub(super) const fn faults(&self) -> &Faults {
         &self.faults
+    }
+
+    /// The last values before the last faults.
+    pub(super) const fn flights(&self) -> &Flights {
+        &self.flights
+    }
+
+    /// The same, to be changed.
+    pub(super) const fn flights_mut(&mut self) -> &mut Flights {
+        &mut self.flights
     }
 
     /// The last events of drivers and devices.
@@ -125,10 +137,11 @@ impl Monitor {
         cause(threads, takt_rt::monotonic())
     }
 
-    /// Events of drivers, limiting and jumps as log lines, with the names of drivers or devices.
+    /// Events of drivers, limiting, jumps and the lines of rejections for the log, with the names of drivers or devices.
     pub(super) fn take_driver_events(
         &mut self,
         devices: &DeviceSet,
+        rejections: Vec<(String, DriverEvent)>,
         now: Instant,
     ) -> Vec<(String, DriverEvent)> {
         let mut lines = Vec::new();
@@ -137,9 +150,11 @@ impl Monitor {
             let events = self.log.take(driver.name(), events, now).into_iter();
             lines.extend(events.map(|line| (driver.name().to_owned(), line)));
         }
-        for (device, line) in self.motion.poll(&devices.table) {
-            let line = std::iter::once(DriverEvent::warning(line));
-            let events = self.log.take(&device, line, now).into_iter();
+        let motion = self.motion.poll(&devices.table).into_iter();
+        let motion = motion.map(|(device, line)| (device, DriverEvent::warning(line)));
+        for (device, event) in motion.chain(rejections) {
+            let events = self.log.take(&device, std::iter::once(event), now);
+            let events = events.into_iter();
             lines.extend(events.map(|line| (device.clone(), line)));
         }
         let at = takt_rt::monotonic();
@@ -198,6 +213,7 @@ impl Monitor {
         let Self {
             faults,
             reports,
+            flights,
             watched,
             ..
         } = self;
@@ -217,7 +233,12 @@ impl Monitor {
                 let driver = devices.driver_of(&device.name);
                 let is_held = driver.is_some_and(|it| it.is_held_after_faults(&device.name));
                 let hint = if is_held { HELD } else { "" };
-                tracing::warn!(device = device.name, figures, "{fault}{hint}");
+                let (name, table) = (&device.name, flights.keep_device(device).table());
+                tracing::warn!(
+                    device = name,
+                    figures,
+                    "{fault}{hint}\nlast values, all at /devices/{name}/last:\n{table}"
+                );
                 faulted.push(device.name.clone());
             }
             if status == DeviceStatus::Operational

@@ -123,6 +123,17 @@ impl Nets {
         self.all.values().map(Net::memory).sum()
     }
 
+    /// The running net that holds the resource of that name.
+    pub(super) fn holder(&self, resource: &str) -> Option<NetId> {
+        let number = *self.resources.get(resource)?;
+        let holds = |net: &Net| {
+            let counted = net.counted().filter(|_| net.runs());
+            counted.is_some_and(|counted| counted.resources.contains(number))
+        };
+        let mut nets = self.iter();
+        nets.find(|(_, net)| holds(net)).map(|(id, _)| id)
+    }
+
     /// The number of a resource, assigned at first use.
     pub(super) fn resource(&mut self, name: &str) -> Result<usize, Rejection> {
         if let Some(number) = self.resources.get(name) {

@@ -9,6 +9,7 @@ use crate::controller::device_set::DeviceSet;
 use crate::controller::monitor::Monitor;
 use crate::controller::nets::Nets;
 use crate::controller::permission::Permission;
+use crate::controller::rejections::Rejections;
 use crate::controller::rules::Rules;
 use crate::controller::sessions::Sessions;
 use crate::controller::threads::NetThreads;
@@ -48,6 +49,7 @@ pub(super) struct Registry {
     pub(super) rules: Rules,
     pub(super) devices: DeviceSet,
     pub(super) monitor: Monitor,
+    pub(super) rejections: Rejections,
     pub(super) threads: NetThreads,
     pub(super) admission: Admission,
     pub(super) permission: Permission,
@@ -79,6 +81,7 @@ impl Registry {
             rules: Rules::default(),
             devices,
             monitor: Monitor::default(),
+            rejections: Rejections::default(),
             threads,
             admission,
             permission,

@@ -28,16 +28,27 @@ pub(super) fn supervise(inner: &Shared) {
             permission,
             ..
         } = &mut *registry;
-        let has_changes = monitor.poll(devices, threads, permission);
+        let mut has_changes = monitor.poll(devices, threads, permission);
+        let Registry {
+            rejections,
+            devices,
+            nets,
+            ..
+        } = &mut *registry;
+        has_changes |= rejections.poll(devices, nets, takt_rt::monotonic());
+        registry.end_rejected();
         if has_events || has_changes {
             inner.announce(&registry);
         }
         let now = Instant::now();
         let recording = registry.recorder.as_mut().and_then(|it| it.poll_event(now));
         let Registry {
-            monitor, devices, ..
+            monitor,
+            devices,
+            rejections,
+            ..
         } = &mut *registry;
-        let driver_events = monitor.take_driver_events(devices, now);
+        let driver_events = monitor.take_driver_events(devices, rejections.take_lines(), now);
         let returns =
             memory_return.is_due(now) && memory_return.check(registry.nets.memory_taken());
         drop(registry);

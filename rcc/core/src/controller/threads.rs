@@ -15,6 +15,7 @@ use crate::controller::clock::FollowedClock;
 use crate::device::Device;
 use crate::error::Error;
 use crate::executor::figures::budget;
+use crate::executor::flight;
 use crate::executor::serve::{DeviceEnd, Driver};
 use crate::executor::stop::{EmergencyStop, StopPart};
 use crate::executor::thread::{COMMANDS, Command, Event, NetThread, NetThreadConfig};
@@ -224,16 +225,22 @@ impl NetThreads {
         driver: Driver,
     ) -> Result<(), Error> {
         self.check_capacity(1)?;
-        let end = |driver| Box::new(DeviceEnd::new(number, device.place.clone(), driver));
+        let end = |driver| DeviceEnd::new(number, device.place.clone(), driver);
         let serving = self.serving_thread(&device.name);
         for thread in (0..self.threads.len()).filter(|thread| *thread != serving) {
             let state = device.reader().ok_or(Error::TooMany {
                 item: "threads that see a device",
                 bound: THREADS_MAX,
             })?;
-            self.send(thread, Command::AddDevice(end(Driver::Seen { state })))?;
+            let end = Box::new(end(Driver::Seen { state }));
+            self.send(thread, Command::AddDevice(end))?;
         }
-        self.send(serving, Command::AddDevice(end(driver)))
+        let period = self.period(serving).unwrap_or_default();
+        let (writer, reader) = flight::of_device(&device.place, period);
+        // A device is served once, from when it is added.
+        device.flight.get_or_init(|| reader);
+        let end = Box::new(end(driver).with_flight(writer));
+        self.send(serving, Command::AddDevice(end))
     }
 
     /// Takes a device from all threads.
@@ -256,6 +263,10 @@ impl NetThreads {
 
     pub(super) fn iter(&self) -> impl Iterator<Item = &NetThread> {
         self.threads.iter()
+    }
+
+    pub(super) fn get(&self, thread: usize) -> Option<&NetThread> {
+        self.threads.get(thread)
     }
 
     pub(super) fn first(&self) -> Option<&NetThread> {

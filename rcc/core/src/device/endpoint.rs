@@ -79,11 +79,15 @@ impl Endpoint {
         let mut limits = [None; super::ARM_JOINTS_MAX];
         let status = self.reported.status;
         let reported = &mut self.reported;
-        let places = reported.joints.iter_mut().zip(&mut reported.limited);
-        for (((state, limited), limit), (joint, measured)) in places.zip(&mut limits).zip(joints) {
+        let rejected = reported.rejected.iter_mut();
+        let reports = reported.limited.iter_mut().zip(rejected);
+        let places = reported.joints.iter_mut().zip(reports);
+        for (((state, (limited, rejected)), limit), (joint, measured)) in
+            places.zip(&mut limits).zip(joints)
+        {
             let (position, velocity, acceleration) = joint.motion();
             *limit = Some(joint.limits().velocity_max);
-            *limited = *joint.limited();
+            (*limited, *rejected) = (*joint.limited(), *joint.rejected());
             *state = JointState {
                 commanded_position: Some(position),
                 commanded_velocity: Some(velocity),

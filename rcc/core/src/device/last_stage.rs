@@ -109,6 +109,8 @@ pub struct Limited {
     pub last: Option<Excess>,
     /// The command at the start of the current phase, and whether it is reported.
     present: Option<(Excess, bool)>,
+    /// Whether the output followed the command beyond the limit all the same.
+    pub is_exceeded: bool,
 }
 
 impl Limited {
@@ -161,6 +163,7 @@ impl LastStage {
                 onsets: 0,
                 last: None,
                 present: None,
+                is_exceeded: false,
             },
             quiet_up_to: 0.0,
         }
@@ -249,6 +252,24 @@ impl LastStage {
         }
         self.judge(target, held_back);
         self.position
+    }
+
+    /// One cycle of `dt_s` to a position in the range, whatever the speed; one beyond the limit is reported.
+    pub fn jump_to(&mut self, target: f64, dt_s: f64) {
+        let within = self.within(target);
+        let speed = (within - self.position).abs() / dt_s;
+        if speed > self.limits.velocity_max {
+            self.limited.is_exceeded = true;
+            let excess = Excess {
+                bound: Bound::Velocity,
+                wanted: speed,
+                limit: self.limits.velocity_max,
+            };
+            self.limited.note(excess, f64::INFINITY);
+        } else {
+            self.limited.clear();
+        }
+        self.set(within, (within - self.position) / dt_s, dt_s);
     }
 
     /// One cycle of `dt_s` towards a velocity.

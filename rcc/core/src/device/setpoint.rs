@@ -33,6 +33,7 @@ use takt_net::device::JointError;
 use takt_rt::Nanos;
 
 use crate::device::last_stage::{LastStage, Limited};
+use crate::device::rejected::{Cause, Rejected, Rejection};
 use crate::device::{JointSetPoints, SET_POINTS, SetPoint};
 
 /// A first set-point farther from the joint than this is refused, rad; of a base in poses, m and rad.
@@ -72,6 +73,9 @@ pub struct Joint {
     stage: LastStage,
     /// The joint's own cycle: the shortest time between two samples, s.
     cycle_s: f64,
+    rejected: Rejected,
+    /// Whether set-points beyond its speed are followed all the same, and only reported.
+    follows_all: bool,
 }
 
 impl Joint {
@@ -82,17 +86,41 @@ impl Joint {
             mode: Mode::Held,
             stage: LastStage::new(guarded(limits)),
             cycle_s: f64::INFINITY,
+            rejected: Rejected::NONE,
+            follows_all: false,
         }
+    }
+
+    /// This joint as one that is wherever its set-points are within its range. Speeds beyond its limit are reported.
+    #[must_use]
+    pub const fn following_all(mut self) -> Self {
+        let limits = *self.stage.limits();
+        // Nothing guards it but its range.
+        let velocity_max = limits.velocity_max / SPEED_SHARE;
+        self.stage = LastStage::new(JointLimits {
+            velocity_max,
+            ..limits
+        });
+        self.follows_all = true;
+        self
     }
 
     /// This joint in its current motion, braking within these limits: set-points are refused until they end.
     #[must_use]
     pub const fn refused(&self, limits: JointLimits, position: f64, velocity: f64) -> Self {
         let stage = LastStage::moving(guarded(limits), position, velocity);
+        let mut rejected = self.rejected;
+        rejected.last = Some(Rejection {
+            cause: Cause::Guard,
+            wanted: self.stage.motion().0,
+            actual: position,
+            allowed: 0.0,
+        });
         Self {
             mode: Mode::Refused,
             stage: stage.counting_on(*self.stage.limited()),
-            cycle_s: self.cycle_s,
+            rejected,
+            ..*self
         }
     }
 
@@ -100,11 +128,18 @@ impl Joint {
     /// until they end, so that nothing moves by itself when the robot recovers.
     pub const fn rest_at(&mut self, position: f64, set_points: &JointSetPoints) {
         self.mode = if set_points.active {
+            // Counted only if they still come once the joint is controlled: a net whose device fails has ended by then.
+            self.rejected.last = Some(resumed(set_points, position));
             Mode::Refused
         } else {
             Mode::Held
         };
         self.stage.rest_at(position);
+    }
+
+    /// Counts a cycle of set-points that began before the joint, at that position, followed commands.
+    pub const fn reject_resumed(&mut self, set_points: &JointSetPoints, position: f64) {
+        self.rejected.begin(resumed(set_points, position));
     }
 
     /// Playback delay of set-points: one and a half periods, so that the set-points around that instant have arrived
@@ -140,12 +175,19 @@ impl Joint {
         }
         self.cycle_s = self.cycle_s.min(dt_s);
         let (target, speed) = interpolate(set_points, at, self.is_sparse(set_points.period));
+        if self.follows_all {
+            self.follow_all(set_points, target, dt_s);
+            return self.stage.motion().0;
+        }
         match self.mode {
             // Also the exit of Refused.
             _ if !set_points.active => self.brake(dt_s, Mode::Held),
-            Mode::Refused => self.brake(dt_s, Mode::Refused),
+            Mode::Refused => {
+                self.rejected.repeat();
+                self.brake(dt_s, Mode::Refused);
+            }
             _ if !fresh => self.brake(dt_s, Mode::Held),
-            _ if !target.is_finite() => self.brake(dt_s, Mode::Refused),
+            _ if !target.is_finite() => self.reject(Cause::Finite, target, 0.0, dt_s),
             Mode::Held => self.begin(target, speed, dt_s),
             Mode::Approach | Mode::Follow => self.track(target, speed, dt_s),
         }
@@ -158,7 +200,7 @@ impl Joint {
         let moving = velocity.abs() > RESTING_RAD_PER_S;
         // A joint that braked without set-points resumes them if it can catch up.
         if !near && !moving {
-            self.brake(dt_s, Mode::Refused);
+            self.reject(Cause::Start, target, START_DISTANCE, dt_s);
             return;
         }
         if !moving {
@@ -175,7 +217,7 @@ impl Joint {
         // A distance that the joint can travel in this step is not out of reach, however long the step is.
         let farthest = LOST_DISTANCE.max(self.stage.limits().velocity_max * dt_s);
         if (within - before).abs() > farthest {
-            self.brake(dt_s, Mode::Refused);
+            self.reject(Cause::Lost, target, farthest, dt_s);
             return;
         }
         self.stage.track(target, speed, dt_s);
@@ -196,6 +238,30 @@ impl Joint {
         } else {
             Mode::Approach
         };
+    }
+
+    /// One step of a joint that follows all set-points within its range.
+    fn follow_all(&mut self, set_points: &JointSetPoints, target: f64, dt_s: f64) {
+        if !set_points.active {
+            self.mode = Mode::Held;
+            self.stage.jump_to(self.stage.motion().0, dt_s);
+        } else if target.is_finite() {
+            self.mode = Mode::Follow;
+            self.stage.jump_to(target, dt_s);
+        } else {
+            self.reject(Cause::Finite, target, 0.0, dt_s);
+        }
+    }
+
+    /// Begins to reject set-points.
+    fn reject(&mut self, cause: Cause, wanted: f64, allowed: f64, dt_s: f64) {
+        self.rejected.begin(Rejection {
+            cause,
+            wanted,
+            actual: self.stage.motion().0,
+            allowed,
+        });
+        self.brake(dt_s, Mode::Refused);
     }
 
     /// The nearest position in the range, or nearer to it than the joint is.
@@ -233,6 +299,12 @@ impl Joint {
         self.stage.limited()
     }
 
+    /// Rejected set-points.
+    #[must_use]
+    pub const fn rejected(&self) -> &Rejected {
+        &self.rejected
+    }
+
     /// The error that nets see while the robot follows commands.
     #[must_use]
     pub const fn error(&self) -> JointError {
@@ -240,6 +312,16 @@ impl Joint {
             Mode::Held | Mode::Approach | Mode::Follow => JointError::None,
             Mode::Refused => JointError::Refused,
         }
+    }
+}
+
+/// The rejection of set-points that began before a joint, at that position, followed commands.
+const fn resumed(set_points: &JointSetPoints, position: f64) -> Rejection {
+    Rejection {
+        cause: Cause::Resumed,
+        wanted: set_points.points[0].position,
+        actual: position,
+        allowed: 0.0,
     }
 }
 

@@ -2,22 +2,24 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use takt_net::device::{
-    Base, COMMAND_WORDS_MAX, Interfaces, JOINTS_MAX, Kinematics, Layout, SIGNAL_WORDS_MAX,
+    COMMAND_WORDS_MAX, Interfaces, JOINTS_MAX, Kinematics, Layout, SIGNAL_WORDS_MAX,
 };
 use takt_net::{ArmBinding, Devices, JointLimits};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
 use crate::device::continuity::Jumped;
 use crate::device::last_stage::Limited;
+use crate::device::rejected::Rejected;
 use crate::device::{
     ARM_JOINTS_MAX, ArmDescription, DeviceCommand, DeviceDescription, DeviceState, DeviceStatus,
     Place, parts,
 };
 use crate::error::Error;
 use crate::executor::DEVICES_MAX;
+use crate::executor::flight::FlightReader;
 
 /// Most readers of a device's state: the net threads, the table itself, and tools.
 const STATE_READERS: usize = 20;
@@ -37,8 +39,10 @@ pub struct Device {
     pub kinematics: Option<Arc<dyn Kinematics>>,
     /// Its interfaces besides joints.
     pub interfaces: Interfaces,
-    /// The location of its base in its own state, if it is a base.
-    base: Option<Base>,
+    /// The same interfaces in the words of its own state and commands.
+    pub(crate) own: Interfaces,
+    /// Its last values, once a net thread serves it.
+    pub(crate) flight: OnceLock<FlightReader>,
     state: Mutex<LatestReader<DeviceState>>,
 }
 
@@ -50,7 +54,7 @@ impl Device {
 
     /// Whether it is at rest, as far as it is in contact.
     pub fn is_at_rest(&self) -> bool {
-        self.read(|state| state.is_at_rest(self.base.as_ref()))
+        self.read(|state| state.is_at_rest(self.own.base.as_ref()))
     }
 
     /// Whether it can be used.
@@ -71,6 +75,11 @@ impl Device {
     /// Limit reports of the last stages of its driver.
     pub fn limited(&self) -> [Limited; ARM_JOINTS_MAX] {
         self.read(|state| state.limited)
+    }
+
+    /// Set-points that its driver rejected.
+    pub fn rejected(&self) -> [Rejected; ARM_JOINTS_MAX] {
+        self.read(|state| state.rejected)
     }
 
     fn read<R>(&self, read: impl FnOnce(&DeviceState) -> R) -> R {
@@ -215,7 +224,8 @@ impl DeviceTable {
             limits: device.limits.into(),
             kinematics,
             interfaces,
-            base: parts::lay(&device.parts, joints, &mut Layout::default()).base,
+            own: parts::lay(&device.parts, joints, &mut Layout::default()),
+            flight: OnceLock::new(),
             state: Mutex::new(for_table),
         }));
         Ok((

@@ -22,6 +22,12 @@ impl ResourceSet {
             .map(|(i, word)| i * 64 + word.trailing_zeros() as usize)
     }
 
+    /// Whether it has the resource of that number.
+    pub(crate) fn contains(&self, number: usize) -> bool {
+        let word = self.0.get(number / 64).copied().unwrap_or(0);
+        word & (1 << (number % 64)) != 0
+    }
+
     pub(super) fn add(&mut self, other: &Self) {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a |= b);
     }

@@ -11,6 +11,7 @@ use takt_rt::stats::Recorder;
 
 use crate::device::sim::Simulated;
 use crate::device::{DeviceCommand, DeviceState, Place, SetPoint};
+use crate::executor::flight::FlightWriter;
 use crate::executor::serve::gate::Gate;
 use crate::executor::stop::StopPart;
 use crate::executor::{DEVICES_MAX, DeviceView, Executor};
@@ -24,6 +25,7 @@ pub struct DeviceEnd {
     /// Commands of nets.
     command: DeviceCommand,
     gate: Gate,
+    flight: Option<FlightWriter>,
 }
 
 impl DeviceEnd {
@@ -38,7 +40,15 @@ impl DeviceEnd {
             driver,
             command,
             gate,
+            flight: None,
         }
+    }
+
+    /// This end with a ring that keeps its last values.
+    #[must_use]
+    pub fn with_flight(mut self, flight: FlightWriter) -> Self {
+        self.flight = Some(flight);
+        self
     }
 
     /// Its device number.
@@ -171,6 +181,11 @@ impl Served {
                     published.write_with(|slot| slot.copy_from(device.state()));
                 }
                 Driver::Seen { .. } => {}
+            }
+            if let Some(flight) = &mut end.flight {
+                let view = executor.devices.get(end.number).copied();
+                let of_device = (&end.place, view.unwrap_or_default());
+                flight.write_device(of_device, &executor.image, moment, begin);
             }
             if commanded {
                 last = takt_rt::monotonic();

@@ -14,6 +14,7 @@ use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::error::Error;
 use crate::executor::figures::budget;
+use crate::executor::flight::{self, FlightReader, FlightWriter};
 use crate::executor::rules::{Literal, Rule, RuleError, WORK_MAX};
 use crate::executor::serve::{DeviceEnd, Served};
 use crate::executor::stop::StopPart;
@@ -139,6 +140,8 @@ pub struct NetThread {
     pub hand_over: RecorderReader,
     /// Time from one cycle to the next.
     pub period: Duration,
+    /// The last out values of its nets.
+    pub flight: FlightReader,
     thread: Thread<()>,
     stop: Arc<AtomicBool>,
 }
@@ -161,12 +164,14 @@ impl NetThread {
         let hand_over = Recorder::new();
         let hand_over_reader = hand_over.reader();
         let stop = Arc::new(AtomicBool::new(false));
+        let (flight, flight_reader) = flight::of_nets();
         let mut cycle = Box::new(Cycle {
             executor: Executor::within(budget(config.period).into()),
             served: Served::new(config.period.into(), hand_over).under(config.stop),
             commands: command_end,
             events: event_end,
             tap,
+            flight,
             clock: takt_rt::monotonic,
         });
         let stopping = Arc::clone(&stop);
@@ -187,6 +192,7 @@ impl NetThread {
             stats,
             hand_over: hand_over_reader,
             period,
+            flight: flight_reader,
             thread,
             stop,
         })
@@ -272,6 +278,7 @@ struct Cycle {
     commands: Consumer<Command>,
     events: Producer<Event>,
     tap: Option<Tap>,
+    flight: FlightWriter,
     clock: fn() -> takt_rt::Nanos,
 }
 
@@ -303,8 +310,9 @@ impl Cycle {
         self.executor.cycle_timed(moment, self.clock);
         self.served.write(&mut self.executor, moment, slot.begin);
         self.served.stop().answer(halted, self.clock);
-        let tap = &mut self.tap;
+        let (tap, flight) = (&mut self.tap, &mut self.flight);
         self.executor.publish(|net| {
+            flight.write_net(net, slot.begin);
             if let Some(tap) = tap {
                 tap.outbox(net);
             }

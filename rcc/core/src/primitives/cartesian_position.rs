@@ -1,10 +1,13 @@
 //! `CartesianPosition::*`: devices commanded by the pose of their tool or of themselves.
 
+use std::sync::Arc;
+
 use takt_net::definition::port;
 use takt_net::device::CartesianPosition as Device;
+use takt_net::set_points::SetPointCounters;
 use takt_net::{Build, Cycle, Definition, Fault, Frame, In, NullRule, Out, Primitive, Twist};
 
-use super::{error, first_error};
+use super::{count, error, first_error};
 
 const ROBOT: &str = "name of the device";
 const ERROR: &str = "0 none, 1 offline, 2 not enabled or no number, 3 set-points refused by the \
@@ -19,6 +22,7 @@ fn device(b: &mut Build<'_, '_>) -> Result<Device, Fault> {
 struct Position {
     position: In<Frame>,
     device: Device,
+    counters: Arc<SetPointCounters>,
     error: Out<i32>,
     concurrent: Out<bool>,
     failed: Out<bool>,
@@ -44,6 +48,8 @@ impl Primitive for Position {
         if let (0, Some(position)) = (error, position) {
             self.device.command.give(cycle, position);
         }
+        let reported = position.map(|_| f64::NAN);
+        count(&self.counters, reported, concurrent, failed, illegal);
         self.error.set(cycle, error);
         self.concurrent.set(cycle, concurrent);
         self.failed.set(cycle, !concurrent && failed != 0);
@@ -61,9 +67,12 @@ fn position(b: &mut Build<'_, '_>) -> Result<Position, Fault> {
         b.claim(&robot, format!("{robot}_Base"));
     }
     b.commands(device.command.target());
+    let range = [f64::NEG_INFINITY, f64::INFINITY];
+    let counters = b.set_points(&robot, "pose".to_owned(), "m", range);
     Ok(Position {
         position: b.input("inPosition")?,
         device,
+        counters,
         error: b.output("outError"),
         concurrent: b.output("outErrorConcurrentAccess"),
         failed: b.output("outErrorDeviceFailed"),

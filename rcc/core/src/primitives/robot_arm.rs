@@ -1,18 +1,22 @@
 //! `RobotArm::*`: joints of any robot arm.
 
+use std::sync::Arc;
+
 use takt_net::definition::port;
 use takt_net::device::{JointCommand, JointLimits, JointState, Order, Target, Tool};
+use takt_net::set_points::SetPointCounters;
 use takt_net::{
     ArmBinding, Build, Cycle, Definition, Fault, Frame, In, NullRule, Out, Primitive, Vector,
 };
 
 use super::order::Standing;
-use super::{error, first_error};
+use super::{count, error, first_error};
 
 struct JointPosition {
     position: In<f64>,
     joint: usize,
     limits: JointLimits,
+    counters: Arc<SetPointCounters>,
     error: Out<i32>,
     concurrent: Out<bool>,
     failed: Out<bool>,
@@ -47,6 +51,7 @@ impl Primitive for JointPosition {
                 net: Some(cycle.moment.net),
             });
         }
+        count(&self.counters, position, concurrent, failed, illegal);
         self.error.set(cycle, error);
         self.concurrent.set(cycle, concurrent);
         self.failed.set(cycle, !concurrent && failed != 0);
@@ -69,10 +74,13 @@ fn joint_position(b: &mut Build<'_, '_>) -> Result<JointPosition, Fault> {
     b.commands(Target::Joint(arm.first_joint + axis));
     let limits = arm.limits[axis];
     b.expects("inPosition", limits.position_min..=limits.position_max);
+    let range = [limits.position_min, limits.position_max];
+    let counters = b.set_points(&robot, format!("joint {axis}"), "rad", range);
     Ok(JointPosition {
         position: b.input("inPosition")?,
         joint: arm.first_joint + axis,
         limits,
+        counters,
         error: b.output("outError"),
         concurrent: b.output("outErrorConcurrentAccess"),
         failed: b.output("outErrorJointFailed"),

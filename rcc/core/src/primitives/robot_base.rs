@@ -1,12 +1,15 @@
 //! `RobotBase::*`: mobile bases, commanded by a velocity in their own frame.
 
+use std::sync::Arc;
+
 use takt_net::definition::port;
 use takt_net::device::{Base, Wheel};
+use takt_net::set_points::SetPointCounters;
 use takt_net::{
     Build, Cycle, Definition, Fault, Frame, In, NullRule, Out, Primitive, Twist, Vector,
 };
 
-use super::{error, first_error};
+use super::{count, error, first_error};
 
 const ROBOT: &str = "name of the base";
 const ERROR: &str = "0 none, 1 offline or too fast, 2 not enabled or no number, 3 refused by the \
@@ -19,6 +22,7 @@ fn base(b: &mut Build<'_, '_>) -> Result<Base, Fault> {
 struct BaseVelocity {
     velocity: In<Twist>,
     base: Base,
+    counters: Arc<SetPointCounters>,
     error: Out<i32>,
     concurrent: Out<bool>,
     failed: Out<bool>,
@@ -26,6 +30,12 @@ struct BaseVelocity {
 }
 
 impl BaseVelocity {
+    /// The larger share of its largest speeds.
+    fn share(&self, velocity: &Twist) -> f64 {
+        let planar = velocity.vel.xy().norm() / self.base.velocity_max;
+        planar.max(velocity.rot.z.abs() / self.base.rotation_max)
+    }
+
     fn check(&self, velocity: &Twist) -> i32 {
         let (planar, turn) = (velocity.vel.xy().norm(), velocity.rot.z.abs());
         if planar.is_nan() || turn.is_nan() {
@@ -48,6 +58,8 @@ impl Primitive for BaseVelocity {
         if let (0, Some(velocity)) = (error, velocity) {
             self.base.command.give(cycle, velocity);
         }
+        let share = velocity.map(|velocity| self.share(&velocity));
+        count(&self.counters, share, concurrent, failed, illegal);
         self.error.set(cycle, error);
         self.concurrent.set(cycle, concurrent);
         self.failed.set(cycle, !concurrent && failed != 0);
@@ -60,9 +72,16 @@ fn base_velocity(b: &mut Build<'_, '_>) -> Result<BaseVelocity, Fault> {
     let robot = b.text("Robot").to_owned();
     b.claim(&robot, format!("{robot}_Base"));
     b.commands(base.command.target());
+    let counters = b.set_points(
+        &robot,
+        "base".to_owned(),
+        "times its largest speed",
+        [0.0, 1.0],
+    );
     Ok(BaseVelocity {
         velocity: b.input("inVel")?,
         base,
+        counters,
         error: b.output("outError"),
         concurrent: b.output("outErrorConcurrentAccess"),
         failed: b.output("outErrorBaseFailed"),

@@ -4,12 +4,11 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use takt_net::device::Interfaces;
 use takt_net::netcomm::NetBoxes;
-use takt_net::{ArmBinding, Devices, Limits, LoadContext, Registry, load};
+use takt_net::{Limits, LoadContext, Registry, load};
 use takt_rt::latest::latest;
 
-use crate::device::DeviceTable;
+use crate::device::{DeviceTable, Surroundings};
 use crate::error::Error;
 use crate::executor::{Executor, Running};
 use crate::ids::NetId;
@@ -55,45 +54,23 @@ pub fn replay(path: &Path) -> Result<Replay, Error> {
     Ok(outcome)
 }
 
-/// Devices and nets, as a net of the recording may refer to them.
-struct Recorded<'a> {
-    devices: &'a DeviceTable,
-    nets: &'a HashMap<u32, Box<Running>>,
-}
-
-impl Devices for Recorded<'_> {
-    fn arm(&self, name: &str) -> Option<ArmBinding> {
-        self.devices.arm(name)
-    }
-
-    fn interfaces(&self, name: &str) -> Option<Interfaces> {
-        self.devices.interfaces(name)
-    }
-
-    fn names(&self) -> Vec<String> {
-        self.devices.names()
-    }
-
-    fn net(&self, name: &str) -> Option<NetBoxes> {
-        let id: NetId = name.parse().ok()?;
-        let plan = &self.nets.get(&id.0)?.plan;
-        Some(NetBoxes {
-            inbox: plan.inbox().clone(),
-            outbox: plan.outbox().clone(),
-        })
-    }
-}
-
 /// Loads a net of the recording as it was loaded originally.
 fn prepare(
     net: &NetNote,
     registry: &Registry,
-    known: &Recorded<'_>,
+    (devices, nets): (&DeviceTable, &HashMap<u32, Box<Running>>),
     path: &Path,
 ) -> Result<Box<Running>, Error> {
+    let boxes = |id: NetId| {
+        let plan = &nets.get(&id.0)?.plan;
+        Some(NetBoxes {
+            inbox: plan.inbox().clone(),
+            outbox: plan.outbox().clone(),
+        })
+    };
     let context = LoadContext {
         registry,
-        devices: known,
+        devices: &Surroundings { devices, boxes },
         period: net.period(),
         limits: Limits::default(),
     };
@@ -104,10 +81,7 @@ fn prepare(
     let words = |n: usize| vec![0; n].into_boxed_slice();
     let (out, _) = latest(1, || words(plan.outbox().words()));
     let (_, inbox) = latest(1, || words(plan.inbox().words()));
-    let numbers = plan
-        .devices()
-        .iter()
-        .filter_map(|d| known.devices.number(d));
+    let numbers = plan.devices().iter().filter_map(|d| devices.number(d));
     let numbers = numbers.map(|number| (number, 0)).collect();
     let mut running = Box::new(Running::new(net.id, plan, out, inbox));
     running.devices = numbers;
@@ -136,11 +110,8 @@ impl<'r> Stage<'r> {
                     devices.remove(name);
                 }
                 RecordedNote::Net(net) => {
-                    let known = Recorded {
-                        devices: &devices,
-                        nets: &nets,
-                    };
-                    let running = prepare(net, &registry, &known, path)?;
+                    let known = (&devices, &nets);
+                    let running = prepare(net, &registry, known, path)?;
                     nets.insert(net.id, running);
                 }
             }

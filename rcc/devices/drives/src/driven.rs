@@ -157,6 +157,10 @@ impl Driven {
         when: &When,
     ) -> Option<i32> {
         self.refused = set_points.active && (self.refused || !may_move);
+        if self.refused && may_move {
+            let (position, ..) = self.joint.motion();
+            self.joint.reject_resumed(set_points, position);
+        }
         if !self.follows() {
             return None;
         }

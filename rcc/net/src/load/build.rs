@@ -16,6 +16,7 @@ use crate::load::resolved::{Resolved, Tapped};
 use crate::load::{LoadContext, activation};
 use crate::netcomm::{Directory, Mailbox};
 use crate::plan::{Guard, Op, Plan, RootPort};
+use crate::set_points::SetPoints;
 use crate::slots::{In, SlotRef, SlotsBuilder};
 use crate::taps::Taps;
 use crate::value::{Element, Type, Value};
@@ -111,6 +112,7 @@ impl Parts {
             resources: Vec::new(),
             commands: Vec::new(),
             devices: Vec::new(),
+            set_points: Vec::new(),
             uses: Vec::new(),
             inbox: Directory::default(),
             inbox_words: Vec::new(),
@@ -222,6 +224,7 @@ impl Parts {
             primitives: resolved.nodes.len(),
             count: 0,
             devices: self.devices.into_boxed_slice(),
+            set_points: self.set_points.into_boxed_slice(),
             uses: self.uses.into_boxed_slice(),
             cost,
             memory: self.memory,

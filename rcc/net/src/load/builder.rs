@@ -13,6 +13,7 @@ use crate::limits::Limits;
 use crate::load::origin::{self, Origin};
 use crate::load::parts::{Effects, Parts, inherited};
 use crate::load::resolved::Node;
+use crate::set_points::{SetPointCounters, SetPoints};
 use crate::slots::{ArrayIn, ArrayOut, In, Out, SlotRef, SlotsBuilder};
 use crate::value::text::{TextValue, ValueError, parse_array_as};
 use crate::value::unit::Quantity;
@@ -131,6 +132,27 @@ impl Build<'_, '_> {
         let effects = self.effects();
         effects.commands.push(target);
         effects.acts = true;
+    }
+
+    /// Counters of the set-points that the primitive gives to a part of a device, such as `joint 3`, in that unit and
+    /// within that range.
+    pub fn set_points(
+        &mut self,
+        device: &str,
+        part: String,
+        unit: &'static str,
+        range: [f64; 2],
+    ) -> Arc<SetPointCounters> {
+        let counters = Arc::default();
+        self.parts.set_points.push(SetPoints {
+            primitive: self.node.name.to_owned(),
+            device: device.to_owned(),
+            part,
+            unit,
+            range,
+            counters: Arc::clone(&counters),
+        });
+        counters
     }
 
     /// Declares which values of an in port can be meant; a check warns of a constant beyond.

@@ -8,6 +8,7 @@ use super::origin::Origin;
 use crate::device::Target;
 use crate::fault::FaultKind;
 use crate::netcomm::{Directory, Inter};
+use crate::set_points::SetPoints;
 use crate::slots::{SlotRef, SlotsBuilder};
 
 /// Marks a part that cannot be built because an earlier one could not; never shown.
@@ -39,6 +40,7 @@ pub(super) struct Parts {
     pub(super) resources: Vec<String>,
     pub(super) commands: Vec<Target>,
     pub(super) devices: Vec<String>,
+    pub(super) set_points: Vec<SetPoints>,
     /// Devices that the net reads or commands.
     pub(super) uses: Vec<String>,
     pub(super) inbox: Directory,

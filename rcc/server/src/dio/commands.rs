@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use takt_client::wire::{Message, Value};
-use takt_core::controller::{LoadRequest, NetInfo, RuleId, RuleRequest};
+use takt_core::controller::{LoadRequest, NetInfo, RejectedInfo, RuleId, RuleRequest};
 use takt_core::{Error, NetId, OnLoss, SessionId};
 
 use super::devices::DeviceWatch;
@@ -305,9 +305,12 @@ impl Connection {
             None => self.controller.nets(),
         };
         let infos = nets.into_iter().filter_map(|n| self.controller.net(n));
-        Ok(vec![Value::map_of(
-            infos.map(|i| (i.id.to_string(), describe(&i))),
-        )])
+        Ok(vec![Value::map_of(infos.map(|i| {
+            let rejected = self.controller.rejected(Some(i.id));
+            let last = self.controller.last_values_of_net(i.id);
+            let last = last.map_or_else(String::new, |last| last.table());
+            (i.id.to_string(), describe(&i, rejected, &last))
+        }))])
     }
 
     /// Evaluation cost of all nets, or of one. Not part of the original protocol either.
@@ -425,11 +428,16 @@ fn faults(info: &NetInfo) -> Vec<String> {
     lines
 }
 
-fn describe(info: &NetInfo) -> Value {
+fn describe(info: &NetInfo, rejected: Vec<RejectedInfo>, last: &str) -> Value {
     let state = info.states.last().map_or("", |s| s.word());
     Value::map_of([
         ("description", info.description.as_str().into()),
         ("end", info.end.as_deref().unwrap_or_default().into()),
+        ("last", last.into()),
+        (
+            "rejected",
+            Value::list_of(rejected.into_iter().map(|it| it.text)),
+        ),
         ("rejection", Value::list_of(faults(info))),
         ("session", info.session.to_string().into()),
         ("state", state.into()),

@@ -326,7 +326,7 @@ fn net_text_syntax_error_is_rejected() {
 fn net_with_unknown_session_belongs_to_none() {
     let mut client = Client::with_handshake(&controller());
     client.call(&format!(r#"a=nene("{ENDLESS}","s9")"#));
-    let info = r#"a=ok({rpinet0:{description:"",end:"",rejection:[],session:"s0",state:"READY"}})"#;
+    let info = r#"a=ok({rpinet0:{description:"",end:"",last:"",rejected:[],rejection:[],session:"s0",state:"READY"}})"#;
     assert_eq!(client.call("a=nin()"), info);
     assert_eq!(client.call(r#"a=nin("rpinet0")"#), info);
 }

@@ -87,6 +87,7 @@ impl Handler<'_> {
             ("devices", [], false) => Ok(self.devices()),
             ("devices", [], true) => self.change_devices(),
             ("devices", [device], false) => self.device(device),
+            ("devices", [device, "last"], false) => self.last_of_device(device),
             ("devices", [device, interface], post) => self.interface(device, interface, post),
             ("eval", [], false)
             | (

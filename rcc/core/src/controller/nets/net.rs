@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use takt_net::netcomm::{Directory, Entry, NetBoxes, OutStatus};
+use takt_net::set_points::SetPoints;
 use takt_net::{Plan, Rejection};
 use takt_rt::latest::{LatestReader, LatestWriter};
 
@@ -73,6 +74,7 @@ pub(in crate::controller) struct Counted {
     /// Bytes that it takes while it can run.
     memory: usize,
     pub(in crate::controller) resources: ResourceSet,
+    pub(in crate::controller) set_points: Vec<SetPoints>,
 }
 
 /// What is known of a net once it was ready.
@@ -96,6 +98,8 @@ pub(in crate::controller) struct Net {
     life: Life,
     /// Why its last start failed, until the caller of that start takes it.
     start_error: Option<Error>,
+    /// Why the controller aborts it; `None` if it does not.
+    abort_reason: Option<String>,
     known: Option<Known>,
 }
 
@@ -118,6 +122,7 @@ impl Net {
             states: vec![NetState::Loading],
             life: Life::Loading { reserved: 0 },
             start_error: None,
+            abort_reason: None,
             known: None,
         }
     }
@@ -154,6 +159,7 @@ impl Net {
                 cost: running.plan.cost().total,
                 memory: memory(&running.plan),
                 resources: running.resources,
+                set_points: running.plan.set_points().to_vec(),
             },
             values,
         });
@@ -216,6 +222,16 @@ impl Net {
     /// Whether its thread evaluates it.
     pub(in crate::controller) const fn runs(&self) -> bool {
         matches!(&self.life, Life::Running | Life::Cancelling)
+    }
+
+    /// Sets why the controller aborts it.
+    pub(in crate::controller) fn abort_because(&mut self, why: String) {
+        self.abort_reason = Some(why);
+    }
+
+    /// Why the controller aborts it; `None` if it does not.
+    pub(in crate::controller) fn abort_reason(&self) -> Option<&str> {
+        self.abort_reason.as_deref()
     }
 
     /// Whether it has ended for good.

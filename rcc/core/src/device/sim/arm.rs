@@ -5,7 +5,8 @@
 //! Parameters: `min_joint`, `max_joint` (rad), `max_vel` (rad/s), `max_acc` (rad/s²), and if wanted
 //! `home_joint` (rad), lists with a number for each joint. The load from outside: `external_torque`
 //! (Nm), a list by joint, and `external_wrench`, [Fx, Fy, Fz, Tx, Ty, Tz] (N, Nm) at the flange
-//! along the axes of the arm's base.
+//! along the axes of the arm's base. `limits` is `strict`, or `range` for an arm that is wherever its set-points
+//! are within its range, and only reports speeds beyond `max_vel`.
 //!
 //! An LWR also has 8 digital inputs, 8 digital and 8 analogue outputs; each input has the value of the output with
 //! its number.
@@ -146,8 +147,12 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Resul
     let on_end = parameters.on_end(outputs.0, outputs.1)?;
     let mut state = DeviceState::new(layout.signals);
     state.status = DeviceStatus::Operational;
+    let is_strict = parameters.choice("limits", &["strict", "range"])? == "strict";
     let joint = |(limits, home): (&JointLimits, &f64)| {
         let mut joint = Joint::new(*limits);
+        if !is_strict {
+            joint = joint.following_all();
+        }
         joint.rest_at(*home, &JointSetPoints::default());
         joint
     };
@@ -396,6 +401,9 @@ impl SimulatedArm {
         }
         for (limited, joint) in self.state.limited.iter_mut().zip(&self.joints) {
             *limited = *joint.limited();
+        }
+        for (rejected, joint) in self.state.rejected.iter_mut().zip(&self.joints) {
+            *rejected = *joint.rejected();
         }
         let has = &self.interfaces;
         let signals = &mut self.state.signals;

@@ -11,6 +11,7 @@ use takt_rt::Nanos;
 
 use super::{Made, Parameters, Simulated, seconds};
 use crate::device::last_stage::{PlanarLimits, PlanarStage};
+use crate::device::rejected::{Cause, Rejection};
 use crate::device::setpoint::{LOST_DISTANCE, START_DISTANCE};
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
@@ -169,6 +170,18 @@ impl Mecanum {
         let [x, y, turn] = offset(self.pose, if first { pose } else { target });
         let near = x.hypot(y) <= most && turn.abs() <= most;
         if self.mode == Mode::Refused || !near {
+            if self.mode == Mode::Refused {
+                self.state.rejected[0].repeat();
+            } else {
+                let cause = if first { Cause::Start } else { Cause::Lost };
+                let rejection = Rejection {
+                    cause,
+                    wanted: x.hypot(y).max(turn.abs()),
+                    actual: 0.0,
+                    allowed: most,
+                };
+                self.state.rejected[0].begin(rejection);
+            }
             self.mode = Mode::Refused;
             self.stage.step(None, |_| 1.0, dt_s);
             return;

@@ -77,6 +77,16 @@ impl Parameters<'_> {
             .ok_or_else(|| self.wrong(format!("{key} is missing")))
     }
 
+    /// One of these words, the first if not present.
+    pub(super) fn choice(&self, key: &str, words: &[&'static str]) -> Result<&'static str, Error> {
+        let given = self.texts.get(key).map_or(words[0], |text| text.trim());
+        let found = words.iter().find(|word| **word == given).copied();
+        found.ok_or_else(|| {
+            let known = words.join(" or ");
+            self.wrong(format!("{key}: `{given}` is not {known}"))
+        })
+    }
+
     /// A positive number.
     pub(super) fn positive(&self, key: &str, default: f64) -> Result<f64, Error> {
         let Some(text) = self.texts.get(key) else {

@@ -52,6 +52,7 @@ impl Bench {
         let (commands, command_end) = ring(COMMANDS);
         let (event_end, events) = ring(EVENTS);
         let cycle = Cycle {
+            flight: flight::of_nets().0,
             executor: Executor::default(),
             served: Served::new(PERIOD, Recorder::new()),
             commands: command_end,

@@ -26,6 +26,14 @@ impl Handler<'_> {
         Ok(self.show(&device.containing(self.reports(name))))
     }
 
+    /// The last second of values before the last fault of a device, or before now.
+    pub(super) fn last_of_device(&self, name: &str) -> Outcome {
+        self.find_device(name)?;
+        let values = self.controller.last_values(name);
+        let values = values.ok_or_else(|| Response::not_found("no values are recorded of it"))?;
+        Ok(Response::of_kind("text/csv; charset=utf-8", values.csv()))
+    }
+
     /// The last events of a device and its driver, oldest first.
     fn reports(&self, name: &str) -> impl Iterator<Item = Element> + use<> {
         let now = takt_core::monotonic();
@@ -92,9 +100,12 @@ impl Handler<'_> {
         let own = |key: &str| matches!(key, "name" | "type" | "action");
         let fields = self.request.form.iter().filter(|(key, _)| !own(key));
         // Parameter names are lower case, but the known client's forms are not.
-        let parameters: BTreeMap<_, _> = fields
+        let mut parameters: BTreeMap<_, _> = fields
             .map(|(key, value)| (key.to_ascii_lowercase(), value.clone()))
             .collect();
+        // Known clients plan by Cartesian limits, and rely on simulations that check the range only.
+        let limits = parameters.entry("limits".to_owned());
+        limits.or_insert_with(|| "range".to_owned());
         let added = self.controller.add_device(name, kind, &parameters);
         added.map_err(Response::bad_request)?;
         Ok(Response::text("201 Created", format!("{name} is there\n")))

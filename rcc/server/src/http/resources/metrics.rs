@@ -300,6 +300,7 @@ impl Handler<'_> {
             }
         }
         self.write_events(out);
+        self.write_rejected(out);
         self.write_faults(out);
         self.write_last_stages(out);
     }
@@ -318,6 +319,26 @@ impl Handler<'_> {
                 let labels = [("device", device.as_str()), ("severity", severity.word())];
                 out.sample(name, &labels, count);
             }
+        }
+    }
+
+    /// Rejected set-points; none as long as none were rejected.
+    fn write_rejected(&self, out: &mut Exposition) {
+        let counts = self.controller.rejected_counts();
+        if counts.is_empty() {
+            return;
+        }
+        let name = "takt_set_points_rejected_total";
+        let help =
+            "Times that set-points of nets for a part of a device began to be rejected, by reason.";
+        out.family(name, "counter", help);
+        for ((device, part, reason), count) in &counts {
+            let labels = [
+                ("device", device.as_str()),
+                ("part", part.as_str()),
+                ("reason", reason.word()),
+            ];
+            out.sample(name, &labels, count);
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use takt_core::controller::{LoadRequest, NetFigures, NetInfo, RuleInfo};
+use takt_core::controller::{LoadRequest, NetFigures, NetInfo, RejectedInfo, RuleInfo};
 use takt_core::net::{Limits, xml};
 use takt_core::{Error, NetId, SessionId};
 
@@ -74,14 +74,20 @@ impl Handler<'_> {
         if let Some(end) = &info.end {
             net = net.with("end", end);
         }
+        if controller.last_values_of_net(id).is_some() {
+            net = net.with("last", format!("/nets/{id}/last"));
+        }
         let values = controller
             .out_values(id)
             .into_iter()
             .chain(controller.in_values(id));
         let values = values.map(|(key, text)| Element::new("data").with("key", key).text(text));
         let rules = controller.rules_of(id).into_iter().map(|r| rule(&r));
+        let rejected = controller.rejected(Some(id)).into_iter();
+        let rejected = rejected.map(|it| rejected_element(&it));
         Ok(self.show(
             &net.containing(values)
+                .containing(rejected)
                 .containing(faults(&info))
                 .containing(rules),
         ))
@@ -97,10 +103,20 @@ impl Handler<'_> {
                 .map_err(|r| Response::conflict(r.lines(&info.text).join("\n"))),
             "stats" => self.stats(id),
             "debug" => self.debug(name),
+            "last" => self.last_of_net(id),
             _ => Err(Response::not_found(
-                "a net has dio, xml, stats, debug and debugstream",
+                "a net has dio, xml, stats, last, debug and debugstream",
             )),
         }
+    }
+
+    /// The last second of values of a net that failed, and of its devices.
+    fn last_of_net(&self, id: NetId) -> Outcome {
+        let values = self.controller.last_values_of_net(id);
+        let values = values.ok_or_else(|| {
+            Response::not_found("last values are kept of the last nets that failed")
+        })?;
+        Ok(Response::of_kind("text/csv; charset=utf-8", values.csv()))
     }
 
     /// Writes the values of the form, then executes its action.
@@ -221,6 +237,25 @@ pub(super) fn summary(info: &NetInfo) -> Element {
         .with("uri", format!("/nets/{}/", info.id))
         .with("status", info.state())
         .with("desc", &info.description)
+}
+
+/// Set-points that are or were rejected.
+fn rejected_element(rejected: &RejectedInfo) -> Element {
+    let (cause, hint) = rejected
+        .text
+        .split_once("\nhint: ")
+        .unwrap_or((&rejected.text, ""));
+    let element = Element::new("rejected")
+        .with("device", &rejected.device)
+        .with("part", &rejected.part)
+        .with("reason", rejected.reason.word())
+        .with("ago", ms(takt_core::monotonic() - rejected.since))
+        .with("cause", cause)
+        .with("hint", hint);
+    match rejected.lasted {
+        Some(lasted) => element.with("lasted", ms(lasted)),
+        None => element,
+    }
 }
 
 fn faults(info: &NetInfo) -> Vec<Element> {

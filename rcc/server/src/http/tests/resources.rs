@@ -729,3 +729,62 @@ proptest! {
         prop_assert!(length <= 3 * body.len());
     }
 }
+
+#[test]
+fn rejected_set_points_are_shown_and_counted() {
+    let controller = controller();
+    post(&controller, "/devices/", &format!("{ARM}&limits=strict"));
+    let text = "{v=Core::DoubleValue(Value='1.0'),x=Cancel(),outTerminate=x.outCancel,\
+        j=RobotArm::JointPosition(inPosition=v.outValue,Robot='lwr1',Axis='4')}";
+    let net = loaded(&controller, text);
+    controller.start_net(net).unwrap();
+    let page = || get(&controller, &format!("/nets/{net}/"));
+    while !page().contains("<rejected") {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let cause = r#"cause="lwr1 joint 4 rejects set-points of rpinet0: the first is 1.0000 rad from the measured 0.0000"#;
+    holds(&page(), &[r#"reason="start""#, cause, r#"hint="begin"#]);
+    holds(
+        &get(&controller, "/metrics"),
+        &[
+            r#"takt_set_points_rejected_total{device="lwr1",part="joint 4",reason="start"} 1"#,
+            r#"takt_device_events_total{device="lwr1",severity="warning"} 1"#,
+        ],
+    );
+    holds(
+        &get(&controller, "/devices/lwr1/"),
+        &[r#"<event severity="warning""#, cause],
+    );
+}
+
+#[test]
+fn posted_arm_checks_range_only_and_reports_speed() {
+    let controller = controller();
+    post(&controller, "/devices/", ARM);
+    let text = "{v=Core::DoubleValue(Value='1.0'),x=Cancel(),outTerminate=x.outCancel,\
+        j=RobotArm::JointPosition(inPosition=v.outValue,Robot='lwr1',Axis='4')}";
+    let net = loaded(&controller, text);
+    controller.start_net(net).unwrap();
+    let arm = || get(&controller, "/devices/lwr1/robotarm");
+    while !arm().contains(r#"axis="4" error="0" commanded="1" measured="1""#) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let device = || get(&controller, "/devices/lwr1/");
+    while !device().contains("<event") {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    holds(
+        &device(),
+        &[
+            "joint 4: velocity 1000.0000 rad/s commanded, limit 3.5000 rad/s; it followed",
+            "limits=strict",
+        ],
+    );
+    assert_eq!(controller.rejected(Some(net)), []);
+    let wrong = post(
+        &controller,
+        "/devices/",
+        &format!("{}&limits=no", ARM.replace("lwr1", "lwr2")),
+    );
+    holds(&wrong, &["400 Bad Request", "`no` is not strict or range"]);
+}

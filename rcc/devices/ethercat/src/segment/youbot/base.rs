@@ -197,6 +197,7 @@ impl Base {
         {
             *limited = *held_back;
         }
+        self.end.reported.rejected[0] = *self.course.rejected();
         self.report_base(status, wanted);
         let signals = &mut self.end.reported.signals;
         let flags = self

@@ -3,6 +3,7 @@
 
 use std::f64::consts::TAU;
 
+use takt_core::device::rejected::{Cause, Rejected, Rejection};
 use takt_core::device::setpoint::{LOST_DISTANCE, START_DISTANCE};
 use takt_net::Frame;
 use takt_net::device::Given;
@@ -21,6 +22,7 @@ pub(super) type Planar = [f64; 3];
 pub(super) struct Course {
     goal: Option<Goal>,
     refused: bool,
+    rejected: Rejected,
 }
 
 /// A pose since the cycle in which it was given, and the velocity of the poses.
@@ -56,6 +58,11 @@ impl Course {
         self.refused
     }
 
+    /// Rejected poses.
+    pub(super) const fn rejected(&self) -> &Rejected {
+        &self.rejected
+    }
+
     /// The current target.
     pub(super) fn goal(&self) -> Option<Planar> {
         self.goal.filter(|_| !self.refused).map(|goal| goal.pose)
@@ -71,7 +78,7 @@ impl Course {
         cycle_s: f64,
     ) -> Option<Planar> {
         let Some(given) = given else {
-            *self = Self::default();
+            (self.goal, self.refused) = (None, false);
             return None;
         };
         let last = self.goal.filter(|_| !self.refused);
@@ -95,6 +102,21 @@ impl Course {
         };
         let away = goal.map(|goal| offset(at, goal.pose));
         let near = away.is_some_and(|[x, y, turn]| x.hypot(y) <= most && turn.abs() <= most);
+        if self.refused {
+            self.rejected.repeat();
+        } else if !near {
+            let cause = match (away, last) {
+                (None, _) => Cause::Finite,
+                (Some(_), None) => Cause::Start,
+                (Some(_), Some(_)) => Cause::Lost,
+            };
+            self.rejected.begin(Rejection {
+                cause,
+                wanted: away.map_or(f64::NAN, |[x, y, turn]| x.hypot(y).max(turn.abs())),
+                actual: 0.0,
+                allowed: most,
+            });
+        }
         self.refused |= !near;
         self.goal = goal;
         let (goal, away) = (goal?, away?);

@@ -1,19 +1,19 @@
-//! Devices and nets of a controller, as the text of another net may refer to them.
+//! Devices and nets, as the text of another net may refer to them: those of a running controller, or of a recording.
 
 use takt_net::device::{ArmBinding, Devices, Interfaces};
 use takt_net::netcomm::NetBoxes;
 
-use crate::controller::shared::Shared;
 use crate::device::DeviceTable;
 use crate::ids::NetId;
 
 /// Devices and nets, as a net that is loaded may refer to them.
-pub(super) struct Surroundings<'a> {
-    pub(super) devices: &'a DeviceTable,
-    pub(super) inner: &'a Shared,
+pub(crate) struct Surroundings<'a, F> {
+    pub(crate) devices: &'a DeviceTable,
+    /// The in and out values of a net; `None` if there is no such net.
+    pub(crate) boxes: F,
 }
 
-impl Devices for Surroundings<'_> {
+impl<F: Fn(NetId) -> Option<NetBoxes>> Devices for Surroundings<'_, F> {
     fn arm(&self, name: &str) -> Option<ArmBinding> {
         self.devices.arm(name)
     }
@@ -27,7 +27,6 @@ impl Devices for Surroundings<'_> {
     }
 
     fn net(&self, name: &str) -> Option<NetBoxes> {
-        let id: NetId = name.parse().ok()?;
-        self.inner.lock().nets.get(id)?.boxes()
+        (self.boxes)(name.parse().ok()?)
     }
 }
