@@ -77,3 +77,17 @@ fn demo_net_holds_all_joints() {
     };
     assert_eq!((joints("left"), joints("right")), (7, 7));
 }
+
+#[test]
+fn tutorial_nets_load_without_findings() {
+    let tutorial = include_str!("../../docs/nets.md");
+    let nets = tutorial.split("```net\n").skip(1);
+    let nets: Vec<_> = nets.map(|rest| rest.split("```").next().unwrap()).collect();
+    assert_eq!(nets.len(), 4, "one for each step that has a net");
+    for net in nets {
+        match try_load(net) {
+            Ok((_, findings)) => assert!(findings.is_empty(), "{net}: {findings:?}"),
+            Err(rejection) => panic!("{net}: {:?}", rejection.lines(net)),
+        }
+    }
+}

@@ -70,10 +70,73 @@ impl Client {
     }
 
     /// Why a net ended, if not by itself.
-    pub(crate) fn end_of(&mut self, net: &str) -> anyhow::Result<Option<String>> {
+    pub(crate) fn end_of(&mut self, net: &str) -> anyhow::Result<Option<NetEnd>> {
         let nets = self.describe([net])?;
-        let end = nets.first().map(|(_, net)| text(net, "end"));
-        Ok(end.filter(|end| !end.is_empty()))
+        Ok(nets.into_iter().next().and_then(|(_, net)| {
+            let why = text(&net, "end");
+            let successors = match net.get("successors") {
+                Some(Value::List(nets)) => nets.iter().filter_map(Value::as_str).collect(),
+                _ => Vec::new(),
+            };
+            let successors = successors.into_iter().map(str::to_owned).collect();
+            (!why.is_empty()).then_some(NetEnd { why, successors })
+        }))
+    }
+
+    /// In values and out values of a net, by their keys on the wire, `in…` and `out…`.
+    pub(crate) fn values(&mut self, net: &str) -> anyhow::Result<[BTreeMap<String, String>; 2]> {
+        let mut reply = self.call("nva", [net], &[net])?.values.into_iter();
+        let mut map = || {
+            let Some(Value::Map(values)) = reply.next() else {
+                return BTreeMap::new();
+            };
+            let text = |(key, value): (String, Value)| Some((key, value.as_str()?.to_owned()));
+            values.into_iter().filter_map(text).collect()
+        };
+        Ok([map(), map()])
+    }
+
+    /// Writes in values of a net.
+    pub(crate) fn write(
+        &mut self,
+        net: &str,
+        values: BTreeMap<String, String>,
+    ) -> anyhow::Result<()> {
+        let values = Value::map_of([(net, Value::map_of(values))]);
+        self.call("snc", [values], &[net])?;
+        Ok(())
+    }
+
+    /// Records of a net's debug taps from a number on, oldest first. The first call begins the recording.
+    pub(crate) fn taps(&mut self, net: &str, from: f64) -> anyhow::Result<TapRecords> {
+        let reply = self.call("nta", [Value::from(net), Value::from(from)], &[net])?;
+        let taps = TapRecords::of(reply.values);
+        taps.context("the controller's records of taps are damaged")
+    }
+
+    /// Whether a net has ended for good.
+    pub(crate) fn has_ended(&mut self, net: &str) -> anyhow::Result<bool> {
+        let nets = self.describe([net])?;
+        let state = nets.first().map(|(_, net)| text(net, "state"));
+        Ok(state.is_none_or(|state| ["TERMINATED", "UNLOADED"].contains(&state.as_str())))
+    }
+
+    /// Calls a command about these nets; that one does not exist is an error with a remedy.
+    fn call<V: Into<Value>>(
+        &mut self,
+        command: &str,
+        args: impl IntoIterator<Item = V>,
+        nets: &[&str],
+    ) -> anyhow::Result<takt_client::Reply> {
+        match self.inner.call(command, args) {
+            Err(takt_client::Error::Refused { text, .. }) if NO_NET.contains(&text.as_str()) => {
+                let known = self.describe([])?;
+                let is_missing = |net: &&&str| known.iter().all(|(known, _)| known != **net);
+                let missing = nets.iter().find(is_missing).or(nets.first());
+                Err(NoNet(missing.map_or_else(String::new, |net| (*net).to_owned())).into())
+            }
+            done => Ok(done?),
+        }
     }
 
     /// The last values of a net that failed and of its devices, as a table; empty if it did not fail.
@@ -99,7 +162,12 @@ impl Client {
         &mut self,
         nets: impl IntoIterator<Item = &'a str>,
     ) -> anyhow::Result<Vec<(String, BTreeMap<String, Value>)>> {
-        let reply = self.inner.call("nin", nets)?;
+        let nets: Vec<&str> = nets.into_iter().collect();
+        let reply = if nets.is_empty() {
+            self.inner.call("nin", nets)?
+        } else {
+            self.call("nin", nets.iter().copied(), &nets)?
+        };
         let Some(Value::Map(nets)) = reply.values.into_iter().next() else {
             return Ok(Vec::new());
         };
@@ -115,7 +183,7 @@ impl Client {
     /// Figures of a net, or of all, in the order in which they were loaded. Those that were never
     /// ready have none.
     pub(crate) fn figures(&mut self, net: Option<&str>) -> anyhow::Result<Vec<NetFigures>> {
-        let reply = self.inner.call("nst", net)?;
+        let reply = self.call("nst", net, net.as_slice())?;
         let Some(Value::Map(nets)) = reply.values.into_iter().next() else {
             return Ok(Vec::new());
         };
@@ -142,10 +210,12 @@ impl Client {
             "neun" => "unload",
             other => other,
         };
-        self.inner
-            .call(command, [net])
-            .with_context(|| format!("cannot {action} {net}"))?;
-        Ok(())
+        match self.call(command, [net], &[net]) {
+            Err(error) if !error.is::<NoNet>() => {
+                Err(error.context(format!("cannot {action} {net}")))
+            }
+            done => done.map(drop),
+        }
     }
 
     /// Once `condition` holds, ends `stop` and starts `start`; returns the rule's identifier.
@@ -163,7 +233,8 @@ impl Client {
             nets(Some(start)),
             Value::from("takt net schedule"),
         ];
-        let reply = self.inner.call("nesc", args)?;
+        let named: Vec<&str> = stop.into_iter().chain([start]).collect();
+        let reply = self.call("nesc", args, &named)?;
         Ok(reply
             .text()
             .context("the controller gave no rule")?
@@ -174,7 +245,7 @@ impl Client {
     pub(crate) fn subscribe(&mut self, net: &str, refresh: Duration) -> anyhow::Result<()> {
         let refresh = Value::from(refresh.as_secs_f64());
         let args = [Value::from(net), refresh, Value::from("every")];
-        self.inner.call("gne", args)?;
+        self.call("gne", args, &[net])?;
         Ok(())
     }
 
@@ -196,6 +267,86 @@ impl Client {
             .collect();
         nets.sort_by_key(|net| (net.id.len(), net.id.clone()));
         Ok(nets)
+    }
+}
+
+/// Texts of the protocol for a net that does not exist.
+const NO_NET: [&str; 3] = ["invalid net", "invalid netname", "invalidnetname"];
+
+/// There is no such net.
+#[derive(Debug, thiserror::Error)]
+#[error("there is no net {0}\nhint: `takt net list` shows those that there are")]
+pub(crate) struct NoNet(String);
+
+/// How a net ended that did not end by itself.
+#[derive(Debug)]
+pub(crate) struct NetEnd {
+    /// The cause.
+    pub(crate) why: String,
+    /// The nets that a rule started when it stopped this one.
+    pub(crate) successors: Vec<String>,
+}
+
+/// Records of debug taps.
+#[derive(Debug)]
+pub(crate) struct TapRecords {
+    /// Number of the record to ask for next.
+    pub(crate) next: f64,
+    /// Names of the taps, such as `target.inSecond`.
+    pub(crate) names: Vec<String>,
+    /// The records.
+    pub(crate) records: Vec<TapRecord>,
+}
+
+/// What one cycle recorded.
+#[derive(Debug)]
+pub(crate) struct TapRecord {
+    /// Its number; gaps are lost records.
+    pub(crate) number: f64,
+    /// Logical time of the cycle, ns.
+    pub(crate) time_ns: i64,
+    /// The value of each tap as text; `None` if it was null.
+    pub(crate) values: Vec<Option<String>>,
+}
+
+impl TapRecords {
+    fn of(reply: Vec<Value>) -> Option<Self> {
+        let mut reply = reply.into_iter();
+        let next = float(&reply.next()?)?;
+        let names = reply.next()?;
+        let names = names.as_list()?.iter();
+        let names = names.map(|name| Some(name.as_str()?.to_owned()));
+        let records = reply.nth(1)?;
+        let records = records.as_list()?.iter().map(TapRecord::of);
+        Some(Self {
+            next,
+            names: names.collect::<Option<_>>()?,
+            records: records.collect::<Option<_>>()?,
+        })
+    }
+}
+
+impl TapRecord {
+    fn of(record: &Value) -> Option<Self> {
+        let [number, time, values @ ..] = record.as_list()? else {
+            return None;
+        };
+        Some(Self {
+            number: float(number)?,
+            time_ns: time.as_str()?.parse().ok()?,
+            values: values
+                .iter()
+                .map(|v| v.as_str().map(str::to_owned))
+                .collect(),
+        })
+    }
+}
+
+fn float(value: &Value) -> Option<f64> {
+    match value {
+        Value::Float(number) => Some(*number),
+        Value::Integer(number) => Some((*number).into()),
+        Value::String(_) | Value::List(_) | Value::Map(_) => None,
     }
 }
 
@@ -229,11 +380,7 @@ impl NetFigures {
 }
 
 fn figure((name, value): (String, Value)) -> Option<(String, f64)> {
-    match value {
-        Value::Float(number) => Some((name, number)),
-        Value::Integer(number) => Some((name, number.into())),
-        Value::String(_) | Value::List(_) | Value::Map(_) => None,
-    }
+    Some((name, float(&value)?))
 }
 
 fn text(net: &BTreeMap<String, Value>, key: &str) -> String {

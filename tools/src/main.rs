@@ -132,6 +132,7 @@ fn status_of(error: &anyhow::Error) -> u8 {
 
 /// Whether a controller answered with a refusal.
 fn is_refusal(error: &anyhow::Error) -> bool {
-    let error = error.downcast_ref::<takt_client::Error>();
-    matches!(error, Some(takt_client::Error::Refused { .. }))
+    let refusal = error.downcast_ref::<takt_client::Error>();
+    let is_refused = matches!(refusal, Some(takt_client::Error::Refused { .. }));
+    is_refused || error.is::<client::NoNet>()
 }

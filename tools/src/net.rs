@@ -7,7 +7,9 @@ mod dot;
 mod life;
 mod primitives;
 mod server;
+mod set;
 mod stats;
+mod tap;
 mod text;
 mod watch;
 
@@ -22,7 +24,7 @@ use text::{complain_of, read};
 pub(crate) enum Net {
     /// Check a net without a controller: all faults, with their locations.
     Check(check::Check),
-    /// Draw a net: an SVG on standard output.
+    /// Draw a net: an SVG on standard output, or DOT.
     Dot(dot::Dot),
     /// Measure what each primitive costs on this host.
     Calibrate(calibrate::Calibrate),
@@ -40,6 +42,10 @@ pub(crate) enum Net {
     Abort(life::Target),
     /// Remove a net that does not run.
     Unload(life::Target),
+    /// Write values that a net takes.
+    Set(set::Set),
+    /// Print the values of debug taps, each cycle.
+    Tap(tap::Tap),
     /// Follow states and values of a net until it ends.
     Watch(watch::Watch),
     /// List the nets of a controller.
@@ -61,6 +67,8 @@ impl Net {
             Self::Cancel(target) => target.command("neca"),
             Self::Abort(target) => target.command("neab"),
             Self::Unload(target) => target.command("neun"),
+            Self::Set(set) => set.run(),
+            Self::Tap(tap) => tap.run(),
             Self::Watch(watch) => watch.run(),
             Self::List(list) => list.run(),
             Self::Stats(stats) => stats.run(),

@@ -162,6 +162,13 @@ pub(crate) fn span_of_ms(
     }
 }
 
+/// A value of a net as JSON: numbers are numbers.
+pub(crate) fn json_of(text: &str) -> serde_json::Value {
+    let json = takt_net::value::text::to_json(text);
+    let json = json.and_then(|json| serde_json::from_str(&json).ok());
+    json.unwrap_or_else(|| text.into())
+}
+
 /// A time in the unit that suits it, at most 8 characters: `17 us`, `1.25 ms`.
 pub(crate) fn time(ns: i64) -> String {
     #[expect(clippy::cast_precision_loss, reason = "shown with three digits")]

@@ -108,7 +108,7 @@ fn stop_gets_through_a_flooded_server() {
     );
     let page: Value = serde_json::from_str(body(&page)).unwrap();
     let (port, key) = (
-        page["port"].as_str().unwrap(),
+        page["port"].as_u64().unwrap(),
         page["key"].as_str().unwrap(),
     );
     let flood = Flood::start(&[cell.tcp.clone(), cell.http.clone()]);

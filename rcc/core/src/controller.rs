@@ -56,6 +56,7 @@ pub use admission::limits_for;
 pub use clock::ClockInfo;
 pub use device_set::DeviceInfo;
 pub use driver_log::{DriverReport, EventCounts};
+pub use end::STOPPED_BY_RULE;
 pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};
 pub use faults::{DeviceFault, FaultCounts, StallCause, StallFigures};
 pub use figures::{NetFigures, ThreadInfo};

@@ -1,7 +1,7 @@
 //! Cell files with all drivers: the examples of the documentation, and what is wrong with a table of a driver.
 
-use takt_core::CellConfig;
 use takt_core::cell::Section;
+use takt_core::{CellConfig, Controller};
 use takt_devices::{DRIVERS, parse_cell};
 
 #[test]
@@ -92,4 +92,139 @@ fn driver_table_has_each_section_once() {
         "all features are on by default"
     );
     assert_eq!(parse_cell("").unwrap(), CellConfig::default());
+}
+
+/// Sections of docs/cell.md, with a cell in which the program meets an unknown key there.
+const SECTIONS: [(&str, &str); 22] = [
+    ("[controller]", "[controller]\nzz = 1"),
+    ("[[controller.thread]]", "[[controller.thread]]\nzz = 1"),
+    (
+        "[[device]] of type kuka_lwr_fri",
+        "[[device]]\ntype = 'kuka_lwr_fri'\nzz = 1",
+    ),
+    (
+        "[[device]] of type kuka_iiwa_fri",
+        "[[device]]\ntype = 'kuka_iiwa_fri'\nzz = 1",
+    ),
+    (
+        "device.io of kuka_iiwa_fri",
+        "[[device]]\ntype = 'kuka_iiwa_fri'\nio = { zz = 1 }",
+    ),
+    (
+        "device.on_end",
+        "[[device]]\ntype = 'kuka_lwr_fri'\non_end = { zz = 1 }",
+    ),
+    (
+        "[[device]] of type segway_rmp",
+        "[[device]]\ntype = 'segway_rmp'\nzz = 1",
+    ),
+    ("[[ethercat]]", "[[ethercat]]\nzz = 1"),
+    ("[ethercat.clocks]", "[[ethercat]]\nclocks = { zz = 1 }"),
+    ("[[ethercat.slave]]", "[[ethercat]]\nslave = [{ zz = 1 }]"),
+    (
+        "ethercat.slave.timeouts",
+        "[[ethercat]]\nslave = [{ timeouts = { zz = 1 } }]",
+    ),
+    (
+        "ethercat.slave.outputs and inputs",
+        "[[ethercat]]\nslave = [{ outputs = [{ zz = 1 }] }]",
+    ),
+    (
+        "ethercat.slave.startup",
+        "[[ethercat]]\nslave = [{ startup = [{ zz = 1 }] }]",
+    ),
+    ("[[ethercat.arm]]", "[[ethercat]]\narm = [{ zz = 1 }]"),
+    (
+        "ethercat.arm.joint",
+        "[[ethercat]]\narm = [{ joint = [{ zz = 1 }] }]",
+    ),
+    ("[[ethercat.io]]", "[[ethercat]]\nio = [{ zz = 1 }]"),
+    (
+        "ethercat.io.analogue_in and analogue_out",
+        "[[ethercat]]\nio = [{ analogue_in = [{ zz = 1 }] }]",
+    ),
+    (
+        "[[ethercat.youbot_base]]",
+        "[[ethercat]]\nyoubot_base = [{ zz = 1 }]",
+    ),
+    (
+        "[[ethercat.youbot_arm]]",
+        "[[ethercat]]\nyoubot_arm = [{ zz = 1 }]",
+    ),
+    ("[[canopen]]", "[[canopen]]\nzz = 1"),
+    ("[[canopen.arm]]", "[[canopen]]\narm = [{ zz = 1 }]"),
+    (
+        "canopen.arm.joint",
+        "[[canopen]]\narm = [{ joint = [{ zz = 1 }] }]",
+    ),
+];
+
+/// Texts between backticks.
+fn quoted(text: &str) -> Vec<&str> {
+    text.split('`').skip(1).step_by(2).collect()
+}
+
+#[test]
+fn cell_reference_lists_every_key() {
+    let reference = include_str!("../../../docs/cell.md");
+    let headings: Vec<_> = reference
+        .lines()
+        .filter(|line| line.starts_with("## "))
+        .collect();
+    assert_eq!(headings.len(), SECTIONS.len());
+    for (section, cell) in SECTIONS {
+        let error = parse_cell(cell).unwrap_err().to_string();
+        let (_, expected) = error.split_once("unknown field `zz`, expected ").unwrap();
+        // Other names of a key are named beside it.
+        let mut keys = quoted(expected.lines().next().unwrap());
+        keys.retain(|key| !section.ends_with("arm.joint") || !["slave", "node"].contains(key));
+        let heading = format!("## `{section}`\n");
+        let (_, part) = reference.split_once(&heading).unwrap();
+        let rows = part.split("\n## ").next().unwrap().lines();
+        let rows = rows.filter_map(|row| row.strip_prefix("| `")?.split('`').next());
+        let (mut rows, mut keys): (Vec<_>, Vec<_>) = (rows.collect(), keys);
+        rows.sort_unstable();
+        keys.sort_unstable();
+        assert_eq!(rows, keys, "{section}");
+    }
+}
+
+#[test]
+fn example_cells_are_read_and_run() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/cells");
+    let readme = std::fs::read_to_string(folder.join("README.md")).unwrap();
+    let (mut read, mut ran) = (0, 0);
+    for entry in std::fs::read_dir(&folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        if name == "README.md" {
+            continue;
+        }
+        assert!(readme.contains(&format!("`{name}`")), "{name}");
+        let text = std::fs::read_to_string(&path).unwrap();
+        // Ports that the system chooses, so that tests do not collide; threads without priority.
+        let text = text.replace("0.0.0.0:49938", "127.0.0.1:0");
+        let text = text.replace("0.0.0.0:30200", "127.0.0.1:0");
+        let mut cell = parse_cell(&text).unwrap_or_else(|error| panic!("{name}: {error}"));
+        read += 1;
+        cell.controller.priority = None;
+        let needs_interface = ["interface = ", "links = "];
+        if !needs_interface.iter().any(|key| text.contains(key)) {
+            Controller::start(&cell).unwrap_or_else(|error| panic!("{name}: {error}"));
+            ran += 1;
+        }
+    }
+    assert!(read >= 9 && ran >= 3, "{read} {ran}");
+}
+
+#[test]
+fn main_readme_cell_is_accepted() {
+    let readme = include_str!("../../../README.md");
+    let line = readme
+        .lines()
+        .find(|line| line.ends_with("> cell.toml"))
+        .unwrap();
+    let example = line.split('\'').nth(1).unwrap();
+    let cell = parse_cell(example).unwrap();
+    assert_eq!(cell.devices.len(), 1);
 }

@@ -12,7 +12,8 @@ use crate::output::{complain, say};
 ///
 /// Each line is a net: its period, the period of the thread that evaluates it, the cycles it was
 /// evaluated in, how many of these ended too late (LATE) or took the net longer than its budget (OVER),
-/// the mean and longest time it took, and what its primitives declare to take at most (COST).
+/// the mean and longest time it took, and what its primitives declare to take at most (DECLARED): on the host of the
+/// developers, or on this one if `costs` of the cell names a table of `takt net calibrate`.
 /// A net that takes longer than a period of its thread ten times in a row is ended.
 #[derive(Debug, Args)]
 pub(crate) struct Stats {
@@ -45,12 +46,28 @@ impl Stats {
         for net in &nets {
             say(&line(net))?;
         }
+        if let Some(contradiction) = contradiction(&nets) {
+            complain(&contradiction);
+        }
         Ok(Verdict::Good)
     }
 }
 
 const HEAD: &str =
-    "NET          PERIOD  THREAD     CYCLES    LATE    OVER      MEAN       MAX      COST";
+    "NET          PERIOD  THREAD     CYCLES    LATE    OVER      MEAN       MAX  DECLARED";
+
+/// Says that declared costs are not those of this host, if a net takes longer on average than it declares at most.
+fn contradiction(nets: &[NetFigures]) -> Option<String> {
+    let exceeds = |net: &&NetFigures| net.get("cycles") > 0.0 && net.get("mean") > net.get("cost");
+    let slower: Vec<_> = nets.iter().filter(exceeds).map(|net| &*net.id).collect();
+    (!slower.is_empty()).then(|| {
+        format!(
+            "warning: {} take longer on average than declared: declared costs are not those of this host, and the \
+             admission of nets relies on them\nhint: `takt net calibrate`, then name its table as `costs` under [controller]",
+            slower.join(", ")
+        )
+    })
+}
 
 fn line(net: &NetFigures) -> String {
     let count = |name| format!("{:.0}", net.get(name));
@@ -102,7 +119,21 @@ mod tests {
         let line = line(&net);
         assert_eq!(line.len(), HEAD.len());
         let fields: Vec<_> = line.split_whitespace().collect();
+        assert_eq!(contradiction(&[net]), None);
         let expected = "rpinet12 1ms 0.25ms 123456 2 1 12.3us 900.0us 40.0us";
         assert_eq!(fields.join(" "), expected);
+    }
+
+    #[test]
+    fn mean_above_declared_cost_is_a_contradiction() {
+        let net = |id: &str, mean: f64| NetFigures {
+            id: id.to_owned(),
+            figures: [("cycles", 9.0), ("mean", mean), ("cost", 0.001)]
+                .map(|(name, figure)| (name.to_owned(), figure))
+                .into(),
+        };
+        let text = contradiction(&[net("rpinet0", 0.0009), net("rpinet1", 0.002)]).unwrap();
+        assert!(text.starts_with("warning: rpinet1 take longer"), "{text}");
+        assert!(text.contains("\nhint: `takt net calibrate`"), "{text}");
     }
 }

@@ -4,13 +4,17 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use takt_client::{Message, Value};
+use takt_core::controller::STOPPED_BY_RULE;
 
 use super::Server;
 use crate::Verdict;
-use crate::client::{Client, NetInfo};
+use crate::client::{Client, NetEnd, NetInfo};
 use crate::output::{complain, positive_span, say, span};
 
 /// Follow a net.
+///
+/// Prints each state, and each value whenever it changes, at most once per `--refresh`. Exit status 0 if the net ends by
+/// itself, or because a scheduled net took over.
 #[derive(Debug, Args)]
 pub(crate) struct Watch {
     /// Its identifier, such as rpinet0.
@@ -69,9 +73,14 @@ impl Watch {
     }
 
     fn print_end(&self, client: &mut Client) -> anyhow::Result<Verdict> {
-        let Some(why) = client.end_of(&self.net)? else {
+        let Some(NetEnd { why, successors }) = client.end_of(&self.net)? else {
             return Ok(Verdict::Good);
         };
+        // A motion that another one takes over has done its part.
+        if why == STOPPED_BY_RULE && !successors.is_empty() {
+            say(&format!("taken over by {}", successors.join(", ")))?;
+            return Ok(Verdict::Good);
+        }
         complain(&format!("{} did not end by itself: {why}", self.net));
         let last = client.last_values(&self.net)?;
         if !last.is_empty() {

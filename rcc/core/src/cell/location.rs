@@ -83,7 +83,12 @@ impl Search<'_> {
                         }
                     }
                 }
-                _ => {
+                DeValue::String(_)
+                | DeValue::Integer(_)
+                | DeValue::Float(_)
+                | DeValue::Boolean(_)
+                | DeValue::Datetime(_)
+                | DeValue::Array(_) => {
                     let own =
                         i32::from(self.mentions(key.get_ref())) + i32::from(self.quotes(value));
                     if own > 0 {
@@ -134,7 +139,11 @@ impl Search<'_> {
                 self.why.contains(&format!("`{text}`")) || self.why.contains(&format!("{text:?}"))
             }
             DeValue::Array(items) => items.iter().any(|item| self.quotes(item)),
-            _ => false,
+            DeValue::Integer(_)
+            | DeValue::Float(_)
+            | DeValue::Boolean(_)
+            | DeValue::Datetime(_)
+            | DeValue::Table(_) => false,
         }
     }
 }

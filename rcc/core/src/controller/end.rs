@@ -13,6 +13,9 @@ use crate::executor::thread::Command;
 use crate::executor::{End, Running};
 use crate::ids::{NetId, NetState, SessionId};
 
+/// Reason reported for a net that a rule stopped.
+pub const STOPPED_BY_RULE: &str = "stopped by a rule";
+
 /// Reason reported for a net that was aborted before it started.
 const NEVER_RAN: &str = "aborted before it ran";
 
@@ -231,7 +234,7 @@ impl Registry {
                 let by = by.map(|(by, _)| format!(" by {by}"));
                 Some(format!("stopped{}: takt stop", by.unwrap_or_default()))
             }
-            End::Stopped => Some("stopped by a rule".to_owned()),
+            End::Stopped => Some(STOPPED_BY_RULE.to_owned()),
             End::Runaway => {
                 let longest = net.counters().read().max;
                 let period = self.threads.period(self.nets.thread_of(net.id));

@@ -5,11 +5,14 @@
 //! (Rotation: Z-Y-X Euler angles, rad), `{pos:{..},rot:{..}}` (Frame), `{vel:{..},rot:{..}}`
 //! (Twist), `{force:{..},torque:{..}}` (Wrench). Omitted members are zero.
 
+mod json;
+
 use std::fmt::Write as _;
 use std::ops::Range;
 
 use crate::value::unit::{self, Dimension, Quantity};
 use crate::value::{Frame, Nanos, Rotation, Twist, Type, Value, Vector, Wrench};
+pub use json::to_json;
 
 /// Why a text is not a value of the expected type, and where in the text.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

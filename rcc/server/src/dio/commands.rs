@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use takt_client::wire::{Message, Value};
-use takt_core::controller::{LoadRequest, NetInfo, RejectedInfo, RuleId, RuleRequest};
+use takt_core::controller::{
+    LoadRequest, NetInfo, RejectedInfo, RuleId, RuleRequest, RuleState, TapRecord, Taps,
+};
 use takt_core::{Error, NetId, OnLoss, SessionId};
 
 use super::devices::DeviceWatch;
@@ -30,6 +32,12 @@ const FAULTS_MAX: usize = 20;
 
 /// Upper bound of the refresh interval, so that times do not overflow.
 const REFRESH_MAX: Duration = Duration::from_secs(3600);
+
+/// Most records of debug taps in one reply.
+const TAP_RECORDS_MAX: usize = 256;
+
+/// Most values in these records, less than a message may have.
+const TAP_VALUES_MAX: usize = 60_000;
 
 type Outcome = Result<Vec<Value>, CommandError>;
 
@@ -62,6 +70,8 @@ impl Connection {
             "gne" => self.watch_net(args, tag()),
             "snc" => self.write_values(args),
             "nin" => self.describe_nets(args),
+            "nva" => self.describe_values(args),
+            "nta" => self.taps(args),
             "nst" => self.figures(args),
             "nesc" => self.schedule(args),
             "gsy" => self.watch_rule(args, tag()),
@@ -305,12 +315,71 @@ impl Connection {
             None => self.controller.nets(),
         };
         let infos = nets.into_iter().filter_map(|n| self.controller.net(n));
-        Ok(vec![Value::map_of(infos.map(|i| {
-            let rejected = self.controller.rejected(Some(i.id));
-            let last = self.controller.last_values_of_net(i.id);
-            let last = last.map_or_else(String::new, |last| last.table());
-            (i.id.to_string(), describe(&i, rejected, &last))
-        }))])
+        Ok(vec![Value::map_of(
+            infos.map(|i| (i.id.to_string(), self.describe(&i))),
+        )])
+    }
+
+    /// A net, with the nets that a rule started when it stopped this one.
+    fn describe(&self, info: &NetInfo) -> Value {
+        let rules = self.controller.rules_of(info.id).into_iter();
+        let stopped = rules
+            .filter(|rule| rule.state == RuleState::Fired && rule.request.stop.contains(&info.id));
+        let successors = stopped.flat_map(|rule| rule.request.start);
+        let successors = Value::list_of(successors.map(|net| net.to_string()));
+        let rejected = self.controller.rejected(Some(info.id));
+        let last = self.controller.last_values_of_net(info.id);
+        let last = last.map_or_else(String::new, |last| last.table());
+        match describe(info, rejected, &last) {
+            Value::Map(mut members) => {
+                members.insert("successors".to_owned(), successors);
+                Value::Map(members)
+            }
+            other => other,
+        }
+    }
+
+    /// The in values and the out values of a net. Not part of the original protocol, as the following one.
+    fn describe_values(&self, args: Args<'_>) -> Outcome {
+        let net = self.net(args)?;
+        let values = [
+            self.controller.in_values(net),
+            self.controller.out_values(net),
+        ];
+        Ok(values.map(Value::map_of).into())
+    }
+
+    /// Records of a net's debug taps from a number on: the number to ask for next, names and types of the taps, and by
+    /// record its number, its time in ns and the texts; null is an empty list. The first request begins the recording.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a number below 0 is the first, and one beyond 2^53 does not occur"
+    )]
+    fn taps(&self, args: Args<'_>) -> Outcome {
+        let net = self.net(args)?;
+        let from = args.optional(1, Args::float)?.unwrap_or_default();
+        let taps = self.controller.taps(net, from as u64)?;
+        let Taps { taps, mut records } = taps.ok_or(CommandError::NotReady)?;
+        records.truncate(TAP_RECORDS_MAX.min(TAP_VALUES_MAX / (taps.len() + 3)));
+        let next = records.last().map_or(from, |last| number(last.number + 1));
+        let record = |record: &TapRecord| {
+            let texts = taps.iter().map(|tap| match record.text(tap) {
+                Some(text) => Value::from(text),
+                None => Value::List(Vec::new()),
+            });
+            let head = [
+                Value::Float(number(record.number)),
+                record.time().0.to_string().into(),
+            ];
+            Value::list_of(head.into_iter().chain(texts))
+        };
+        Ok(vec![
+            Value::Float(next),
+            Value::list_of(taps.iter().map(|tap| tap.name.clone())),
+            Value::list_of(taps.iter().map(|tap| tap.ty.to_string())),
+            Value::list_of(records.iter().map(record)),
+        ])
     }
 
     /// Evaluation cost of all nets, or of one. Not part of the original protocol either.
@@ -374,6 +443,11 @@ impl Connection {
             .ok()
             .filter(|n| self.controller.net(*n).is_some())
     }
+}
+
+/// A count; integers of the protocol have 31 bits.
+fn number(count: u64) -> f64 {
+    count as f64
 }
 
 /// Commands that the net's state does not permit have no effect and succeed.
@@ -506,11 +580,17 @@ impl<'a> Args<'a> {
         }
     }
 
+    fn float(self, number: usize) -> Result<f64, CommandError> {
+        if let Value::Float(n) = self.get(number)? {
+            Ok(*n)
+        } else {
+            Err(CommandError::ParameterType)
+        }
+    }
+
     /// A time in seconds; must be a float.
     fn seconds(self, number: usize) -> Result<Duration, CommandError> {
-        let Value::Float(seconds) = self.get(number)? else {
-            return Err(CommandError::ParameterType);
-        };
-        Ok(Duration::try_from_secs_f64(*seconds).unwrap_or(Duration::MAX))
+        let seconds = self.float(number)?;
+        Ok(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX))
     }
 }

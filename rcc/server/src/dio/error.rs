@@ -46,6 +46,9 @@ pub(super) enum CommandError {
     /// The rule could not be installed.
     #[error("scheduling not possible")]
     SchedulingNotPossible { reason: String },
+    /// The net is loading or was rejected.
+    #[error("the net is not ready and records nothing")]
+    NotReady,
     /// No such rule.
     #[error("Invalid synchronization rule")]
     InvalidRule,
@@ -108,6 +111,7 @@ impl CommandError {
             | Self::InvalidNetName
             | Self::InvalidRuleNet
             | Self::InvalidRule
+            | Self::NotReady
             | Self::TooManySubscriptions
             | Self::TokenMissing
             | Self::WrongToken

@@ -3,6 +3,8 @@
 
 mod rules;
 
+use std::time::Instant;
+
 use takt_core::CellConfig;
 
 use super::limits::SUBSCRIPTIONS_MAX;
@@ -326,7 +328,7 @@ fn net_text_syntax_error_is_rejected() {
 fn net_with_unknown_session_belongs_to_none() {
     let mut client = Client::with_handshake(&controller());
     client.call(&format!(r#"a=nene("{ENDLESS}","s9")"#));
-    let info = r#"a=ok({rpinet0:{description:"",end:"",last:"",rejected:[],rejection:[],session:"s0",state:"READY"}})"#;
+    let info = r#"a=ok({rpinet0:{description:"",end:"",last:"",rejected:[],rejection:[],session:"s0",state:"READY",successors:[]}})"#;
     assert_eq!(client.call("a=nin()"), info);
     assert_eq!(client.call(r#"a=nin("rpinet0")"#), info);
 }
@@ -611,4 +613,56 @@ fn random_lines_get_valid_replies() {
             }
         }
     }
+}
+
+#[test]
+fn values_of_net_are_described_by_key() {
+    let mut client = Client::with_handshake(&controller());
+    let text = "{i=Core::DoubleNetcommIn(Key='speed', Value='1'), o=Core::DoubleNetcommOut(inValue=i.outValue, Key='o'), \
+        x=Cancel(), outTerminate=x.outCancel}";
+    let net = client.load(text);
+    let call = format!(r#"a=nva("{net}")"#);
+    assert_eq!(client.call(&call), r#"a=ok({inspeed:"1"},{})"#);
+    client.call(&format!(r#"a=snc({{{net}:{{inspeed:"2.5"}}}})"#));
+    assert_eq!(client.call(&call), r#"a=ok({inspeed:"2.5"},{})"#);
+    assert_eq!(
+        client.call(r#"a=nva("rpinet9")"#),
+        r#"a=err("invalid net")"#
+    );
+}
+
+#[test]
+fn taps_are_read_in_order_of_cycles() {
+    let mut client = Client::with_handshake(&controller());
+    let text = "{i=Core::IntValue(Value='3'), a=Core::IntAdd(inFirst[1]=i.outValue), x=Cancel(), outTerminate=x.outCancel}";
+    let net = client.load(text);
+    let empty = client.call(&format!(r#"a=nta("{net}")"#));
+    assert_eq!(empty, r#"a=ok(0.000000,["a.inFirst"],["Core::int"],[])"#);
+    client.send(&format!(r#"a=nest("{net}")"#));
+    let until = Instant::now() + Duration::from_secs(10);
+    let (mut next, mut numbers) = (0.0, Vec::new());
+    while numbers.len() < 20 {
+        assert!(Instant::now() < until);
+        let reply = client.call(&format!(r#"a=nta("{net}",{next:.1})"#));
+        let args = Message::decode(&reply).unwrap().args;
+        let [Value::Float(number), _, _, Value::List(records)] = &args[..] else {
+            panic!("{reply}");
+        };
+        next = *number;
+        for record in records {
+            let [Value::Float(number), Value::String(_), Value::String(value)] =
+                record.as_list().unwrap()
+            else {
+                panic!("{record}");
+            };
+            assert_eq!(value, "3");
+            numbers.push(*number);
+        }
+    }
+    assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
+    let rejected = client.load("{a=Core::Clok(), outTerminate=a.outCancel}");
+    assert_eq!(
+        client.call(&format!(r#"a=nta("{rejected}")"#)),
+        r#"a=err("the net is not ready and records nothing")"#
+    );
 }

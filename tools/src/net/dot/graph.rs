@@ -7,30 +7,50 @@ use takt_net::text::{Arg, ArgValue, Body, Fragment, Node, Source, SourceOf};
 
 /// Ports of fragments in a row that a link is followed through.
 const DEPTH_MAX: usize = 100;
+/// Characters of a parameter that are shown.
+const PARAMETER_MAX: usize = 20;
 
 /// Primitives and links.
 #[derive(Debug, Default)]
 pub(super) struct Graph {
-    /// The primitives.
+    /// The primitives, then the out ports of the whole net.
     pub(super) nodes: Vec<Primitive>,
     /// What feeds what.
     pub(super) links: Vec<Link>,
 }
 
-/// A primitive.
-#[derive(Debug)]
+/// A primitive, or an out port of the whole net, which stands for what reads it.
+#[derive(Debug, Default)]
 pub(super) struct Primitive {
     /// Its name, with those of the fragments it is in.
     pub(super) path: String,
-    /// Its type.
+    /// Its type; empty for an out port of the net.
     pub(super) kind: String,
+    /// Its connected in ports, then its parameters, such as `To='0.5'`.
+    pub(super) ins: Vec<String>,
+    /// Its connected out ports.
+    pub(super) outs: Vec<String>,
 }
 
-/// A link between two primitives, by their numbers.
+impl Primitive {
+    /// The number of the out port of that name, which is added if it is new.
+    fn out(&mut self, port: &str) -> usize {
+        let known = self.outs.iter().position(|out| out == port);
+        known.unwrap_or_else(|| {
+            self.outs.push(port.to_owned());
+            self.outs.len() - 1
+        })
+    }
+}
+
+/// A port: the number of its primitive, and its own among the in ports or out ports.
+pub(super) type Port = (usize, usize);
+
+/// A link from an out port to an in port.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Link {
-    pub(super) from: usize,
-    pub(super) to: usize,
+    pub(super) from: Port,
+    pub(super) to: Port,
     /// Whether it matters in the next cycle only: it leads into a Pre.
     pub(super) is_late: bool,
 }
@@ -44,8 +64,8 @@ struct Scope<'s> {
     outer: Option<&'s Scope<'s>>,
 }
 
-/// Numbers of primitives, by where they stand in memory.
-type Numbers<'t> = HashMap<*const Node<'t>, usize>;
+/// Numbers of primitives, by where the name of their type begins in the text.
+type Numbers = HashMap<usize, usize>;
 
 impl Graph {
     /// The graph of a net.
@@ -58,10 +78,22 @@ impl Graph {
             outer: None,
         };
         graph.link_children(&scope, &numbers);
+        for out in &root.outs {
+            let name = out.name.text.to_owned();
+            let Some(from) = source(out).and_then(|from| follow(from, &scope, &numbers, 0)) else {
+                continue;
+            };
+            graph.nodes.push(Primitive {
+                path: name,
+                ins: vec![String::new()],
+                ..Primitive::default()
+            });
+            graph.add_link(&from, (graph.nodes.len() - 1, 0), false);
+        }
         graph
     }
 
-    fn add_children<'t>(&mut self, fragment: &Fragment<'t>, path: &str, numbers: &mut Numbers<'t>) {
+    fn add_children(&mut self, fragment: &Fragment<'_>, path: &str, numbers: &mut Numbers) {
         for child in &fragment.children {
             let path = format!("{path}{}", child.name.text);
             self.add(&child.node, &path, numbers);
@@ -69,14 +101,15 @@ impl Graph {
         self.add_inline(&fragment.outs, path, numbers);
     }
 
-    fn add<'t>(&mut self, node: &Node<'t>, path: &str, numbers: &mut Numbers<'t>) {
+    fn add(&mut self, node: &Node<'_>, path: &str, numbers: &mut Numbers) {
         let inside = format!("{path}.");
         match &node.body {
             Body::Primitive(kind) => {
-                numbers.insert(node, self.nodes.len());
+                numbers.insert(kind.start, self.nodes.len());
                 self.nodes.push(Primitive {
                     path: path.to_owned(),
                     kind: kind.text.to_owned(),
+                    ..Primitive::default()
                 });
             }
             Body::Fragment(fragment) => self.add_children(fragment, &inside, numbers),
@@ -85,7 +118,7 @@ impl Graph {
     }
 
     /// Nodes that are written where they are used are called as the port they feed.
-    fn add_inline<'t>(&mut self, args: &[Arg<'t>], path: &str, numbers: &mut Numbers<'t>) {
+    fn add_inline(&mut self, args: &[Arg<'_>], path: &str, numbers: &mut Numbers) {
         for arg in args {
             if let Some(node) = inline(arg) {
                 self.add(node, &format!("{path}{}", arg.name.text), numbers);
@@ -93,7 +126,7 @@ impl Graph {
         }
     }
 
-    fn link_children(&mut self, scope: &Scope<'_>, numbers: &Numbers<'_>) {
+    fn link_children(&mut self, scope: &Scope<'_>, numbers: &Numbers) {
         for child in &scope.fragment.children {
             self.link(&child.node, scope, numbers);
         }
@@ -102,18 +135,25 @@ impl Graph {
         }
     }
 
-    fn link(&mut self, node: &Node<'_>, scope: &Scope<'_>, numbers: &Numbers<'_>) {
+    fn link(&mut self, node: &Node<'_>, scope: &Scope<'_>, numbers: &Numbers) {
         for node in node.args.iter().filter_map(inline) {
             self.link(node, scope, numbers);
         }
         match &node.body {
             Body::Primitive(kind) => {
-                let to = numbers[&std::ptr::from_ref(node)];
+                let to = numbers[&kind.start];
                 let is_late = kind.text.ends_with("Pre");
-                let sources = node.args.iter().filter_map(source);
-                let from = sources.filter_map(|source| follow(source, scope, numbers, 0));
-                self.links
-                    .extend(from.map(|from| Link { from, to, is_late }));
+                for arg in &node.args {
+                    let from = source(arg).and_then(|from| follow(from, scope, numbers, 0));
+                    if let Some(from) = from {
+                        let ins = &mut self.nodes[to].ins;
+                        ins.push(arg.name.text.to_owned());
+                        let port = (to, ins.len() - 1);
+                        self.add_link(&from, port, is_late);
+                    }
+                }
+                let parameters = node.args.iter().filter_map(parameter);
+                self.nodes[to].ins.extend(parameters);
             }
             Body::Fragment(fragment) => {
                 let inner = Scope {
@@ -126,13 +166,23 @@ impl Graph {
         }
     }
 
+    fn add_link(&mut self, (from, port): &(usize, String), to: Port, is_late: bool) {
+        let port = self.nodes[*from].out(port);
+        self.links.push(Link {
+            from: (*from, port),
+            to,
+            is_late,
+        });
+    }
+
     /// By primitive, the length of the longest path to it; a cycle, which no good net has, ends it.
     pub(super) fn levels(&self) -> Vec<usize> {
         let mut levels = vec![0; self.nodes.len()];
         for _ in 0..self.nodes.len() {
             let before = levels.clone();
             for link in self.links.iter().filter(|link| !link.is_late) {
-                levels[link.to] = levels[link.to].max(levels[link.from] + 1);
+                let (from, to) = (link.from.0, link.to.0);
+                levels[to] = levels[to].max(levels[from] + 1);
             }
             if levels == before {
                 break;
@@ -140,6 +190,18 @@ impl Graph {
         }
         levels
     }
+}
+
+/// A parameter as the net has it, shortened.
+fn parameter(arg: &Arg<'_>) -> Option<String> {
+    let ArgValue::Text(text, _) = &arg.value else {
+        return None;
+    };
+    let mut shown: String = text.chars().take(PARAMETER_MAX).collect();
+    if shown.len() < text.len() {
+        shown.push('…');
+    }
+    Some(format!("{}='{shown}'", arg.name.text))
 }
 
 const fn source<'a, 't>(arg: &'a Arg<'t>) -> Option<&'a Source<'t>> {
@@ -162,13 +224,13 @@ fn named<'a, 't>(args: &'a [Arg<'t>], port: &str) -> Option<&'a Source<'t>> {
         .and_then(source)
 }
 
-/// The primitive that a source comes from, through the ports of fragments.
+/// The primitive and the out port that a source comes from, through the ports of fragments.
 fn follow(
     source: &Source<'_>,
     scope: &Scope<'_>,
-    numbers: &Numbers<'_>,
+    numbers: &Numbers,
     depth: usize,
-) -> Option<usize> {
+) -> Option<(usize, String)> {
     if depth > DEPTH_MAX {
         return None;
     }
@@ -184,7 +246,7 @@ fn follow(
         }
     };
     match &node.body {
-        Body::Primitive(_) => numbers.get(&std::ptr::from_ref(node)).copied(),
+        Body::Primitive(kind) => Some((*numbers.get(&kind.start)?, port.to_owned())),
         Body::Fragment(fragment) => {
             let inner = Scope {
                 fragment,
@@ -201,7 +263,7 @@ mod tests {
     use takt_net::Limits;
     use takt_net::text::parse;
 
-    use super::Graph;
+    use super::{Graph, Link};
 
     fn graph(text: &str) -> Graph {
         let mut faults = Vec::new();
@@ -211,12 +273,18 @@ mod tests {
     }
 
     fn links(graph: &Graph) -> Vec<String> {
-        let path = |node: usize| graph.nodes[node].path.as_str();
         let arrow = |is_late| if is_late { "~>" } else { "->" };
-        let links = graph.links.iter();
-        links
-            .map(|l| format!("{} {} {}", path(l.from), arrow(l.is_late), path(l.to)))
-            .collect()
+        let text = |link: &Link| {
+            let (from, to) = (&graph.nodes[link.from.0], &graph.nodes[link.to.0]);
+            let (out, into) = (&from.outs[link.from.1], &to.ins[link.to.1]);
+            format!(
+                "{}.{out} {} {}.{into}",
+                from.path,
+                arrow(link.is_late),
+                to.path
+            )
+        };
+        graph.links.iter().map(text).collect()
     }
 
     #[test]
@@ -228,7 +296,13 @@ mod tests {
               d=Core::DoubleAdd(inFirst=Core::DoubleSin(inValue=c.outValue).outValue),
               outTerminate=d.outValue}",
         );
-        let expected = ["a -> f.b", "f.b ~> c", "c -> d.inFirst", "d.inFirst -> d"];
+        let expected = [
+            "a.outValue -> f.b.inFirst",
+            "f.b.outValue ~> c.inValue",
+            "c.outValue -> d.inFirst.inValue",
+            "d.inFirst.outValue -> d.inFirst",
+            "d.outValue -> outTerminate.",
+        ];
         assert_eq!(links(&graph), expected);
     }
 
@@ -240,5 +314,16 @@ mod tests {
         assert!(cycle.levels().iter().all(|level| *level <= 6));
         let own_tail = graph("{f={outY=parent.inX}(inX=f.outY), a=X(inV=f.outY)}");
         assert!(own_tail.links.is_empty());
+    }
+
+    #[test]
+    fn ports_and_parameters_are_listed() {
+        let graph = graph(
+            "{a=X(Long='a text of more than twenty letters', inV=b.outW, Max='2'), b=Y(), outTerminate=b.outW}",
+        );
+        let expected = ["inV", "Long='a text of more than …'", "Max='2'"];
+        assert_eq!(graph.nodes[0].ins, expected);
+        assert_eq!(graph.nodes[1].outs, ["outW"]);
+        assert_eq!(graph.nodes[2].path, "outTerminate");
     }
 }

@@ -7,6 +7,7 @@ use serde_json::json;
 use takt_core::controller::{NetState, Taps};
 use takt_core::{Controller, NetId};
 
+use super::super::element::of_value;
 use super::super::{Request, Response};
 use super::{Handler, Outcome};
 
@@ -83,6 +84,7 @@ fn in_json(taps: &Taps) -> String {
     let time = taps.records.iter().map(|record| record.time().0);
     let ports = taps.taps.iter().map(|tap| {
         let values = taps.records.iter().map(|record| record.text(tap));
+        let values = values.map(|text| text.map(|text| of_value(&text)));
         json!({
             "name": tap.name,
             "type": tap.ty.to_string(),

@@ -9,7 +9,7 @@ use takt_core::controller::DeviceInfo;
 use takt_core::ids::check_device_name;
 
 use super::super::Response;
-use super::super::element::Element;
+use super::super::element::{Element, NetValue};
 use super::nets::ms;
 use super::{Handler, Outcome};
 use crate::dio::all_devices;
@@ -144,7 +144,7 @@ fn describe(device: &DeviceInfo) -> Element {
         let parameters = parameters.iter().map(|(key, value)| {
             Element::new("parameter")
                 .with("name", key)
-                .with("value", value)
+                .with("value", NetValue(value.clone()))
         });
         Element::new("interface")
             .with("name", name)

@@ -8,11 +8,13 @@ impl Handler<'_> {
     /// Errors are returned as known clients expect them: as a value called `error`.
     pub(super) fn evaluate(&self) -> Outcome {
         let text = self.net_text()?;
-        let data = |key: &str, text: String| Element::new("data").with("key", key).text(text);
+        let data = |key: &str| Element::new("data").with("key", key);
         let eval = Element::new("eval");
         let eval = match self.controller.evaluate(&text) {
-            Ok(values) => eval.containing(values.into_iter().map(|(k, v)| data(&k, v))),
-            Err(rejection) => eval.containing([data("error", rejection.lines(&text).join("; "))]),
+            Ok(values) => eval.containing(values.into_iter().map(|(k, v)| data(&k).value(v))),
+            Err(rejection) => {
+                eval.containing([data("error").text(rejection.lines(&text).join("; "))])
+            }
         };
         Ok(self.show(&eval))
     }

@@ -9,7 +9,7 @@ use takt_core::controller::{DeviceInfo, LoadRequest, NetState};
 use takt_core::{NetId, SessionId};
 
 use super::super::Response;
-use super::super::element::Element;
+use super::super::element::{Element, NetValue};
 use super::devices::uri;
 use super::{Handler, Outcome};
 
@@ -164,8 +164,10 @@ impl Handler<'_> {
             };
             let ports = values.into_iter().map(|(key, value)| {
                 let id = key.trim_start_matches("out").to_owned();
-                let port = Element::new("port").with("id", id).with("type", kind);
-                port.with("value", value)
+                let port = Element::new("port")
+                    .with("id", NetValue(id))
+                    .with("type", kind);
+                port.with("value", NetValue(value))
             });
             io = io.containing(ports);
         }
@@ -265,7 +267,7 @@ impl Handler<'_> {
 }
 
 fn data(element: &'static str, name: &str, values: Vec<(String, String)>) -> Element {
-    let value = |(key, text): (String, String)| Element::new("data").with("key", key).text(text);
+    let value = |(key, text): (String, String)| Element::new("data").with("key", key).value(text);
     let values = values.into_iter().map(value);
     Element::new(element).with("name", name).containing(values)
 }
@@ -274,7 +276,7 @@ fn described(device: &DeviceInfo, interface: &str) -> Element {
     let parameters = device.interfaces.get(interface).into_iter().flatten();
     let parameters = parameters.map(|(key, value)| {
         let parameter = Element::new("parameter").with("name", key);
-        parameter.with("value", value)
+        parameter.with("value", NetValue(value.clone()))
     });
     let element = Element::new("interface").with("name", interface);
     element.containing(parameters)

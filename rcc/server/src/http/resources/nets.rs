@@ -7,7 +7,7 @@ use takt_core::net::{Limits, xml};
 use takt_core::{Error, NetId, SessionId};
 
 use super::super::Response;
-use super::super::element::Element;
+use super::super::element::{Element, Millis};
 use super::{Handler, Outcome};
 use crate::dio::DESCRIPTION_BYTES_MAX;
 
@@ -81,7 +81,7 @@ impl Handler<'_> {
             .out_values(id)
             .into_iter()
             .chain(controller.in_values(id));
-        let values = values.map(|(key, text)| Element::new("data").with("key", key).text(text));
+        let values = values.map(|(key, text)| Element::new("data").with("key", key).value(text));
         let rules = controller.rules_of(id).into_iter().map(|r| rule(&r));
         let rejected = controller.rejected(Some(id)).into_iter();
         let rejected = rejected.map(|it| rejected_element(&it));
@@ -219,9 +219,8 @@ fn times<T: TryInto<Duration>>(name: &'static str, min: T, mean: T, max: T) -> E
     element.with("mean", ms(mean)).with("max", ms(max))
 }
 
-pub(super) fn ms(time: impl TryInto<Duration>) -> String {
-    let time = time.try_into().unwrap_or_default();
-    format!("{:.6}", time.as_secs_f64() * 1e3)
+pub(super) fn ms(time: impl TryInto<Duration>) -> Millis {
+    Millis(time.try_into().unwrap_or_default())
 }
 
 fn error_response(error: Error) -> Response {

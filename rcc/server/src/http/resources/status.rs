@@ -96,7 +96,7 @@ impl Handler<'_> {
                 let buckets = stats.phase_error_buckets().map(|(bound, n)| (bound.0, n));
                 figure("phaseerror", &stats.phase_error, cumulative(buckets))
                     .with("device", &clock.device)
-                    .with("state", clock.state)
+                    .with("state", clock.state.to_string())
                     .with("phase", ms(clock.phase))
             });
             Element::new("thread")

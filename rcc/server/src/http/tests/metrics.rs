@@ -379,8 +379,9 @@ fn followed_clock_is_reported() {
     let status = get(&controller, "/status/?format=json");
     let status: serde_json::Value = serde_json::from_str(body(&status)).unwrap();
     let clock = &status["thread"][0]["phaseerror"][0];
-    let reported = ["device", "state", "phase"].map(|key| clock[key].as_str().unwrap());
-    assert_eq!(reported, ["left", "unlocked", "0.300000"]);
+    let reported = ["device", "state"].map(|key| clock[key].as_str().unwrap());
+    assert_eq!(reported, ["left", "unlocked"]);
+    assert_eq!(clock["phase"], 0.3);
 }
 
 #[test]

@@ -178,7 +178,7 @@ fn net_has_text_xml_and_figures() {
         ],
     );
     let json = get(&controller, &format!("/nets/{net}/stats?format=json"));
-    holds(&json, &["application/json", r#""overbudget":"0""#]);
+    holds(&json, &["application/json", r#""overbudget":0"#]);
     holds(
         &get(&controller, "/stats/"),
         &[
@@ -494,7 +494,7 @@ fn log_is_filtered_by_number_and_word() {
     holds(&get(&controller, "/log/?start=1"), &[r#"<log next="1"/>"#]);
     holds(
         &get(&controller, "/log/?filter=hand&format=json"),
-        &[r#"{"next":"1"}"#],
+        &[r#"{"next":1}"#],
     );
 }
 
@@ -508,15 +508,12 @@ fn status_reports_usage_of_each_bound() {
     let status = get(&controller, "//status/?format=json");
     let status: serde_json::Value = serde_json::from_str(body(&status)).unwrap();
     let nets = &status["count"][0];
-    assert_eq!(
-        (&nets["name"], &nets["used"]),
-        (&"nets".into(), &"1".into())
-    );
-    assert_eq!(nets["bound"], "1024");
+    assert_eq!((&nets["name"], &nets["used"]), (&"nets".into(), &1.into()));
+    assert_eq!(nets["bound"], 1024);
     let thread = &status["thread"][0];
-    assert_eq!(thread["period"], "1.000000");
+    assert_eq!(thread["period"], 1.0);
     let buckets = thread["latency"][0]["bucket"].as_array().unwrap();
-    assert_eq!(buckets.last().unwrap()["le"], "100.000000");
+    assert_eq!(buckets.last().unwrap()["le"], 100.0);
 }
 
 #[test]
