@@ -22,6 +22,8 @@ mod robot;
 #[cfg(feature = "ethercat")]
 pub(crate) mod segment;
 mod service;
+#[cfg(feature = "wsg")]
+mod wsg;
 #[cfg(feature = "ethercat")]
 mod youbot;
 
@@ -56,6 +58,9 @@ pub(crate) enum Emulate {
     Tx90(segment::Tx90),
     #[cfg(feature = "ethercat")]
     Youbot(youbot::YouBot),
+    #[cfg(feature = "wsg")]
+    /// A Schunk WSG gripper, over TCP.
+    Wsg(wsg::Wsg),
 }
 
 impl Emulate {
@@ -75,6 +80,8 @@ impl Emulate {
             Self::Tx90(tx90) => tx90.run(),
             #[cfg(feature = "ethercat")]
             Self::Youbot(youbot) => youbot.run(),
+            #[cfg(feature = "wsg")]
+            Self::Wsg(wsg) => wsg.run(),
         }
     }
 }

@@ -8,6 +8,7 @@ mod lwr;
 mod order;
 mod robot_arm;
 mod robot_base;
+mod schunk_wsg;
 mod youbot;
 
 use error::first_error;
@@ -21,6 +22,7 @@ pub(crate) fn all() -> Vec<Definition> {
     all.extend(cartesian_position::table());
     all.extend(io::table());
     all.extend(lwr::table());
+    all.extend(schunk_wsg::table());
     all.extend(youbot::table());
     all
 }

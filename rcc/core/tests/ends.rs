@@ -431,13 +431,27 @@ fn distance(fixture: &Fixture) -> f64 {
     gripper.distance.get(&fixture.executor.image).unwrap()
 }
 
-const SIMULATED: [Sim; 6] = [
+fn width(fixture: &Fixture) -> f64 {
+    let gripper = fixture
+        .table
+        .interfaces("x")
+        .unwrap()
+        .servo_gripper
+        .unwrap();
+    gripper.width.get(&fixture.executor.image).unwrap()
+}
+
+const SERVO_GRIPPER: &str =
+    "j=schunkwsg::Prepositioning(Device='x',Width='0.01',Speed='0.1',RelativeMotion='false')";
+
+const SIMULATED: [Sim; 7] = [
     sim("kuka_lwr_sim", ARM, joint, 2.0, 4.0),
     sim("kuka_iiwa_sim", ARM, joint, 2.0, 4.0),
     sim("kuka_youbot_arm_sim", ARM, joint, 2.0, 4.0),
     sim("kuka_youbot_base_sim", VELOCITY, along_x, 0.5, 1.0),
     sim("kuka_youbot_base_sim", POSE, along_x, 1.0, 1.0),
     sim("kuka_youbot_gripper_sim", GRIPPER, distance, 0.01, 1.0),
+    sim("schunk_wsg_sim", SERVO_GRIPPER, width, 0.1, 5.0),
 ];
 
 const fn sim(
@@ -479,7 +493,7 @@ fn simulated_devices_rest_within_their_stopping_distance() {
                 ];
                 let parameters = match device.kind {
                     "kuka_youbot_base_sim" => parameters(&of_base),
-                    "kuka_youbot_gripper_sim" => parameters(&[]),
+                    "kuka_youbot_gripper_sim" | "schunk_wsg_sim" => parameters(&[]),
                     _ => arm_parameters(joints, &[]),
                 };
                 let mut fixture = Fixture::default();

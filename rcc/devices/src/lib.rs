@@ -14,6 +14,8 @@ pub use takt_device_ethercat as ethercat;
 pub use takt_device_fri as fri;
 #[cfg(feature = "rmp")]
 pub use takt_device_rmp as rmp;
+#[cfg(feature = "wsg")]
+pub use takt_device_wsg as wsg;
 
 /// The table of drivers: cargo feature, table of the cell file, type of its configuration.
 macro_rules! drivers {
@@ -33,6 +35,7 @@ pub const DRIVERS: &[DriverKind] = drivers! {
     "fri", Device("kuka_lwr_fri") => takt_device_fri::LwrConfig;
     "fri", Device("kuka_iiwa_fri") => takt_device_fri::IiwaConfig;
     "rmp", Device("segway_rmp") => takt_device_rmp::RmpConfig;
+    "wsg", Device("schunk_wsg") => takt_device_wsg::WsgConfig;
     "ethercat", Bus("ethercat") => takt_device_ethercat::EthercatConfig;
     "canopen", Bus("canopen") => takt_device_canopen::CanopenConfig;
 };

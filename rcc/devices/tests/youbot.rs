@@ -16,7 +16,7 @@ use std::time::Duration;
 use takt_core::NetId;
 use takt_core::device::DeviceStatus;
 use takt_devices::ethercat::Ethercat;
-use takt_devices::ethercat::{EthercatConfig, YouBotControl};
+use takt_devices::ethercat::{EthercatConfig, YouBotControl, YouBotZero};
 use takt_ethercat::emulator::{Bar, DriveHandle, Firmware, YouBot, YouBotConfig};
 use takt_motion::kinematics::YouBot as YouBotArm;
 use takt_net::Frame;
@@ -41,6 +41,7 @@ fn config() -> EthercatConfig {
         position = 5
         gripper = "hand"
         homing = true
+        zero = "folded"
     "#;
     let cell = takt_devices::parse_cell(text).unwrap();
     cell.of_kind::<EthercatConfig>().next().unwrap().clone()
@@ -240,6 +241,26 @@ fn moves(firmware: Firmware, control: YouBotControl) {
     // From homing to the last order, no cycle of driver or nets allocated.
     assert!(bench.figures().cycles > 1000);
     assert_eq!(real_time_allocations(), 0);
+}
+
+/// By default nets count from the upright arm, and the frame of its folded pose is that of the Robotics API.
+#[test]
+fn youbot_arm_counts_from_upright_by_default() {
+    let mut config = config();
+    config.youbot_arms[0].zero = YouBotZero::default();
+    let bench = TestBench::new(Firmware::V200, &config);
+    let upright = [169.0, 65.0, -146.0, 102.5, 167.5].map(f64::to_radians);
+    for (joint, upright) in upright.into_iter().enumerate() {
+        let sign = if joint == 2 { -1.0 } else { 1.0 };
+        let from_stop = bench.cell().position("arm", joint) + upright;
+        let difference = from_stop - sign * bench.angle(joint);
+        assert!(difference.abs() < 0.03, "{joint}: {difference}");
+    }
+    let before = bench.runs("arm", &common::swing_joint("arm", 3, 1.0), |bench| {
+        bench.angle(3)
+    });
+    let moved = bench.angle(3) - before;
+    assert!((moved - 0.5).abs() < 0.02, "moved {moved} rad");
 }
 
 #[test]

@@ -26,7 +26,7 @@ pub use srs::{Srs, SrsGeometry};
 pub use youbot::YouBot;
 
 /// The kinematics of an arm by the name of its model, with the joint ranges of its data sheet:
-/// `staubli_tx90`, `kuka_lwr4`, `kuka_iiwa7`, `kuka_iiwa14` or `kuka_youbot`.
+/// `staubli_tx90`, `kuka_lwr4`, `kuka_iiwa7`, `kuka_iiwa14`, `kuka_youbot` or `kuka_youbot_upright`.
 pub fn named(model: &str) -> Option<Arc<dyn Kinematics>> {
     Some(match model {
         "staubli_tx90" => Arc::new(Opw::staubli_tx90()),
@@ -34,6 +34,7 @@ pub fn named(model: &str) -> Option<Arc<dyn Kinematics>> {
         "kuka_iiwa7" => Arc::new(Srs::kuka_iiwa7()),
         "kuka_iiwa14" => Arc::new(Srs::kuka_iiwa14()),
         "kuka_youbot" => Arc::new(YouBot::default()),
+        "kuka_youbot_upright" => Arc::new(YouBot::upright(YouBot::UPRIGHT_RANGES)),
         _ => return None,
     })
 }
@@ -47,6 +48,7 @@ pub fn limited(model: &str, limits: &[JointLimits]) -> Option<Arc<dyn Kinematics
         "kuka_iiwa7" => Arc::new(Srs::kuka_iiwa7().within(ranges(limits)?)),
         "kuka_iiwa14" => Arc::new(Srs::kuka_iiwa14().within(ranges(limits)?)),
         "kuka_youbot" => Arc::new(YouBot::new(ranges(limits)?)),
+        "kuka_youbot_upright" => Arc::new(YouBot::upright(ranges(limits)?)),
         _ => return None,
     })
 }

@@ -18,8 +18,8 @@ pub use image::{
     SIGNAL_WORDS_MAX, StopVote,
 };
 pub use interface::{
-    Answer, Base, CartesianImpedance, CartesianPosition, Gripper, Interfaces, Io, JointImpedance,
-    JointTorque, Order, Output, Tool, Wheel,
+    Answer, Base, CartesianImpedance, CartesianPosition, CartesianSine, Gripper, GripperCommand,
+    Interfaces, Io, JointImpedance, JointTorque, Order, Output, ServoGripper, Tool, Wheel,
 };
 pub use owner::Target;
 pub use signal::{Command, Given, Layout, Signal, Words, is_in_force, withhold};

@@ -87,7 +87,7 @@ impl FrameReader {
     pub(crate) fn poll_event(&mut self) -> Result<Option<Event>, FrameError> {
         while let Some((header, payload)) = self.next_frame()? {
             let event = match header.opcode {
-                OpCode::Data(_) => self.handle_data(header.is_final, &payload)?,
+                OpCode::Data(_) => self.handle_data(header.is_final, payload)?,
                 OpCode::Control(Control::Ping) => Some(Event::Ping(payload)),
                 OpCode::Control(Control::Close) => Some(Event::Close(payload)),
                 OpCode::Control(Control::Pong | Control::Reserved(_)) => None,
@@ -100,19 +100,24 @@ impl FrameReader {
     }
 
     /// Any data frame continues the message in progress: the known client does not set opcodes reliably.
-    fn handle_data(&mut self, last: bool, payload: &[u8]) -> Result<Option<Event>, FrameError> {
+    /// One frame is the message in most cases, and nets are long: it is not copied.
+    fn handle_data(&mut self, last: bool, payload: Vec<u8>) -> Result<Option<Event>, FrameError> {
         let bound = self.bound;
         if self.message.len() + payload.len() > bound {
             return Err(FrameError::TooLong { bound });
         }
-        self.message.extend_from_slice(payload);
+        if self.message.is_empty() {
+            self.message = payload;
+        } else {
+            self.message.extend_from_slice(&payload);
+        }
         if !last {
             return Ok(None);
         }
-        let message = std::mem::take(&mut self.message);
-        Ok(Some(Event::Message(
-            String::from_utf8_lossy(&message).into_owned(),
-        )))
+        let message = String::from_utf8(std::mem::take(&mut self.message));
+        Ok(Some(Event::Message(message.unwrap_or_else(|error| {
+            String::from_utf8_lossy(error.as_bytes()).into_owned()
+        }))))
     }
 
     fn next_frame(&mut self) -> Result<Option<(FrameHeader, Vec<u8>)>, FrameError> {

@@ -53,6 +53,7 @@ const PARTS: &[Part] = &[
             "takt-device-ethercat",
             "takt-device-canopen",
             "takt-device-rmp",
+            "takt-device-wsg",
             "takt-devices",
         ],
     ),

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 use takt_net::device::{
-    Base, CartesianPosition, Gripper, Interfaces, Io, JointTorque, Layout, Order,
+    Base, CartesianPosition, Gripper, Interfaces, Io, JointTorque, Layout, Order, ServoGripper,
 };
 
 use crate::device::ARM_JOINTS_MAX;
@@ -56,6 +56,10 @@ pub enum Part {
         /// Number of drives.
         count: usize,
     },
+    /// It grips by itself, by commands of its own protocol.
+    ServoGripper,
+    /// An oscillation of its tool in Cartesian impedance can be commanded.
+    CartesianSine,
 }
 
 /// Allocates the signal and command words of these parts of a device with `joints` joints. The same parts in the same
@@ -97,6 +101,8 @@ pub fn lay(parts: &[Part], joints: usize, layout: &mut Layout) -> Interfaces {
             Part::Drives { count } => {
                 has.drives = Some((0..count).map(|_| layout.signal()).collect());
             }
+            Part::ServoGripper => has.servo_gripper = Some(ServoGripper::new(layout)),
+            Part::CartesianSine => has.cartesian_sine = Some(Order::new(layout)),
         }
     }
     has
@@ -129,6 +135,8 @@ pub fn everything() -> Interfaces {
         Part::Torques,
         Part::Wrench,
         Part::Drives { count: MANY },
+        Part::ServoGripper,
+        Part::CartesianSine,
     ];
     lay(&parts, ARM_JOINTS_MAX, &mut Layout::default())
 }

@@ -8,6 +8,7 @@ mod gripper;
 mod io;
 mod parameters;
 mod simulated;
+mod servo_gripper;
 
 use std::collections::BTreeMap;
 
@@ -19,12 +20,13 @@ use simulated::{Made, seconds};
 type Make = fn(&Parameters<'_>, &'static str) -> Result<Made, Error>;
 
 /// Constructors by type.
-const KINDS: [(&str, Make); 6] = [
+const KINDS: [(&str, Make); 7] = [
     ("kuka_lwr_sim", arm::lwr),
     ("kuka_iiwa_sim", arm::iiwa),
     ("kuka_youbot_arm_sim", arm::youbot),
     ("kuka_youbot_base_sim", base::youbot),
     ("kuka_youbot_gripper_sim", gripper::youbot),
+    ("schunk_wsg_sim", servo_gripper::wsg),
     ("io_sim", io::looped),
 ];
 
@@ -76,6 +78,7 @@ mod tests {
         match kind {
             "kuka_youbot_base_sim" => of_base.iter().map(scalar).collect(),
             "kuka_youbot_gripper_sim" => of_gripper.iter().map(scalar).collect(),
+            "schunk_wsg_sim" => ["stroke", "part"].iter().map(scalar).collect(),
             "io_sim" => BTreeMap::new(),
             _ => of_arm.map(|(key, v)| (key.to_owned(), list(v))).into(),
         }

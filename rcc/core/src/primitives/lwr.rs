@@ -1,8 +1,10 @@
-//! `KUKA::LWR::*`: functions of lightweight robots beside joints: control strategies, impedances,
+//! `KUKA::LWR::*` and `KUKA::IIWA::*`: functions of lightweight robots beside joints: control strategies, impedances,
 //! tools, torques and forces. Kinematics is in `takt-motion`.
 
 use takt_net::definition::port;
-use takt_net::device::{CartesianImpedance, JointImpedance, JointTorque, Order, Signal};
+use takt_net::device::{
+    CartesianImpedance, CartesianSine, JointImpedance, JointTorque, Order, Signal,
+};
 use takt_net::{
     Build, Cycle, Definition, Fault, Frame, In, NullRule, Out, Primitive, Vector, Wrench,
 };
@@ -141,6 +143,36 @@ fn cart_imp_parameters(b: &mut Build<'_, '_>) -> Result<CartImpParameters, Fault
         order: Standing::new(order),
         completed: b.output("outCompleted"),
         error: b.output("outError"),
+    })
+}
+
+/// Without outputs, as in the original: the values that the arm takes are seen in its motion.
+struct CartSinImpParameters {
+    amplitude: In<Wrench>,
+    frequency: In<Wrench>,
+    order: Standing<CartesianSine>,
+}
+
+impl Primitive for CartSinImpParameters {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let wanted = CartesianSine {
+            amplitude: self.amplitude.get(cycle),
+            frequency: self.frequency.get(cycle),
+        };
+        self.order.repeat(cycle, wanted);
+    }
+}
+
+fn cart_sin_imp_parameters(b: &mut Build<'_, '_>) -> Result<CartSinImpParameters, Fault> {
+    let kind = "robot arm whose tool can oscillate in Cartesian impedance";
+    let order = b.interface("Robot", kind, |has| has.cartesian_sine)?;
+    let robot = b.text("Robot").to_owned();
+    b.hold(format!("{robot}_CartSinImp"));
+    b.commands(order.command.target());
+    Ok(CartSinImpParameters {
+        amplitude: b.input("inAmplitude")?,
+        frequency: b.input("inFrequency")?,
+        order: Standing::new(order),
     })
 }
 
@@ -389,6 +421,16 @@ pub(super) fn table() -> Vec<Definition> {
         .output::<bool>("outCompleted", TAKEN)
         .output::<i32>("outError", REFUSED)
         .null(KEEPS),
+        Definition::new(
+            "KUKA::IIWA::CartSinImpParameters",
+            "Sets how the tool of an arm oscillates in Cartesian impedance.",
+            cart_sin_imp_parameters,
+        )
+        .active()
+        .input::<Wrench>(port("inAmplitude", "amplitude, N and Nm, from 0"))
+        .input::<Wrench>(port("inFrequency", "frequency, Hz, from 0"))
+        .text("Robot", ROBOT)
+        .null(NullRule::Own("A null input keeps the present value.")),
         tool_definition("KUKA::LWR::ToolParameters"),
         tool_definition("KUKA:LWR::ToolParameters"),
     ]);

@@ -14,7 +14,7 @@ pub use slave::{
     AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, LostPolicy, SlaveGoal, SlavePdo,
     SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy,
 };
-pub use youbot::{YouBotArm, YouBotBase, YouBotControl};
+pub use youbot::{YouBotArm, YouBotBase, YouBotControl, YouBotZero};
 
 /// A segment.
 #[derive(Clone, Debug, PartialEq, Deserialize)]

@@ -11,7 +11,7 @@ mod segment;
 pub use config::{
     AnalogueChannel, EthercatClocks, EthercatConfig, EthercatIo, EthercatSlave, LostPolicy,
     SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy, YouBotArm,
-    YouBotBase, YouBotControl,
+    YouBotBase, YouBotControl, YouBotZero,
 };
 pub use segment::{
     Ethercat, EthercatFigures, EthernetLink, Wait, Wire, Wires, YouBotFigures, check, describe,

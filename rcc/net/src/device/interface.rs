@@ -58,6 +58,30 @@ record! {
     }
 }
 
+record! {
+    /// Oscillation of the tool in Cartesian impedance, by axis. `None` keeps the present value.
+    CartesianSine {
+        /// Amplitude, N and Nm, from 0.
+        amplitude: Option<Wrench>,
+        /// Frequency, Hz, from 0.
+        frequency: Option<Wrench>,
+    }
+}
+
+record! {
+    /// A command to a gripper that executes it by itself.
+    GripperCommand {
+        /// Number of the command in the gripper's protocol.
+        id: i32,
+        /// First value: a width (m), force (N), acceleration (m/s²), or 0.
+        first: f64,
+        /// Second value: a width (m), speed (m/s), or 0.
+        second: f64,
+        /// Options of the command, bits of its protocol.
+        options: i32,
+    }
+}
+
 /// A mobile base.
 #[derive(Clone, Debug)]
 pub struct Base {
@@ -223,6 +247,37 @@ impl Gripper {
     }
 }
 
+/// A gripper that executes commands by itself and answers each with a status.
+#[derive(Clone, Copy, Debug)]
+pub struct ServoGripper {
+    /// Whether it executes commands.
+    pub ready: Signal<bool>,
+    /// Distance between its fingers, m.
+    pub width: Signal<f64>,
+    /// Speed of its fingers relative to each other, m/s.
+    pub speed: Signal<f64>,
+    /// Gripping force, N.
+    pub force: Signal<f64>,
+    /// State of grasping, by the numbers of its protocol.
+    pub grasping: Signal<i32>,
+    /// The command; its answer has the status of the gripper's protocol.
+    pub order: Order<GripperCommand>,
+}
+
+impl ServoGripper {
+    /// A gripper with this interface.
+    pub fn new(layout: &mut Layout) -> Self {
+        Self {
+            ready: layout.signal(),
+            width: layout.signal(),
+            speed: layout.signal(),
+            force: layout.signal(),
+            grasping: layout.signal(),
+            order: Order::new(layout),
+        }
+    }
+}
+
 /// Torques at a joint.
 #[derive(Clone, Copy, Debug)]
 pub struct JointTorque {
@@ -243,6 +298,8 @@ pub struct Interfaces {
     pub cartesian: Option<CartesianPosition>,
     /// It grips.
     pub gripper: Option<Gripper>,
+    /// It grips by itself.
+    pub servo_gripper: Option<ServoGripper>,
     /// Its load can be set.
     pub tool: Option<Order<Tool>>,
     /// It has more than one control strategy.
@@ -251,6 +308,8 @@ pub struct Interfaces {
     pub joint_impedance: Option<Arc<[Order<JointImpedance>]>>,
     /// Its tool has adjustable compliance.
     pub cartesian_impedance: Option<Order<CartesianImpedance>>,
+    /// Its tool can oscillate in Cartesian impedance.
+    pub cartesian_sine: Option<Order<CartesianSine>>,
     /// It reports torques, by joint.
     pub torques: Option<Arc<[JointTorque]>>,
     /// It reports force (N) and torque (Nm) at its tool.

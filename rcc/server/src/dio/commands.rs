@@ -554,10 +554,10 @@ impl<'a> Args<'a> {
 
     /// The pace of a subscription, by default the one for the known client.
     fn pace(self, number: usize) -> Result<Pace, CommandError> {
-        let word = self.optional(number, Args::text)?;
-        word.map_or(Ok(Pace::default()), |word| {
-            Pace::of_word(word).ok_or(CommandError::Pace)
-        })
+        match self.optional(number, Args::text)? {
+            None => Ok(Pace::default()),
+            Some(word) => Pace::of_word(word).ok_or(CommandError::Pace),
+        }
     }
 
     fn map(self, number: usize) -> Result<&'a BTreeMap<String, Value>, CommandError> {

@@ -1,14 +1,13 @@
 //! Lines in, lines out, with a real controller without devices. Nets run in real time, so the tests check only the
 //! order of pushes, not their times.
 
+mod bounds;
 mod rules;
 
 use std::time::Instant;
 
 use takt_core::CellConfig;
 
-use super::limits::SUBSCRIPTIONS_MAX;
-use super::pace::Pace;
 use super::*;
 
 /// Runs for 1 s of logical time or until it is cancelled, and echoes a value.
@@ -499,58 +498,6 @@ fn snc_ignores_unknown_keys_rejects_bad_values() {
     // Nothing is written if one of the nets does not exist.
     let both = client.call(&format!(r#"a=snc({{{net}:{{ingain:"x"}},rpinet7:{{}}}})"#));
     assert_eq!(both, r#"a=err("invalidnetname")"#);
-}
-
-#[test]
-fn subscriptions_are_bounded() {
-    let controller = controller();
-    let mut client = Client::with_handshake(&controller);
-    let net = client.load(ENDLESS);
-    let watch = |n| {
-        (
-            NetId(n),
-            NetWatch::new("w".to_owned(), VALUES_INTERVAL, Pace::Every, 0),
-        )
-    };
-    let count = u32::try_from(SUBSCRIPTIONS_MAX).unwrap();
-    client.connection.nets.extend((1..=count).map(watch));
-    let refused = client
-        .connection
-        .handle_line(&format!(r#"a=gne("{net}",0.1)"#), client.now);
-    let refused = refused.last().unwrap();
-    assert!(
-        refused.contains("too many subscriptions: a connection has at most 4096"),
-        "{refused}"
-    );
-}
-
-#[test]
-fn descriptions_are_bounded() {
-    let mut client = Client::with_handshake(&controller());
-    let long = "x".repeat(4097);
-    let refused = r#"a=err("the description has 4097 bytes; at most 4096 are taken")"#;
-    assert_eq!(client.call(&format!(r#"a=nse("{long}")"#)), refused);
-    assert_eq!(
-        client.call(&format!(r#"a=nene("{ENDLESS}","s1","{long}")"#)),
-        refused
-    );
-    assert_eq!(
-        client.call(&format!(r#"a=nse("{}")"#, &long[1..])),
-        r#"a=ok("s1")"#
-    );
-}
-
-#[test]
-fn net_with_many_faults_lists_first_20() {
-    let mut client = Client::with_handshake(&controller());
-    let children: String = (0..100).map(|n| format!("c{n}=No{n}(),")).collect();
-    let net = client.load(&format!("{{{children}outTerminate=c0.outValue}}"));
-    let info = client.call(&format!(r#"a=nin("{net}")"#));
-    assert!(
-        info.contains("`No19`") && !info.contains("`No20`"),
-        "{info}"
-    );
-    assert!(info.contains(r#""and 80 more"]"#), "{info}");
 }
 
 #[test]

@@ -35,6 +35,8 @@ pub(super) fn devices() -> anyhow::Result<DeviceTable> {
         Part::Torques,
         Part::Wrench,
         Part::Drives { count: 4 },
+        Part::ServoGripper,
+        Part::CartesianSine,
     ];
     let limits = JointLimits {
         position_min: -3.0,

@@ -65,6 +65,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "takt-device-rmp",
         &["takt-core", "takt-net", "takt-rt", "takt-can"],
     ),
+    ("takt-device-wsg", &["takt-core", "takt-net", "takt-rt"]),
     (
         "takt-devices",
         &[
@@ -73,6 +74,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "takt-device-ethercat",
             "takt-device-canopen",
             "takt-device-rmp",
+            "takt-device-wsg",
         ],
     ),
     ("takt-client", &[]),

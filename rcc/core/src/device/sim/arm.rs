@@ -8,6 +8,9 @@
 //! along the axes of the arm's base. `limits` is `strict`, or `range` for an arm that is wherever its set-points
 //! are within its range, and only reports speeds beyond `max_vel`.
 //!
+//! A youBot counts its joints from the upright arm, as the Robotics API does; with `zero=folded` from their stops, as its
+//! vendor does.
+//!
 //! An LWR also has 8 digital inputs, 8 digital and 8 analogue outputs; each input has the value of the output with
 //! its number.
 
@@ -98,10 +101,15 @@ pub(super) fn lwr(parameters: &Parameters<'_>, kind: &'static str) -> Result<Mad
 }
 
 pub(super) fn iiwa(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
+    const PARTS: &[Part] = {
+        let [tool, strategy, joints, cartesian, torques, wrench] = LIGHTWEIGHT;
+        let sine = Part::CartesianSine;
+        &[tool, strategy, joints, cartesian, torques, wrench, sine]
+    };
     let model = Model {
         joints: 7,
         kinematics: "kuka_iiwa7",
-        parts: &LIGHTWEIGHT,
+        parts: PARTS,
         strategies: LIGHTWEIGHT_STRATEGIES,
     };
     make(parameters, kind, &model)
@@ -114,9 +122,13 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
         Part::Torques,
         Part::Drives { count: 5 },
     ];
+    let zeros = [
+        ("upright", "kuka_youbot_upright"),
+        ("folded", "kuka_youbot"),
+    ];
     let model = Model {
         joints: 5,
-        kinematics: "kuka_youbot",
+        kinematics: parameters.choice("zero", zeros)?,
         parts: PARTS,
         strategies: Strategies {
             position: 0,
@@ -147,7 +159,7 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Resul
     let on_end = parameters.on_end(outputs.0, outputs.1)?;
     let mut state = DeviceState::new(layout.signals);
     state.status = DeviceStatus::Operational;
-    let is_strict = parameters.choice("limits", &["strict", "range"])? == "strict";
+    let is_strict = parameters.choice("limits", [("strict", true), ("range", false)])?;
     let joint = |(limits, home): (&JointLimits, &f64)| {
         let mut joint = Joint::new(*limits);
         if !is_strict {
@@ -177,6 +189,8 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Resul
         state,
         on_end,
     };
+    // Programs may read it before its first cycle.
+    arm.retract(&DeviceCommand::new(layout.commands));
     arm.publish([0.0; ARM_JOINTS_MAX]);
     Ok((description, Box::new(arm)))
 }
@@ -244,6 +258,7 @@ struct Answers {
     tool: Option<Answer>,
     strategy: Option<Answer>,
     cartesian_impedance: Option<Answer>,
+    cartesian_sine: Option<Answer>,
 }
 
 #[derive(Debug)]
@@ -321,6 +336,7 @@ impl SimulatedArm {
             tool,
             strategy,
             cartesian_impedance,
+            cartesian_sine,
         } = &mut self.answers;
         if let Some(order) = &self.interfaces.strategy {
             answer(order, words, strategy, |wanted| {
@@ -345,6 +361,9 @@ impl SimulatedArm {
         if let Some(order) = &self.interfaces.cartesian_impedance {
             // Parameters are checked where they are ordered.
             answer(order, words, cartesian_impedance, |_| 0);
+        }
+        if let Some(order) = &self.interfaces.cartesian_sine {
+            answer(order, words, cartesian_sine, |_| 0);
         }
         let signals = &mut self.state.signals;
         let orders = self.interfaces.joint_impedance.iter();
@@ -417,6 +436,9 @@ impl SimulatedArm {
             order
                 .answer
                 .report(signals, self.answers.cartesian_impedance);
+        }
+        if let Some(order) = &has.cartesian_sine {
+            order.answer.report(signals, self.answers.cartesian_sine);
         }
         // Without mass a joint's sensor measures the external torque.
         for (place, torque) in has.torques.iter().flat_map(|t| t.iter()).zip(torques) {

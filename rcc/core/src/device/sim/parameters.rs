@@ -77,14 +77,14 @@ impl Parameters<'_> {
             .ok_or_else(|| self.wrong(format!("{key} is missing")))
     }
 
-    /// One of these words, the first if not present.
-    pub(super) fn choice(&self, key: &str, words: &[&'static str]) -> Result<&'static str, Error> {
-        let given = self.texts.get(key).map_or(words[0], |text| text.trim());
-        let found = words.iter().find(|word| **word == given).copied();
-        found.ok_or_else(|| {
-            let known = words.join(" or ");
-            self.wrong(format!("{key}: `{given}` is not {known}"))
-        })
+    /// One of the words of a table, by default the first; its value.
+    pub(super) fn choice<T: Copy>(&self, key: &str, choices: [(&str, T); 2]) -> Result<T, Error> {
+        let [(default, _), (other, _)] = choices;
+        let text = self.texts.get(key).map_or(default, |text| text.trim());
+        let found = choices.into_iter().find(|(word, _)| *word == text);
+        found
+            .map(|(_, value)| value)
+            .ok_or_else(|| self.wrong(format!("{key}: `{text}` is neither {default} nor {other}")))
     }
 
     /// A positive number.

@@ -1,5 +1,5 @@
 //! Frames that an arm of five joints can reach: its first joint turns about the vertical through the
-//! origin, the next three bend in one vertical plane, the last turns about the flange's z axis.
+//! origin, as in the kinematics `kuka_youbot_upright` that devices have by default, the next three bend in one vertical plane, the last turns about the flange's z axis.
 //! It does not check the distance to the requested frame.
 
 use takt_net::{Frame, Rotation, Vector};
@@ -180,6 +180,35 @@ mod tests {
         let projected = keep_position(&flange, &Frame::identity()).unwrap();
         let z = projected.rotation * Vector::z();
         assert!((z - Vector::x()).norm() < 1e-9, "{z}");
+    }
+
+    /// What is projected is reached: projection and kinematics have one base.
+    #[test]
+    fn projected_frames_are_reached_by_kinematics() {
+        let arm = takt_motion::kinematics::named("kuka_youbot_upright").unwrap();
+        let reach = |flange: &Frame, hint: &[f64]| {
+            let mut joints = [0.0; 5];
+            arm.inverse(flange, hint, &mut joints).map(|()| joints)
+        };
+        let upright = keep_position(&arm.forward(&[0.0; 5]), &Frame::identity()).unwrap();
+        let joints = reach(&upright, &[0.0; 5]).unwrap();
+        assert!(joints.iter().all(|joint| joint.abs() < 1e-5), "{joints:?}");
+        for i in 0..500 {
+            let at = |k: f64| (f64::from(i) * k).sin();
+            let joints = [
+                2.0 * at(0.37),
+                0.5 * at(0.73),
+                0.9 + 0.4 * at(1.1),
+                0.8 + 0.4 * at(0.9),
+                at(1.7),
+            ];
+            let flange = arm.forward(&joints);
+            let turned = Rotation::from_axis_angle(&Vector::z_axis(), 0.2 * at(2.3));
+            let off_plane = Frame::from_parts(flange.translation, turned * flange.rotation);
+            let projected = keep_position(&off_plane, &Frame::identity()).unwrap();
+            assert!(reach(&projected, &joints).is_ok(), "{joints:?}");
+            assert!(distance(&projected, &flange) < 1e-9);
+        }
     }
 
     #[test]

@@ -32,6 +32,9 @@ pub struct YouBotArm {
     /// Motor currents for homing against the stops, A.
     #[serde(default = "YouBotArm::default_homing_current")]
     pub homing_current: [f64; 5],
+    /// From where nets count the joints, and the frames of the arm's kinematics.
+    #[serde(default)]
+    pub zero: YouBotZero,
     /// Range of each joint, degrees from its stop.
     #[serde(default = "YouBotArm::default_range")]
     pub range: [[f64; 2]; 5],
@@ -56,6 +59,7 @@ impl YouBotArm {
             control: YouBotControl::default(),
             current_max: Self::default_current(),
             homing_current: Self::default_homing_current(),
+            zero: YouBotZero::default(),
             range: Self::default_range(),
             velocity_max: Self::default_velocity(),
             acceleration_max: Self::default_acceleration(),
@@ -92,6 +96,40 @@ impl YouBotArm {
 
 fn amperes(milliamperes: i32) -> f64 {
     f64::from(milliamperes) / 1000.0
+}
+
+/// From where nets count the joints of an arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum YouBotZero {
+    /// From the upright arm, as the Robotics API does; its base is below axis 1, its flange in the palm of the gripper.
+    #[default]
+    Upright,
+    /// From the stops, where the arm is folded, as the vendor does; its frames are `arm_link_0` and `arm_link_5`.
+    Folded,
+}
+
+impl YouBotZero {
+    /// Joint positions of the upright arm, degrees from the stops.
+    const UPRIGHT: [f64; 5] = [169.0, 65.0, -146.0, 102.5, 167.5];
+
+    /// Positions at which nets see zero, rad from the stops.
+    #[must_use]
+    pub fn offsets(self) -> [f64; 5] {
+        match self {
+            Self::Upright => Self::UPRIGHT.map(f64::to_radians),
+            Self::Folded => [0.0; 5],
+        }
+    }
+
+    /// The model of the arm's kinematics.
+    #[must_use]
+    pub const fn model(self) -> &'static str {
+        match self {
+            Self::Upright => "kuka_youbot_upright",
+            Self::Folded => "kuka_youbot",
+        }
+    }
 }
 
 /// Control loop of an arm's drives.

@@ -305,7 +305,7 @@ fn cia402_triangles_leave_within_limits() {
 }
 
 pub(super) const YOUBOT: &str = "cycle = '4ms'\n[[ethercat.youbot_base]]\nname = 'base'\n\
-    [[ethercat.youbot_arm]]\nname = 'arm'\nposition = 5\nhoming = true\n";
+    [[ethercat.youbot_arm]]\nname = 'arm'\nposition = 5\nhoming = true\nzero = 'folded'\n";
 /// Where the drives of its wheels and of its fourth joint are, behind a power board each.
 const WHEELS: [usize; 4] = [1, 2, 3, 4];
 const JOINT_3: usize = 9;

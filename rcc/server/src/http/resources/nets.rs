@@ -160,17 +160,37 @@ impl Handler<'_> {
         found.ok_or_else(|| Response::not_found("there is no such net"))
     }
 
-    /// Evaluation statistics of a net and the latency of its thread, in ms.
+    /// Evaluation statistics of a net and of its thread, in ms. As in the original, the first number is the shortest
+    /// evaluation of the whole net, its root module.
     fn stats(&self, id: NetId) -> Outcome {
         let figures = self.controller.net_figures(id);
         let figures = figures.ok_or_else(|| Response::conflict("the net was never ready"))?;
-        let threads = self.controller.threads();
+        let threads = super::metrics::threads(self.controller);
         let thread = threads.iter().find(|t| t.period == figures.thread_period);
-        let late = thread.map(|thread| {
+        let counts = &figures.counts;
+        let total = counts
+            .mean
+            .saturating_mul(u32::try_from(counts.cycles).unwrap_or(u32::MAX));
+        let exec = times("exec", counts.min, counts.mean, counts.max).with("total", ms(total));
+        let late = |thread: &super::metrics::Thread| {
             let late = &thread.stats.latency;
             times("latency", late.min, late.mean, late.max)
+        };
+        let root = module("ROOT")
+            .containing([exec])
+            .containing(thread.map(late));
+        let thread = thread.map(|thread| {
+            let exec = &thread.stats.execution;
+            module(&thread.name)
+                .containing([times("exec", exec.min, exec.mean, exec.max), late(thread)])
         });
-        Ok(self.show(&figures_of(&figures).containing(late)))
+        let net = figures_of(Element::new("figures"), &figures);
+        Ok(self.show(
+            &Element::new("stats")
+                .containing([root])
+                .containing(thread)
+                .containing([net]),
+        ))
     }
 
     /// Statistics of all net threads and of all nets.
@@ -194,15 +214,22 @@ impl Handler<'_> {
         let nets = nets.filter_map(|id| Some((id, controller.net_figures(id)?)));
         let nets = nets.map(|(id, figures)| {
             let net = Element::new("net").with("uri", format!("/nets/{id}/"));
-            net.containing([figures_of(&figures)])
+            let counts = &figures.counts;
+            let exec = times("exec", counts.min, counts.mean, counts.max);
+            net.containing([figures_of(Element::new("stats"), &figures).containing([exec])])
         });
         self.show(&Element::new("stats").containing(threads).containing(nets))
     }
 }
 
-fn figures_of(figures: &NetFigures) -> Element {
+/// A part of a net of which statistics exist.
+fn module(name: &str) -> Element {
+    Element::new("module").with("name", name)
+}
+
+fn figures_of(element: Element, figures: &NetFigures) -> Element {
     let counts = &figures.counts;
-    Element::new("stats")
+    element
         .with("period", ms(figures.period))
         .with("thread", ms(figures.thread_period))
         .with("cycles", counts.cycles)
@@ -211,12 +238,14 @@ fn figures_of(figures: &NetFigures) -> Element {
         .with("primitives", figures.primitives)
         .with("cost", ms(figures.cost))
         .with("budget", ms(figures.budget))
-        .containing([times("exec", counts.min, counts.mean, counts.max)])
 }
 
-fn times<T: TryInto<Duration>>(name: &'static str, min: T, mean: T, max: T) -> Element {
+fn times<T: TryInto<Duration> + Copy>(name: &'static str, min: T, mean: T, max: T) -> Element {
     let element = Element::new(name).with("min", ms(min));
-    element.with("mean", ms(mean)).with("max", ms(max))
+    element
+        .with("average", ms(mean))
+        .with("mean", ms(mean))
+        .with("max", ms(max))
 }
 
 pub(super) fn ms(time: impl TryInto<Duration>) -> Millis {

@@ -170,15 +170,23 @@ fn net_has_text_xml_and_figures() {
     holds(
         &stats,
         &[
-            r#"<stats period="1.000000" thread="1.000000" cycles="0" overruns="0" overbudget="0""#,
+            "<stats>\n  <module name=\"ROOT\">\n    <exec min=\"0.000000\" average=\"0.000000\"",
+            "\n    <latency min=",
+            r#"<module name="nets">"#,
+            r#"<figures period="1.000000" thread="1.000000" cycles="0" overruns="0" overbudget="0""#,
             r#"primitives="4" cost="0.000960""#,
             r#"budget="0.800000""#,
-            r#"<exec min="0.000000" mean="0.000000" max="0.000000"/>"#,
-            "<latency min=",
         ],
     );
     let json = get(&controller, &format!("/nets/{net}/stats?format=json"));
-    holds(&json, &["application/json", r#""overbudget":0"#]);
+    holds(
+        &json,
+        &[
+            "application/json",
+            r#""overbudget":0"#,
+            r#""name":"ROOT""#,
+        ],
+    );
     holds(
         &get(&controller, "/stats/"),
         &[

@@ -7,6 +7,7 @@ use takt_ethercat::master::Master;
 use takt_ethercat::youbot::{
     ARM, Command, Drive, DriveConfig, DriveState, HOMING, Homing, HomingConfig, HomingState,
 };
+use takt_motion::kinematics::YouBot;
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 
@@ -15,7 +16,7 @@ use super::gripper::Gripper;
 use super::springs::Springs;
 use super::tool::Motions;
 use super::{Wait, Waiting, now, seconds};
-use crate::config::{YouBotArm, YouBotControl};
+use crate::config::{YouBotArm, YouBotControl, YouBotZero};
 use takt_core::device::DeviceStatus;
 use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::Endpoint;
@@ -38,6 +39,8 @@ pub(super) struct Arm {
     joints: [Joint; 5],
     /// Last stages of the velocities for drives in velocity mode.
     speeds: [LastStage; 5],
+    /// Where nets see zero, rad from the stops.
+    zero: [f64; 5],
     /// Lower and upper end of each range, rad.
     ends: [(f64, f64); 5],
     control: YouBotControl,
@@ -81,11 +84,15 @@ impl Arm {
             homing: std::array::from_fn(homing),
             joints: limits(arm).map(Joint::new),
             speeds: limits(arm).map(LastStage::new),
+            zero: arm.zero.offsets(),
             ends: limits(arm).map(|limits| (limits.position_min, limits.position_max)),
             control: arm.control,
             may_home: arm.homing,
             recovery: arm.recovery,
-            springs: Springs::default(),
+            springs: Springs::of(match arm.zero {
+                YouBotZero::Upright => YouBot::upright(YouBot::UPRIGHT_RANGES),
+                YouBotZero::Folded => YouBot::default(),
+            }),
             gripper: gripper.map(Gripper::new),
             cycle: cycle.into(),
             last: None,
@@ -144,12 +151,12 @@ impl Arm {
         })
     }
 
-    /// Position (rad) and speed (rad/s) of a joint, if its position is known.
+    /// Position (rad, as nets count it) and speed (rad/s) of a joint, if its position is known.
     fn measured(&self, n: usize) -> Option<[f64; 2]> {
         let feedback = self.drives[n].feedback()?;
         let geometry = ARM[n];
         let motion = [
-            geometry.angle(feedback.position),
+            geometry.angle(feedback.position) - self.zero[n],
             geometry.speed(feedback.velocity_rpm),
         ];
         self.homing[n].is_done().then_some(motion)
@@ -222,7 +229,9 @@ impl Arm {
                     stage.rest_at(at);
                     Command::current(geometry.current_ma(torques[n]))
                 }
-                (None, YouBotControl::Position) => Command::position(geometry.ticks(position)),
+                (None, YouBotControl::Position) => {
+                    Command::position(geometry.ticks(position + self.zero[n]))
+                }
                 (None, YouBotControl::Velocity) => {
                     let correction = CORRECTION * (position - at);
                     let speed = stage.steer(at, velocity + correction, dt);

@@ -70,10 +70,12 @@ pub(crate) fn describe(config: &EthercatConfig) -> impl Iterator<Item = DeviceDe
     bases.chain(arms)
 }
 
+/// The limits of the joints as nets count them.
 pub(super) fn limits(arm: &YouBotArm) -> [JointLimits; 5] {
+    let zero = arm.zero.offsets();
     std::array::from_fn(|i| JointLimits {
-        position_min: arm.range[i][0].to_radians(),
-        position_max: arm.range[i][1].to_radians(),
+        position_min: arm.range[i][0].to_radians() - zero[i],
+        position_max: arm.range[i][1].to_radians() - zero[i],
         velocity_max: arm.velocity_max[i].to_radians(),
         acceleration_max: arm.acceleration_max[i].to_radians(),
     })
@@ -92,7 +94,7 @@ fn of_arm(arm: &YouBotArm) -> DeviceDescription {
         name: arm.name.clone(),
         kind: "kuka_youbot_arm",
         limits: limits(arm).to_vec(),
-        model: "kuka_youbot".into(),
+        model: arm.zero.model().into(),
     }
     .with(&ARM_PARTS)
 }

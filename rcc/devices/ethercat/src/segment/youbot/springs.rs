@@ -2,6 +2,7 @@
 //! law of a joint is `takt_ethercat::youbot::Impedance`, that of the tool [`Tool`].
 
 use takt_ethercat::youbot::{ARM, Impedance, holding};
+use takt_motion::kinematics::YouBot;
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, JointImpedance};
 use takt_net::value::Wrench;
 
@@ -61,6 +62,14 @@ pub(super) struct Springs {
 }
 
 impl Springs {
+    /// Springs of an arm with that kinematics.
+    pub(super) fn of(arm: YouBot) -> Self {
+        Self {
+            tool: Tool::of(arm),
+            ..Self::default()
+        }
+    }
+
     /// Applies orders. `fresh` is whether the net thread that gave them is alive: added torques end with it. `rests`
     /// is whether the arm rests at its commanded position, `None` if it does not follow.
     pub(super) fn apply(

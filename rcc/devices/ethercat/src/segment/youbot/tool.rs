@@ -54,6 +54,14 @@ fn offset(seen: &Rotation, from: &Frame, to: &Frame) -> Axes {
 }
 
 impl Tool {
+    /// The default springs of an arm with that kinematics.
+    pub(super) fn of(arm: YouBot) -> Self {
+        Self {
+            arm,
+            ..Self::default()
+        }
+    }
+
     /// Flange velocity per joint velocity (m/s and rad/s for 1 rad/s).
     fn jacobian(&self, joints: &[f64; 5], here: &Frame) -> [Axes; 5] {
         let mut columns = [Twist::default(); 5];
