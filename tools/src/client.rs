@@ -74,11 +74,10 @@ impl Client {
         let nets = self.describe([net])?;
         Ok(nets.into_iter().next().and_then(|(_, net)| {
             let why = text(&net, "end");
-            let successors = match net.get("successors") {
-                Some(Value::List(nets)) => nets.iter().filter_map(Value::as_str).collect(),
-                _ => Vec::new(),
-            };
-            let successors = successors.into_iter().map(str::to_owned).collect();
+            let successors = net.get("successors").and_then(Value::as_list);
+            let successors = successors.unwrap_or_default().iter();
+            let successors = successors.filter_map(Value::as_str).map(str::to_owned);
+            let successors = successors.collect();
             (!why.is_empty()).then_some(NetEnd { why, successors })
         }))
     }
@@ -132,7 +131,7 @@ impl Client {
             Err(takt_client::Error::Refused { text, .. }) if NO_NET.contains(&text.as_str()) => {
                 let known = self.describe([])?;
                 let is_missing = |net: &&&str| known.iter().all(|(known, _)| known != **net);
-                let missing = nets.iter().find(is_missing).or(nets.first());
+                let missing = nets.iter().find(is_missing).or_else(|| nets.first());
                 Err(NoNet(missing.map_or_else(String::new, |net| (*net).to_owned())).into())
             }
             done => Ok(done?),

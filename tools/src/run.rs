@@ -246,11 +246,11 @@ impl Server {
             ..takt_server::ServerConfig::default()
         };
         let server = runtime.block_on(access.bind(config));
-        let server = server.map_err(|error| match error {
-            takt_server::Error::Listen { address, source } => {
-                cannot_listen("cannot listen", address, &source)
+        let server = server.map_err(|error| {
+            if let takt_server::Error::Listen { address, source } = &error {
+                return cannot_listen("cannot listen", *address, source);
             }
-            error => error.into(),
+            error.into()
         })?;
         let local = server.local_path().map(Path::to_owned);
         let (http, tcp) = (server.http_address(), server.tcp_address());

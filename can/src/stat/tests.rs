@@ -3,6 +3,7 @@
 mod lives;
 
 use super::*;
+use crate::Id;
 use crate::bus::{Bus, Config, Counters, Fault, PortId};
 use crate::canopen::{Emergency, emergency, heartbeat, sync};
 use crate::cia402::dictionary::Address;

@@ -3,10 +3,10 @@
 
 use std::fmt;
 
-/// Longest file name, bytes.
-const NAME_MAX: usize = 64;
+/// Longest file name, bytes: a job is handed over by value.
+const NAME_MAX: usize = 48;
 
-/// The name of a file on a slave, up to 64 bytes.
+/// The name of a file on a slave, up to 48 bytes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct FileName {
     bytes: [u8; NAME_MAX],
@@ -14,7 +14,7 @@ pub struct FileName {
 }
 
 impl FileName {
-    /// The name; `None` if it is empty, longer than 64 bytes, or contains a zero.
+    /// The name; `None` if it is empty, longer than 48 bytes, or contains a zero.
     pub fn new(name: &str) -> Option<Self> {
         let is_valid = !name.is_empty() && !name.contains('\0');
         let mut bytes = [0; NAME_MAX];
@@ -203,7 +203,7 @@ impl fmt::Display for Foe<'_> {
             Self::Write { name, .. } => write!(f, "write \"{}\"", String::from_utf8_lossy(name)),
             Self::Data { packet, data } => write!(f, "data {packet}, {} bytes", data.len()),
             Self::Acknowledge { packet } => write!(f, "acknowledges {packet}"),
-            Self::Error { code, text } if text.is_empty() => write!(f, "error: {code}"),
+            Self::Error { code, text: [] } => write!(f, "error: {code}"),
             Self::Error { code, text } => {
                 write!(f, "error: {code}: {}", String::from_utf8_lossy(text))
             }

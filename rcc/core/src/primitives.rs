@@ -2,6 +2,7 @@
 //! in the module `device`.
 
 mod cartesian_position;
+mod count;
 mod error;
 mod io;
 mod lwr;
@@ -11,9 +12,9 @@ mod robot_base;
 mod schunk_wsg;
 mod youbot;
 
+use count::count;
 use error::first_error;
 use takt_net::Definition;
-use takt_net::set_points::{SetPointCounters, Withheld};
 
 /// All definitions of this crate.
 pub(crate) fn all() -> Vec<Definition> {
@@ -25,24 +26,4 @@ pub(crate) fn all() -> Vec<Definition> {
     all.extend(schunk_wsg::table());
     all.extend(youbot::table());
     all
-}
-
-/// Counts what becomes of a set-point: the value that is to be reported, whether another primitive commands the same, the
-/// device's error, and the value's. What a device with an error rejects is counted by its driver.
-fn count(
-    counters: &SetPointCounters,
-    value: Option<f64>,
-    concurrent: bool,
-    device: i32,
-    illegal: i32,
-) {
-    let why = match (value, concurrent, device, illegal) {
-        (None, ..) => Withheld::Null,
-        (Some(_), true, ..) => Withheld::Concurrent,
-        (Some(_), false, 0, 0) => return counters.note_given(),
-        (Some(_), false, 0, error::RANGE) => Withheld::Range,
-        (Some(_), false, 0, _) => Withheld::NoNumber,
-        (Some(_), false, ..) => return,
-    };
-    counters.note_withheld(why, value.unwrap_or(0.0));
 }

@@ -7,8 +7,8 @@ mod error;
 mod figures;
 mod limits;
 mod nets;
-mod push;
 mod pace;
+mod push;
 mod rules;
 mod sessions;
 
@@ -20,7 +20,7 @@ use std::time::Duration;
 
 use std::sync::Arc;
 
-use takt_client::wire::{Message};
+use takt_client::wire::Message;
 use takt_core::controller::{DeviceInfo, RuleId};
 use takt_core::device::DeviceStatus;
 use takt_core::{Controller, NetId, OnLoss, SessionId};
@@ -31,8 +31,8 @@ use devices::DeviceWatch;
 use error::CommandError;
 pub(crate) use limits::{DESCRIPTION_BYTES_MAX, VALUES_INTERVAL};
 use nets::NetWatch;
-use push::push;
 use pace::Pushes;
+use push::push;
 use rules::RuleWatch;
 use sessions::SessionWatch;
 

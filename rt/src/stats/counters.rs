@@ -81,6 +81,12 @@ impl Counters {
     }
 }
 
+/// For counters with one writer: no read-modify-write needed.
+pub(super) fn add(counter: &AtomicU64, amount: u64) {
+    let sum = counter.load(Ordering::Relaxed).wrapping_add(amount);
+    counter.store(sum, Ordering::Relaxed);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -112,10 +118,4 @@ mod tests {
             prop_assert_eq!(upper_bound(bucket_of(value)), library.highest_equivalent(value));
         }
     }
-}
-
-/// For counters with one writer: no read-modify-write needed.
-pub(super) fn add(counter: &AtomicU64, amount: u64) {
-    let sum = counter.load(Ordering::Relaxed).wrapping_add(amount);
-    counter.store(sum, Ordering::Relaxed);
 }

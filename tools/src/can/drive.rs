@@ -19,7 +19,7 @@ use super::confirm;
 use super::wire::Live;
 use crate::Verdict;
 use crate::output::{positive_span, say, span};
-use facts::MODES;
+use facts::{CSP, MODES, PP, PV};
 use session::{Jog, Plan, Session, Step};
 
 /// Enable one drive, show its words as named bits, and report why it is not enabled.
@@ -80,11 +80,6 @@ pub(crate) struct Drive {
     #[arg(long = "yes", alias = "confirm-motion")]
     confirm_motion: bool,
 }
-
-/// Modes that can jog: profile position, profile velocity, cyclic synchronous position.
-const PP: i8 = 1;
-const PV: i8 = 3;
-const CSP: i8 = 8;
 
 fn mode(text: &str) -> Result<i8, String> {
     let named = MODES.iter().find(|(name, _)| *name == text);

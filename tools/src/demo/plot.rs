@@ -221,7 +221,7 @@ mod tests {
     #[test]
     fn legend_fits_longest_joint_name() {
         let arms = Kind::Factory.moved();
-        let (mut svg, parts) = (String::new(), arms.len() as u32 + 1);
+        let (mut svg, parts) = (String::new(), u32::try_from(arms.len()).unwrap() + 1);
         let backend = SVGBackend::with_string(&mut svg, (SIZE.0 * SCALE, SIZE.1 * parts * SCALE));
         let (_, stats) = takt_rt::stats::pair();
         draw_parts(backend, arms, &Samples::of(arms), &stats.snapshot()).unwrap();
@@ -230,7 +230,7 @@ mod tests {
             let element = before.rsplit_once("<text x=\"").unwrap().1;
             let x: u32 = element.split('"').next().unwrap().parse().unwrap();
             // Letters of 12 pixels are 7 wide on average.
-            let end = x / SCALE + 7 * name.len() as u32;
+            let end = x / SCALE + 7 * u32::try_from(name.len()).unwrap();
             assert!(end <= SIZE.0, "{name} ends at {end}");
         }
     }

@@ -10,9 +10,9 @@ use takt_ethercat::AlState;
 use takt_ethercat::dc::{PhaseFigures, Sample};
 use takt_ethercat::master::{Master, SlaveView};
 
+use super::controller::{self, Remote};
 use super::difference::Range;
 use super::finding::indented;
-use super::controller::{self, Remote};
 use super::session::{Session, Wire, phase_error};
 use super::{Source, recording, scan};
 use crate::Verdict;

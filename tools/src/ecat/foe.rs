@@ -133,7 +133,7 @@ impl Work {
     fn of(action: &Action) -> anyhow::Result<Self> {
         let named = |name: &str| {
             FileName::new(name).with_context(|| {
-                format!("`{name}` is no file name on a slave\nhint: write 1 to 64 bytes by --name")
+                format!("`{name}` is no file name on a slave\nhint: write 1 to 48 bytes by --name")
             })
         };
         Ok(match action {

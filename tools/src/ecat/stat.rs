@@ -7,10 +7,10 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use takt_ethercat::AlState;
-use takt_ethercat::master::{Cable, Event, FrameCounters, Master, PortCounters, SlaveView};
+use takt_ethercat::master::{Cable, Event, Fault, FrameCounters, Master, PortCounters, SlaveView};
 
-use super::finding::{Finding, nanos, percentiles, verdict, verdict_of};
 use super::controller::{self, Remote};
+use super::finding::{Finding, nanos, percentiles, verdict, verdict_of};
 use super::session::{Session, Wire};
 use super::{Source, recording, scan};
 use crate::output::{positive_span, say, time};

@@ -80,7 +80,11 @@ impl Source {
 
 impl Target {
     /// Opens the segment and brings it to a state.
-    pub(super) fn bring_up(&self, goal: AlState, cycle: Duration) -> anyhow::Result<Session<PacketLink>> {
+    pub(super) fn bring_up(
+        &self,
+        goal: AlState,
+        cycle: Duration,
+    ) -> anyhow::Result<Session<PacketLink>> {
         self.open(MasterConfig {
             goal,
             cycle,

@@ -19,7 +19,7 @@ use super::knobs::{Knobs, MISSES_MAX};
 use super::lwr::Strategy;
 use super::robot::connect;
 use crate::Verdict;
-use crate::output::{say, span_of_ms};
+use crate::output::{say, span, span_of_ms};
 
 /// A Sunrise cabinet with a KUKA LBR iiwa, speaking FRI 1.x, 2.x or 2.7 over UDP.
 ///

@@ -16,8 +16,8 @@ use crate::controller::faults::{DeviceFault, FaultCounts, StallCause, StallFigur
 use crate::controller::last_values::LastValues;
 use crate::controller::limited::{self, LimitedInfo};
 use crate::controller::registry::Registry;
-use crate::device::bus::BusAccess;
 use crate::controller::rejections::{RejectedCounts, RejectedInfo};
+use crate::device::bus::BusAccess;
 use crate::device::driver::DeviceDriver;
 use crate::executor::figures::{NetCounts, budget};
 use crate::executor::thread::NetThread;

@@ -7,7 +7,6 @@ use serde_json::Value;
 
 /// Why a bus gave no answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum BusError {
     /// There is no such station.
     #[error("{0}")]

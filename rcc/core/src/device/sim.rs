@@ -7,8 +7,8 @@ mod compliance;
 mod gripper;
 mod io;
 mod parameters;
-mod simulated;
 mod servo_gripper;
+mod simulated;
 
 use std::collections::BTreeMap;
 

@@ -124,28 +124,25 @@ impl Ethercat {
         let master = Master::new(master_config(config)).map_err(|e| Error::Cell(e.to_string()))?;
         let Wires { first, second } = wires.into();
         let links = watched(&config.name, &first, second.as_ref());
-        let errors = links.iter().map(LinkWatch::errors).collect();
         let port = |wire: Wire| Port::new(wire.link, wire.source);
-        let descriptions = describe(config);
-        let devices = descriptions.iter().map(|d| d.name.clone()).collect();
+        let devices = describe(config).into_iter().map(|d| d.name).collect();
         let mut given = ends.devices.into_iter();
         let arms = config.arms.iter().zip(&mut given);
         let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
         let ios = config.ios.iter().zip(&mut given);
         let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
         let youbots = YouBots::new(config, &mut given);
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::<Shared>::default();
         let (own_clock, followed) = latest(1, Estimate::default);
         let (own_waiting, waiting) = latest(1, || None);
-        let slaves = slave_names(&master);
         let (mut recorded, stats) = stats::pair();
         let (own_events, events) = ring(EVENTS_MAX);
         let (access, inspector) = access::pair(config);
-        let phase = config.phase.unwrap_or(config.cycle / 2);
+        let slaves = slave_names(&master);
         let mut driver = Box::new(Driver {
             master,
             ports: [first].into_iter().chain(second).map(port).collect(),
-            errors,
+            errors: links.iter().map(LinkWatch::errors).collect(),
             servo: Servo::new(&ServoConfig::new(config.cycle)),
             cycle: config.cycle,
             arms,
@@ -160,11 +157,11 @@ impl Ethercat {
             refused: Refused::default(),
             stop_by: None,
         });
-        let period = config.cycle;
-        let (name, cpus) = (&config.name, &config.cpus);
+        let (period, name, cpus) = (config.cycle, &config.name, &config.cpus);
+        let phase = config.phase.unwrap_or(period / 2).into();
         let thread = DriverThread::start(name, config.priority, cpus, move |stopping| {
             let cycles = Cycles {
-                follow: Some(Follow::new(followed, phase.into())),
+                follow: Some(Follow::new(followed, phase)),
                 ..Cycles::every(period)
             };
             let mut scope = None;

@@ -3,8 +3,8 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
-use takt_net::{Frame, Twist};
 use takt_net::device::Unreachable;
+use takt_net::{Frame, Twist};
 use takt_tests::Random;
 
 use super::*;

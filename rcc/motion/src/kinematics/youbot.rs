@@ -200,14 +200,15 @@ impl Kinematics for YouBot {
     }
 
     fn jacobian(&self, joints: &[f64], columns: &mut [Twist]) {
-        let [a1, a2, a3, a4, _] = angles(joints_or_nan(joints));
+        let chain = &self.chain;
+        let [a1, a2, a3, a4, _] = chain.angles(joints_or_nan(joints));
         let base = rot_z(a1);
         let hand = base * rot_y(a2 + a3 + a4);
         // From axis 4, axis 3, axis 2 and axis 1 to the flange.
-        let wrist = hand * Vector3::new(HAND[0], 0.0, HAND[1]);
+        let wrist = hand * Vector3::new(chain.hand[0], 0.0, chain.hand[1]);
         let elbow = wrist + base * rot_y(a2 + a3).column(2) * LOWER;
         let shoulder = elbow + base * rot_y(a2).column(2) * UPPER;
-        let whole = shoulder + base * Vector3::new(SHOULDER[0], 0.0, SHOULDER[1]);
+        let whole = shoulder + base * Vector3::new(chain.shoulder[0], 0.0, chain.shoulder[1]);
         let lateral = base.column(1).into_owned();
         let axes = [
             (Vector3::z(), whole),
@@ -216,7 +217,7 @@ impl Kinematics for YouBot {
             (lateral, wrist),
             (hand.column(2).into_owned(), Vector3::zeros()),
         ];
-        let signed = axes.into_iter().zip(ZERO);
+        let signed = axes.into_iter().zip(chain.zero);
         columns_or_nan(
             columns,
             signed.map(|((axis, arm), (_, sign))| (axis * sign, arm)),

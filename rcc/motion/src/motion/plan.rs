@@ -15,10 +15,10 @@ pub use check::{Cause, Unfit};
 use super::course::{Course, Departure, Geometry, Progress, WHOLE};
 use super::frame_path::{FramePath, is_sensible};
 use super::lead::Lead;
+use super::limits::{LARGEST, SMALLEST};
 use super::path::Path;
 use super::ptp::JointLine;
 use super::spline::Spline;
-use super::limits::{LARGEST, SMALLEST};
 
 /// Longest motion that is planned, cycles.
 const CYCLES_MAX: usize = 1_000_000;

@@ -16,7 +16,6 @@ use crate::load::resolved::{Resolved, Tapped};
 use crate::load::{LoadContext, activation};
 use crate::netcomm::{Directory, Mailbox};
 use crate::plan::{Guard, Op, Plan, RootPort};
-use crate::set_points::SetPoints;
 use crate::slots::{In, SlotRef, SlotsBuilder};
 use crate::taps::Taps;
 use crate::value::{Element, Type, Value};

@@ -10,6 +10,7 @@ use takt_core::controller::{
 };
 use takt_core::{Error, NetId, OnLoss, SessionId};
 
+use super::Connection;
 use super::devices::DeviceWatch;
 use super::error::CommandError;
 use super::figures;
@@ -18,7 +19,6 @@ use super::nets::NetWatch;
 use super::pace::{Pace, Pushes};
 use super::rules::RuleWatch;
 use super::sessions::SessionWatch;
-use super::Connection;
 use crate::access::Admission;
 
 /// The protocol version that a client must request.
@@ -330,13 +330,11 @@ impl Connection {
         let rejected = self.controller.rejected(Some(info.id));
         let last = self.controller.last_values_of_net(info.id);
         let last = last.map_or_else(String::new, |last| last.table());
-        match describe(info, rejected, &last) {
-            Value::Map(mut members) => {
-                members.insert("successors".to_owned(), successors);
-                Value::Map(members)
-            }
-            other => other,
+        let mut description = describe(info, rejected, &last);
+        if let Value::Map(members) = &mut description {
+            members.insert("successors".to_owned(), successors);
         }
+        description
     }
 
     /// The in values and the out values of a net. Not part of the original protocol, as the following one.

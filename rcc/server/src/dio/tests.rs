@@ -6,6 +6,7 @@ mod rules;
 
 use std::time::Instant;
 
+use takt_client::wire::Value;
 use takt_core::CellConfig;
 
 use super::*;

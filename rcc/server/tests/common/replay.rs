@@ -8,7 +8,8 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use takt_server::{OnLoss, ServerConfig, Token};
+use takt_client::Token;
+use takt_server::{OnLoss, ServerConfig};
 
 use crate::common::TestServer;
 

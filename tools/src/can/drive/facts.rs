@@ -21,6 +21,11 @@ pub(super) const MODES: [(&str, i8); 9] = [
     ("cst", 10),
 ];
 
+/// Modes that can jog: profile position, profile velocity, cyclic synchronous position.
+pub(super) const PP: i8 = 1;
+pub(super) const PV: i8 = 3;
+pub(super) const CSP: i8 = 8;
+
 /// Bits of 1001h (CiA 301, clause 7.5.2.2).
 const ERROR_BITS: [&str; 8] = [
     "generic",

@@ -20,8 +20,8 @@ use takt_cia402::{
 
 use super::diagnosis::{Cause, Diagnosis};
 use super::facts::facts;
+use super::facts::{CSP, PP, PV};
 use super::observer::Observer;
-use super::{CSP, PP, PV};
 use crate::can::sdo_client::{SdoClient, SdoError, number};
 use crate::can::wire::Wire;
 use crate::jog::{Limits, Speed};

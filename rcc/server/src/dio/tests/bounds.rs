@@ -1,5 +1,6 @@
 //! What a client cannot exceed.
 
+use super::super::limits::SUBSCRIPTIONS_MAX;
 use super::super::pace::Pace;
 use super::*;
 

@@ -97,7 +97,7 @@ fn hexadecimal(text: &str) -> Result<u16, Response> {
 fn failed(error: BusError) -> Response {
     match error {
         BusError::NoSuch(why) => Response::not_found(why),
-        other => Response::conflict(other),
+        BusError::Failed(why) => Response::conflict(why),
     }
 }
 

@@ -181,11 +181,7 @@ fn net_has_text_xml_and_figures() {
     let json = get(&controller, &format!("/nets/{net}/stats?format=json"));
     holds(
         &json,
-        &[
-            "application/json",
-            r#""overbudget":0"#,
-            r#""name":"ROOT""#,
-        ],
+        &["application/json", r#""overbudget":0"#, r#""name":"ROOT""#],
     );
     holds(
         &get(&controller, "/stats/"),

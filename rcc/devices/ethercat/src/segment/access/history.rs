@@ -42,6 +42,10 @@ pub(super) struct History {
 }
 
 /// What an event begins, and what it ends.
+#[expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "most events of a master are momentary"
+)]
 const fn subjects(event: &SegmentEvent) -> (Option<Subject>, Option<Subject>) {
     match event {
         SegmentEvent::Event(event) => match event {
