@@ -27,6 +27,8 @@ mod jog;
 mod link;
 mod manual;
 mod net;
+#[cfg(any(feature = "can", feature = "ethercat"))]
+mod objects;
 mod output;
 mod page;
 mod run;

@@ -54,7 +54,7 @@ pub use crate::executor::{figures::NetCounts, rules::RuleState};
 pub use crate::ids::{NetId, NetState, SessionId};
 pub use admission::limits_for;
 pub use clock::ClockInfo;
-pub use device_set::DeviceInfo;
+pub use device_set::{DeviceDetails, DeviceInfo};
 pub use driver_log::{DriverReport, EventCounts};
 pub use end::STOPPED_BY_RULE;
 pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};

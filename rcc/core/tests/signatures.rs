@@ -5,7 +5,7 @@
 mod signatures;
 
 /// Families of primitives of Takt alone.
-const OWN: &[&str] = &["Motion::", "Takeover"];
+const OWN: &[&str] = &["Motion::", "Takeover", "ArmKinematics::VelKin"];
 
 /// Out ports that Takt adds to primitives that clients know.
 const ADDED: &[(&str, &str)] = &[

@@ -118,6 +118,10 @@ const SECTIONS: [(&str, &str); 22] = [
         "[[device]] of type segway_rmp",
         "[[device]]\ntype = 'segway_rmp'\nzz = 1",
     ),
+    (
+        "[[device]] of type schunk_wsg",
+        "[[device]]\ntype = 'schunk_wsg'\nzz = 1",
+    ),
     ("[[ethercat]]", "[[ethercat]]\nzz = 1"),
     ("[ethercat.clocks]", "[[ethercat]]\nclocks = { zz = 1 }"),
     ("[[ethercat.slave]]", "[[ethercat]]\nslave = [{ zz = 1 }]"),

@@ -250,6 +250,7 @@ fn kinematics_allocate_nothing() {
         let net = format!(
             "j=Core::DoubleArrayNetcommIn(Key='j',Value='{}'),f=World::FrameNetcommIn(Key='f'),\
              kin=ArmKinematics::Kin(inJoints=j.outValue,Robot='{model}'),\
+             vel=ArmKinematics::VelKin(inJoints=j.outValue,inVelocities=j.outValue,Robot='{model}'),\
              inv=ArmKinematics::InvKin(inFrame=f.outValue,inHintJoints=j.outValue,Robot='{model}'),\
              back=ArmKinematics::InvKin(inFrame=kin.outFrame,inHintJoints=j.outValue,Robot='{model}')",
             hint("0")

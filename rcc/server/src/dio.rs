@@ -2,6 +2,7 @@
 //! they share the controller only.
 
 mod commands;
+mod details;
 mod devices;
 mod error;
 mod figures;

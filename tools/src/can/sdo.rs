@@ -19,8 +19,8 @@ use super::confirm;
 use super::sdo_client::{SdoClient, SdoError};
 use super::sheet::Sheet;
 use super::wire::{Live, Wire};
-use crate::Verdict;
 use crate::output::{complain, save, say, span};
+use crate::{Verdict, objects};
 
 /// Read, write, dump and compare the objects of a node.
 ///
@@ -388,7 +388,8 @@ fn upload<W: Wire>(
         let kind = data_type.or_else(|| sheet.data_type(address));
         json!({
             "version": 1, "node": node.raw(), "address": address.to_string(), "name": name,
-            "type": kind.map(|kind| kind.to_string()), "bytes": bytes, "value": shown,
+            "type": kind.map(|kind| kind.to_string()), "bytes": bytes,
+            "value": objects::json(kind, &bytes, shown),
         })
         .to_string()
     } else if let Some(path) = out {

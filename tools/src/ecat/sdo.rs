@@ -14,7 +14,7 @@ use super::controller::Remote;
 use super::session::{Session, Wire};
 use super::{REQUEST_CYCLE, Target};
 use crate::output::{complain, say};
-use crate::{Verdict, confirm};
+use crate::{Verdict, confirm, objects};
 
 /// List, read and write objects of a slave (CoE).
 ///
@@ -133,6 +133,7 @@ impl Sdo {
         if json {
             let slave = self.slave;
             let address = address.to_string();
+            let value = objects::json(data_type, &bytes, value);
             say(&json!({ "version": 1, "slave": slave, "address": address, "bytes": bytes, "value": value }).to_string())?;
         } else {
             say(&value)?;
@@ -184,7 +185,7 @@ pub(super) fn perform<W: Wire>(
                 "address": address.to_string(),
                 "type": data_type.map(|kind| kind.to_string()),
                 "bytes": bytes,
-                "value": shown,
+                "value": objects::json(data_type, &bytes, shown),
             });
             Ok(Ok(object.to_string()))
         }

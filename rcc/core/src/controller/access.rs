@@ -2,7 +2,7 @@
 
 use crate::cell::OnLoss;
 use crate::controller::Controller;
-use crate::controller::device_set::DeviceInfo;
+use crate::controller::device_set::{DeviceDetails, DeviceInfo};
 use crate::controller::nets::{Net, NetInfo, RetainedNet, Taps};
 use crate::error::Error;
 use crate::ids::{NetId, SessionId};
@@ -109,6 +109,22 @@ impl Controller {
     pub fn devices(&self) -> Vec<DeviceInfo> {
         let registry = self.inner.lock();
         registry.devices.infos(registry.permission.is_stopped())
+    }
+
+    /// The devices with limits and periods.
+    #[must_use]
+    pub fn device_details(&self) -> Vec<DeviceDetails> {
+        let registry = self.inner.lock();
+        let infos = registry.devices.infos(registry.permission.is_stopped());
+        let details = |info: DeviceInfo| {
+            let thread = registry.threads.serving_thread(&info.name);
+            DeviceDetails {
+                joints: registry.devices.joints(&info.name),
+                period: registry.threads.period(thread).unwrap_or_default(),
+                info,
+            }
+        };
+        infos.into_iter().map(details).collect()
     }
 
     /// The retained result of an unloaded net; `None` if it has expired.

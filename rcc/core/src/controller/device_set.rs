@@ -1,6 +1,10 @@
 //! The devices of a controller and the drivers that move them. It starts no driver and watches none.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use takt_net::JointLimits;
 
 use crate::controller::clock::FollowedClock;
 use crate::device::driver::DeviceDriver;
@@ -17,6 +21,17 @@ pub struct DeviceInfo {
     pub interfaces: BTreeMap<String, BTreeMap<String, String>>,
     /// Whether it can be used.
     pub status: DeviceStatus,
+}
+
+/// A device with what a program needs to plan motions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeviceDetails {
+    /// Name, type, interfaces and state.
+    pub info: DeviceInfo,
+    /// Limits of each joint; none if it is no arm.
+    pub joints: Arc<[JointLimits]>,
+    /// Period of the nets that command it.
+    pub period: Duration,
 }
 
 /// The devices and their drivers.
@@ -87,6 +102,12 @@ impl DeviceSet {
             status: device.status().under(is_stopped),
         };
         self.table.all().map(|(_, device)| info(device)).collect()
+    }
+
+    /// Limits of the joints of a device.
+    pub(super) fn joints(&self, name: &str) -> Arc<[JointLimits]> {
+        let device = self.table.all().find(|(_, device)| device.name == name);
+        device.map_or_else(Arc::default, |(_, device)| Arc::clone(&device.limits))
     }
 
     /// Ends all drivers and waits for that.

@@ -441,6 +441,64 @@ fn lwr_vel_kin() -> Definition {
         ))
 }
 
+struct VelKin {
+    kinematics: Arc<dyn Kinematics>,
+    joints: ArrayIn<f64>,
+    velocities: ArrayIn<f64>,
+    values: Box<[f64]>,
+    rates: Box<[f64]>,
+    columns: Box<[Twist]>,
+    twist: Out<Twist>,
+}
+
+impl Primitive for VelKin {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let joints = copy(&self.joints, cycle, &mut self.values);
+        let moving = joints.and_then(|()| copy(&self.velocities, cycle, &mut self.rates));
+        let twist = moving.map(|()| {
+            self.kinematics.jacobian(&self.values, &mut self.columns);
+            let mut sum = Twist::default();
+            for (column, rate) in self.columns.iter().zip(&self.rates) {
+                sum.vel += column.vel * *rate;
+                sum.rot += column.rot * *rate;
+            }
+            sum
+        });
+        let is_number = |twist: &Twist| twist.vel.iter().chain(&twist.rot).all(|v| v.is_finite());
+        self.twist.set(cycle, twist.filter(is_number));
+    }
+}
+
+fn vel_kin() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<VelKin, Fault> {
+        let kinematics = b.kinematics("Robot")?;
+        let joints = kinematics.joints();
+        Ok(VelKin {
+            joints: joints_input(b, "inJoints", &*kinematics)?,
+            velocities: joints_input(b, "inVelocities", &*kinematics)?,
+            values: vec![0.0; joints].into(),
+            rates: vec![0.0; joints].into(),
+            columns: vec![Twist::default(); joints].into(),
+            twist: b.output("outTwist"),
+            kinematics,
+        })
+    };
+    Definition::new(
+        "ArmKinematics::VelKin",
+        "The velocity of the flange of an arm at given joint velocities.",
+        build,
+    )
+    .active()
+    .array_input::<f64>(port("inJoints", "joint positions, rad").required())
+    .array_input::<f64>(port("inVelocities", "joint velocities, rad/s").required())
+    .text("Robot", ROBOT)
+    .output::<Twist>(
+        "outTwist",
+        "velocity of the flange in the base, m/s and rad/s",
+    )
+    .null(NullRule::Own("Null if an input is null or not a number."))
+}
+
 /// Cost bound of a forward solution.
 const FORWARD_NS: u32 = 3_000;
 /// Cost bound of an inverse: seven axes where limits force the arm angle.
@@ -453,6 +511,7 @@ pub(crate) fn table() -> Vec<Definition> {
     vec![
         kin().cost_ns(FORWARD_NS),
         inv_kin().cost_ns(INVERSE_NS),
+        vel_kin().cost_ns(FORWARD_NS),
         lwr_kin().cost_ns(FORWARD_NS),
         lwr_inv_kin().cost_ns(APPROACH_NS),
         lwr_vel_kin().cost_ns(FORWARD_NS),

@@ -11,6 +11,7 @@ use takt_core::controller::{
 use takt_core::{Error, NetId, OnLoss, SessionId};
 
 use super::Connection;
+use super::details;
 use super::devices::DeviceWatch;
 use super::error::CommandError;
 use super::figures;
@@ -73,6 +74,8 @@ impl Connection {
             "nva" => self.describe_values(args),
             "nta" => self.taps(args),
             "nst" => self.figures(args),
+            "din" => self.describe_devices(args),
+            "eva" => self.evaluate(args),
             "nesc" => self.schedule(args),
             "gsy" => self.watch_rule(args, tag()),
             _ => Err(CommandError::UnknownCommand),
@@ -391,6 +394,28 @@ impl Connection {
             Some((net.to_string(), figures::value(&figures)))
         };
         Ok(vec![Value::map_of(nets.into_iter().filter_map(figures))])
+    }
+
+    /// Describes all devices, or one, with limits and periods. Not part of the original protocol.
+    fn describe_devices(&self, args: Args<'_>) -> Outcome {
+        let name = args.optional(0, Args::text)?;
+        let mut devices = self.controller.device_details();
+        devices.retain(|device| name.is_none_or(|name| device.info.name == name));
+        if name.is_some() && devices.is_empty() {
+            return Err(CommandError::InvalidDevice);
+        }
+        Ok(vec![Value::map_of(devices.into_iter().map(details::value))])
+    }
+
+    /// Evaluates one cycle of a net with the present device state; the values are texts by their keys. Not part of the
+    /// original protocol, where only `/eval/` has this.
+    fn evaluate(&self, args: Args<'_>) -> Outcome {
+        let text = args.text(0)?;
+        let values = self.controller.evaluate(text).map_err(|rejection| {
+            let reason = rejection.lines(text).join("; ");
+            CommandError::NetRejected { reason }
+        })?;
+        Ok(vec![Value::map_of(values)])
     }
 
     fn check_quota(&self, replaces: bool) -> Result<(), CommandError> {

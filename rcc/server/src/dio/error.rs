@@ -37,6 +37,12 @@ pub(super) enum CommandError {
     /// The net text has a syntax error.
     #[error("Syntax error in net.")]
     NetSyntax { reason: String },
+    /// A net that was to be evaluated once has faults.
+    #[error("net rejected")]
+    NetRejected { reason: String },
+    /// No such device.
+    #[error("invalid device")]
+    InvalidDevice,
     /// The net could not be started.
     #[error("net start failed")]
     StartFailed { reason: String },
@@ -99,9 +105,11 @@ impl CommandError {
         let reply = Message::new(tag, "err").with(self.to_string());
         match self {
             Self::NetSyntax { reason }
+            | Self::NetRejected { reason }
             | Self::StartFailed { reason }
             | Self::SchedulingNotPossible { reason } => reply.with(reason.as_str()),
             Self::InvalidSyntax
+            | Self::InvalidDevice
             | Self::BadHandshake
             | Self::UnknownCommand
             | Self::ParameterType

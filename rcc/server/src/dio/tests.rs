@@ -614,3 +614,48 @@ fn taps_are_read_in_order_of_cycles() {
         r#"a=err("the net is not ready and records nothing")"#
     );
 }
+
+#[test]
+fn devices_are_described_with_limits_and_period() {
+    let controller = controller();
+    let parameters = [
+        ("min_joint", "[-2,-2,-2,-2,-2,-2,-2]"),
+        ("max_joint", "[2,2,2,2,2,2,2.5]"),
+        ("max_vel", "[1,1,1,1,1,1,1]"),
+        ("max_acc", "[4,4,4,4,4,4,4]"),
+    ];
+    let parameters = parameters.map(|(key, value)| (key.to_owned(), value.to_owned()));
+    controller
+        .add_device("left", "kuka_lwr_sim", &parameters.into())
+        .unwrap();
+    let mut client = Client::with_handshake(&controller);
+    let reply = client.call(r#"a=din("left")"#);
+    for part in [
+        r#"type:"kuka_lwr_sim""#,
+        r#"state:"#,
+        r#"period:"0.001""#,
+        r#"{acceleration_max:"4",position_max:"2.5",position_min:"-2",velocity_max:"1"}]"#,
+    ] {
+        assert!(reply.contains(part), "{part} is missing in {reply}");
+    }
+    assert!(client.call("a=din()").contains("left:{"));
+    assert_eq!(
+        client.call(r#"a=din("right")"#),
+        r#"a=err("invalid device")"#
+    );
+}
+
+#[test]
+fn net_is_evaluated_once_over_directio() {
+    let mut client = Client::with_handshake(&controller());
+    let net = "{o=Core::DoubleNetcommOut(Value='1.5',Key='x')}";
+    assert_eq!(
+        client.call(&format!(r#"a=eva("{net}")"#)),
+        r#"a=ok({outx:"1.5"})"#
+    );
+    let rejected = client.call(r#"a=eva("{o=Core::Nothing()}")"#);
+    assert!(
+        rejected.starts_with(r#"a=err("net rejected","#),
+        "{rejected}"
+    );
+}

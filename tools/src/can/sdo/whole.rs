@@ -12,6 +12,7 @@ use super::line;
 use crate::can::sdo_client::{Answer, SdoClient, SdoError};
 use crate::can::sheet::Sheet;
 use crate::can::wire::Wire;
+use crate::objects;
 
 /// Bit rate of a configuration if that of the interface is unknown, kbit/s.
 const KBIT: u32 = 1000;
@@ -82,7 +83,7 @@ impl Dump {
         let entries = self.values.iter().map(|(address, bytes)| {
             json!({
                 "address": address.to_string(), "name": sheet.name(*address), "bytes": bytes,
-                "value": sheet.show(*address, None, bytes),
+                "value": objects::json(sheet.data_type(*address), bytes, sheet.show(*address, None, bytes)),
             })
         });
         let refused = self.refused.iter().map(ToString::to_string);

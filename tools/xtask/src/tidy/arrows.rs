@@ -79,6 +79,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     ("takt-client", &[]),
     ("takt-server", &["takt-client", "takt-core"]),
+    ("takt-api", &["takt-client"]),
     ("takt-deploy", &[]),
     ("takt-tools", ALL),
     ("takt-tests", ALL),

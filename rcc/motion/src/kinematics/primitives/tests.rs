@@ -254,3 +254,34 @@ fn lwr_inv_kin_keeps_driver_limits() {
     assert_eq!(free.inverse(&frame, &q, &mut joints), Ok(()));
     assert!(joints[0] > 2.0);
 }
+
+#[test]
+fn vel_kin_is_the_derivative_of_kin() {
+    let net = "j=Core::DoubleArrayNetcommIn(Key='j',Value='[0.1,0.2,0.3,0.4,0.5,0.6,0.7]'),\
+         v=Core::DoubleArrayNetcommIn(Key='v',Value='[1,-1,0.5,2,-0.3,0.1,1.5]'),\
+         kin=ArmKinematics::Kin(inJoints=j.outValue,Robot='arm'),\
+         vel=ArmKinematics::VelKin(inJoints=j.outValue,inVelocities=v.outValue,Robot='arm'),\
+         w1=World::FrameNetcommOut(inValue=kin.outFrame,Key='frame'),\
+         w2=World::TwistNetcommOut(inValue=vel.outTwist,Key='twist')";
+    let mut fixture = Fixture::new(net, &arm("kuka_lwr4"));
+    let mut frame_at = |t: f64| {
+        let joints = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7];
+        let rates = [1.0, -1.0, 0.5, 2.0, -0.3, 0.1, 1.5];
+        let joints = std::array::from_fn::<_, 7, _>(|i| joints[i] + rates[i] * t);
+        fixture.write("j", &format!("{joints:?}"));
+        fixture.step();
+        let frame = Frame::parse(&fixture.read("frame")).expect("a frame");
+        let twist = Twist::parse(&fixture.read("twist")).expect("a twist");
+        (frame, twist)
+    };
+    let (before, _) = frame_at(-1e-6);
+    let (after, _) = frame_at(1e-6);
+    let (_, twist) = frame_at(0.0);
+    let linear = (after.translation.vector - before.translation.vector) / 2e-6;
+    let angular = (after.rotation * before.rotation.inverse()).scaled_axis() / 2e-6;
+    assert!((twist.vel - linear).norm() < 1e-6, "{twist:?} {linear}");
+    assert!((twist.rot - angular).norm() < 1e-6, "{twist:?} {angular}");
+    fixture.write("v", "[1,nan,0,0,0,0,0]");
+    fixture.step();
+    assert_eq!(fixture.read("twist"), "null");
+}

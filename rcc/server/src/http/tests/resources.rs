@@ -787,5 +787,8 @@ fn posted_arm_checks_range_only_and_reports_speed() {
         "/devices/",
         &format!("{}&limits=no", ARM.replace("lwr1", "lwr2")),
     );
-    holds(&wrong, &["400 Bad Request", "`no` is not strict or range"]);
+    holds(
+        &wrong,
+        &["400 Bad Request", "`no` is neither strict nor range"],
+    );
 }

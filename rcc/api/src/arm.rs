@@ -1,0 +1,270 @@
+//! Robot arms: what a program reads of them, and the motions that it requests.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::cell::Session;
+use crate::engine::When;
+use crate::error::Error;
+use crate::expression::{Condition, Number};
+use crate::handle::{Handle, Outcome, together};
+use crate::motion::{ArmDescription, CartesianLimits, Motion, Order};
+use crate::pose::Pose;
+
+/// An arm of a cell. Clones are the same arm with speeds and limits of their own.
+#[derive(Clone, Debug)]
+pub struct Arm {
+    session: Arc<Session>,
+    description: ArmDescription,
+    limits: CartesianLimits,
+    speed: f64,
+}
+
+impl Arm {
+    pub(crate) fn new(session: Arc<Session>, description: ArmDescription) -> Self {
+        Self {
+            session,
+            description,
+            limits: CartesianLimits::default(),
+            speed: 1.0,
+        }
+    }
+
+    /// What the controller knows about it.
+    pub const fn description(&self) -> &ArmDescription {
+        &self.description
+    }
+
+    /// The same arm, slower: the speed of its motions is multiplied by `factor`, above 0 to 1.
+    #[must_use]
+    pub fn with_speed(mut self, factor: f64) -> Self {
+        self.speed *= factor;
+        self
+    }
+
+    /// The same arm with these limits on lines and arcs.
+    #[must_use]
+    pub const fn with_limits(mut self, limits: CartesianLimits) -> Self {
+        self.limits = limits;
+        self
+    }
+
+    /// A motion to joint positions, rad: all joints start and arrive together.
+    pub fn ptp(&self, to: impl Into<Vec<f64>>) -> Activity {
+        self.motion(Motion::Ptp(to.into()))
+    }
+
+    /// A motion of the flange along a straight line to a pose in the base of the arm.
+    pub fn lin(&self, to: impl Into<Pose>) -> Activity {
+        self.motion(Motion::Lin(to.into()))
+    }
+
+    /// A motion of the flange along the arc through `via` to `to`, both in the base of the arm.
+    pub fn circ(&self, via: impl Into<Pose>, to: impl Into<Pose>) -> Activity {
+        self.motion(Motion::Circ {
+            via: via.into(),
+            to: to.into(),
+        })
+    }
+
+    fn motion(&self, motion: Motion) -> Activity {
+        Activity {
+            session: Arc::clone(&self.session),
+            when: When::Follow,
+            order: Order {
+                arm: self.description.clone(),
+                motion,
+                limits: self.limits,
+                speed: self.speed,
+                blend: None,
+                until: Vec::new(),
+            },
+        }
+    }
+
+    /// Measured positions of the joints, rad.
+    ///
+    /// # Errors
+    /// If the arm is offline, or the connection is lost.
+    pub fn positions(&self) -> Result<Vec<f64>, Error> {
+        self.read("outMeasuredPosition")
+    }
+
+    /// Commanded positions of the joints, rad.
+    ///
+    /// # Errors
+    /// If the arm is offline, or the connection is lost.
+    pub fn commanded(&self) -> Result<Vec<f64>, Error> {
+        self.read("outCommandedPosition")
+    }
+
+    fn read(&self, port: &str) -> Result<Vec<f64>, Error> {
+        let name = &self.description.name;
+        let values = self.session.evaluate(&self.description.reader(port))?;
+        let joint = |axis: usize| values.get(&format!("outq{axis}"))?.parse().ok();
+        let joints: Option<Vec<f64>> = (0..self.description.joints.len()).map(joint).collect();
+        joints.ok_or_else(|| self.unknown(name))
+    }
+
+    fn unknown(&self, name: &str) -> Error {
+        Error::DeviceFailed {
+            device: name.to_owned(),
+            cause:
+                "its positions are not known\nhint: `takt run` and the page say why it is offline"
+                    .to_owned(),
+        }
+    }
+
+    /// The measured pose of the flange in the base of the arm.
+    ///
+    /// # Errors
+    /// If the arm is offline or has no kinematics, or the connection is lost.
+    pub fn pose(&self) -> Result<Pose, Error> {
+        let values = self.session.evaluate(&self.description.pose_reader())?;
+        let pose = values.get("outpose").and_then(|text| Pose::read(text));
+        pose.ok_or_else(|| self.unknown(&self.description.name))
+    }
+
+    /// Force and torque at the tool.
+    pub fn force(&self) -> Force {
+        Force(self.description.name.clone())
+    }
+
+    /// The measured position of a joint, rad, as an expression.
+    pub fn joint(&self, axis: usize) -> Number {
+        let parameters = vec![
+            ("Robot", self.description.name.clone()),
+            ("Axis", axis.to_string()),
+        ];
+        Number::sensor("RobotArm::JointMonitor", parameters, "outMeasuredPosition")
+    }
+
+    /// A digital input of the arm.
+    pub fn input(&self, port: u32) -> Condition {
+        Condition::input(&self.description.name, port)
+    }
+
+    /// Requests that what the arm does end, and everything that waits for it.
+    pub fn cancel(&self) {
+        self.session.cancel_device(&self.description.name);
+    }
+
+    /// Waits until the arm has done everything that was requested of it.
+    ///
+    /// # Errors
+    /// If the connection is lost. How the activities ended is in their handles.
+    pub fn finish(&self) -> Result<(), Error> {
+        self.session.wait_for_rest(&self.description.name)
+    }
+}
+
+/// Force and torque at the tool of an arm, as its driver reports them.
+#[derive(Clone, Debug)]
+pub struct Force(String);
+
+impl Force {
+    fn number(&self, port: &'static str) -> Number {
+        Number::sensor("KUKA::LWR::FMonitor", vec![("Robot", self.0.clone())], port)
+    }
+
+    /// Force along x, N.
+    pub fn x(&self) -> Number {
+        self.number("outTcpFx")
+    }
+
+    /// Force along y, N.
+    pub fn y(&self) -> Number {
+        self.number("outTcpFy")
+    }
+
+    /// Force along z, N.
+    pub fn z(&self) -> Number {
+        self.number("outTcpFz")
+    }
+
+    /// Torque about x, Nm.
+    pub fn torque_x(&self) -> Number {
+        self.number("outTcpTx")
+    }
+
+    /// Torque about y, Nm.
+    pub fn torque_y(&self) -> Number {
+        self.number("outTcpTy")
+    }
+
+    /// Torque about z, Nm.
+    pub fn torque_z(&self) -> Number {
+        self.number("outTcpTz")
+    }
+}
+
+/// A motion that was described and not begun.
+#[derive(Clone, Debug)]
+#[must_use = "nothing moves before it is begun"]
+pub struct Activity {
+    pub(crate) session: Arc<Session>,
+    pub(crate) when: When,
+    pub(crate) order: Order,
+}
+
+impl Activity {
+    /// Multiplies its speed by `factor`, above 0 to 1.
+    pub fn speed(mut self, factor: f64) -> Self {
+        self.order.speed *= factor;
+        self
+    }
+
+    /// Lets a successor take over from this part of the path on, 0 to below 1.
+    pub const fn blend(mut self, progress: f64) -> Self {
+        self.order.blend = Some(progress);
+        self
+    }
+
+    /// Stops the motion on its path when the condition holds; the outcome names it.
+    pub fn until(mut self, name: &str, condition: Condition) -> Self {
+        self.order.until.push((name.to_owned(), condition));
+        self
+    }
+
+    /// Lets it begin in the next cycle, in place of what the arm does, at rest or in motion.
+    pub const fn now(mut self) -> Self {
+        self.when = When::Now;
+        self
+    }
+
+    /// Begins it, and returns when it runs: a program is at most one activity ahead.
+    ///
+    /// # Errors
+    /// If it is invalid, rejected, or what the arm does before fails.
+    pub fn begin(self) -> Result<Handle, Error> {
+        together([self]).begin()
+    }
+
+    /// Lets it begin after what the arm does, and returns at once.
+    ///
+    /// # Errors
+    /// If it is invalid or rejected.
+    pub fn queue(self) -> Result<Handle, Error> {
+        together([self]).queue()
+    }
+
+    /// Begins it and waits until it has ended.
+    ///
+    /// # Errors
+    /// As [`Self::begin`] and [`Handle::wait`].
+    pub fn run(self) -> Result<Outcome, Error> {
+        self.begin()?.wait()
+    }
+
+    /// The text of the net that it becomes.
+    ///
+    /// # Errors
+    /// If it is invalid.
+    pub fn explain(&self) -> Result<String, Error> {
+        self.order.check()?;
+        Ok(self.order.net())
+    }
+}
+
+/// How long closing a cell waits until its devices are at rest.
+pub(crate) const REST_TIMEOUT: Duration = Duration::from_secs(10);

@@ -1,0 +1,619 @@
+//! Each rule of succession, one test each, and random programs against a controller that behaves as a real one does.
+
+use std::collections::VecDeque;
+
+use proptest::prelude::*;
+
+use super::*;
+
+const RESULTS: [&str; 2] = ["completed", "blend"];
+
+fn start(device: &str) -> Start {
+    Start {
+        device: device.to_owned(),
+        net: format!("net of {device}"),
+        results: RESULTS.map(str::to_owned).to_vec(),
+    }
+}
+
+fn begin(engine: &mut Engine, device: &str) -> ActivityId {
+    engine.begin(vec![start(device)], When::Follow).unwrap()[0]
+}
+
+/// Answers all requests to load and schedule; returns the others.
+fn serve(engine: &mut Engine) -> Vec<Action> {
+    let mut others = Vec::new();
+    loop {
+        let actions = engine.take_actions();
+        if actions.is_empty() {
+            return others;
+        }
+        for action in actions {
+            match action {
+                Action::Load {
+                    activity: ActivityId(number),
+                    ..
+                } => {
+                    engine.loaded(ActivityId(number), Ok(format!("n{number}")));
+                }
+                Action::Schedule {
+                    group: GroupId(number),
+                    ..
+                } => {
+                    others.push(action);
+                    engine.scheduled(GroupId(number), Ok(number.to_string()));
+                }
+                Action::Unload(ref net) => {
+                    engine.net_state(net, "UNLOADED", "");
+                    others.push(action);
+                }
+                Action::Cancel(_) => others.push(action),
+            }
+        }
+    }
+}
+
+/// Condition, nets that are stopped, nets that are started, of the only rule.
+fn rule(actions: &[Action]) -> (&str, Vec<&str>, Vec<&str>) {
+    let rules: Vec<_> = actions
+        .iter()
+        .filter_map(|action| match action {
+            Action::Schedule {
+                condition,
+                stop,
+                start,
+                ..
+            } => Some((condition.as_str(), texts(stop), texts(start))),
+            _ => None,
+        })
+        .collect();
+    let [rule] = rules.as_slice() else {
+        panic!("not one rule: {actions:?}");
+    };
+    rule.clone()
+}
+
+fn texts(nets: &[String]) -> Vec<&str> {
+    nets.iter().map(String::as_str).collect()
+}
+
+fn net(id: ActivityId) -> String {
+    format!("n{}", id.0)
+}
+
+/// Ends a net with results that are true.
+fn terminate(engine: &mut Engine, id: ActivityId, results: &[&str]) {
+    for key in results {
+        engine.value(&net(id), key, "true");
+    }
+    engine.net_state(&net(id), "TERMINATED", "");
+}
+
+fn running(engine: &mut Engine, device: &str) -> ActivityId {
+    let id = begin(engine, device);
+    serve(engine);
+    engine.net_state(&net(id), "RUNNING", "");
+    assert_eq!(engine.state(id), Some(&State::Running));
+    id
+}
+
+fn outcome(engine: &Engine, id: ActivityId) -> Result<Outcome, Error> {
+    match engine.state(id) {
+        Some(State::Ended(outcome)) => outcome.clone(),
+        other => panic!("{id:?} has not ended: {other:?}"),
+    }
+}
+
+#[test]
+fn idle_device_begins_at_once() {
+    let mut engine = Engine::default();
+    let first = begin(&mut engine, "left");
+    let actions = serve(&mut engine);
+    assert_eq!(rule(&actions), ("t", vec![], vec![net(first).as_str()]));
+    assert_eq!(engine.state(first), Some(&State::Waiting));
+    engine.rule_state("1", "FIRED");
+    assert_eq!(engine.state(first), Some(&State::Running));
+}
+
+#[test]
+fn successor_waits_for_each_result_of_its_predecessor() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    let actions = serve(&mut engine);
+    let (one, two) = (net(first), net(second));
+    let condition = format!("({one}.outcompleted|{one}.outblend)");
+    assert_eq!(
+        rule(&actions),
+        (condition.as_str(), vec![one.as_str()], vec![two.as_str()])
+    );
+}
+
+#[test]
+fn third_activity_follows_the_second() {
+    let mut engine = Engine::default();
+    running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    serve(&mut engine);
+    begin(&mut engine, "left");
+    let actions = serve(&mut engine);
+    let condition = format!("({0}.outcompleted|{0}.outblend)", net(second));
+    assert_eq!(rule(&actions).0, condition);
+}
+
+#[test]
+fn taken_over_activity_ends_so() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    serve(&mut engine);
+    engine.net_state(&net(second), "RUNNING", "");
+    terminate(&mut engine, first, &["blend"]);
+    assert_eq!(outcome(&engine, first), Ok(Outcome::TakenOver));
+    assert_eq!(engine.state(second), Some(&State::Running));
+}
+
+#[test]
+fn take_over_is_known_when_the_end_comes_first() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    serve(&mut engine);
+    terminate(&mut engine, first, &["blend"]);
+    assert_eq!(outcome(&engine, first), Ok(Outcome::TakenOver));
+    engine.net_state(&net(second), "RUNNING", "");
+    assert_eq!(engine.state(second), Some(&State::Running));
+}
+
+#[test]
+fn each_result_has_its_outcome() {
+    let failed = |cause: &str| {
+        Err(Error::DeviceFailed {
+            device: "left".to_owned(),
+            cause: cause.to_owned(),
+        })
+    };
+    let stopped = |name: &str| Ok(Outcome::Stopped(name.to_owned()));
+    let table: [(&[&str], Result<Outcome, Error>); 7] = [
+        (&["completed"], Ok(Outcome::Completed)),
+        (&["cancelled"], Ok(Outcome::Cancelled)),
+        (&["until_touch"], stopped("touch")),
+        (&["until_touch", "blend"], stopped("touch")),
+        (
+            &["failed", "blend"],
+            failed("a joint does not follow its commands"),
+        ),
+        (&["illegal"], failed("a joint would leave its range")),
+        (
+            &["concurrent"],
+            Err(Error::Conflict {
+                device: "left".to_owned(),
+            }),
+        ),
+    ];
+    for (results, expected) in table {
+        let mut engine = Engine::default();
+        let id = running(&mut engine, "left");
+        terminate(&mut engine, id, results);
+        assert_eq!(outcome(&engine, id), expected, "{results:?}");
+    }
+}
+
+#[test]
+fn path_out_of_reach_states_its_place() {
+    let mut engine = Engine::default();
+    let id = running(&mut engine, "left");
+    engine.value(&net(id), "progress", "0.42");
+    terminate(&mut engine, id, &["unreachable"]);
+    let error = outcome(&engine, id).unwrap_err().to_string();
+    assert!(error.contains("at 42 % of the motion"), "{error}");
+}
+
+#[test]
+fn end_without_result_states_the_reason() {
+    let mut engine = Engine::default();
+    let id = running(&mut engine, "left");
+    engine.net_state(&net(id), "TERMINATED", "aborted by a client");
+    let error = outcome(&engine, id).unwrap_err().to_string();
+    assert!(error.contains("aborted by a client"), "{error}");
+}
+
+#[test]
+fn successors_of_a_failed_activity_do_not_begin() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    let third = begin(&mut engine, "left");
+    serve(&mut engine);
+    terminate(&mut engine, first, &["failed"]);
+    let unloaded = serve(&mut engine);
+    for id in [second, third] {
+        let error = outcome(&engine, id).unwrap_err();
+        assert!(matches!(error, Error::PredecessorFailed(_)), "{error}");
+    }
+    for id in [first, second, third] {
+        assert!(unloaded.contains(&Action::Unload(net(id))), "{id:?}");
+    }
+    let next = begin(&mut engine, "left");
+    assert_eq!(
+        rule(&serve(&mut engine)).2,
+        [net(next).as_str()],
+        "the device can be used again"
+    );
+}
+
+#[test]
+fn cancelled_activity_takes_its_queue_along() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    serve(&mut engine);
+    engine.cancel(first);
+    assert_eq!(serve(&mut engine), [Action::Cancel(net(first))]);
+    terminate(&mut engine, first, &["cancelled"]);
+    serve(&mut engine);
+    assert_eq!(outcome(&engine, second), Ok(Outcome::Cancelled));
+}
+
+#[test]
+fn cancelled_successor_leaves_its_predecessor_alone() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    serve(&mut engine);
+    engine.cancel(second);
+    assert_eq!(serve(&mut engine), [Action::Unload(net(second))]);
+    assert_eq!(outcome(&engine, second), Ok(Outcome::Cancelled));
+    assert_eq!(engine.state(first), Some(&State::Running));
+    assert_eq!(
+        engine.latest("left"),
+        Some(first),
+        "the next one follows the first again"
+    );
+}
+
+#[test]
+fn activity_cancelled_while_it_loads_is_unloaded() {
+    let mut engine = Engine::default();
+    let id = begin(&mut engine, "left");
+    engine.take_actions();
+    engine.cancel(id);
+    engine.loaded(id, Ok("n9".to_owned()));
+    assert_eq!(outcome(&engine, id), Ok(Outcome::Cancelled));
+    assert_eq!(engine.take_actions(), [Action::Unload("n9".to_owned())]);
+}
+
+#[test]
+fn rejected_net_ends_its_group() {
+    let mut engine = Engine::default();
+    let ids = engine
+        .begin(vec![start("left"), start("right")], When::Follow)
+        .unwrap();
+    engine.take_actions();
+    engine.loaded(ids[0], Ok("n1".to_owned()));
+    let error = Error::Rejected(vec!["no such robot".to_owned()]);
+    engine.loaded(ids[1], Err(error.clone()));
+    assert_eq!(outcome(&engine, ids[0]), Err(error.clone()));
+    assert_eq!(outcome(&engine, ids[1]), Err(error));
+    assert_eq!(engine.take_actions(), [Action::Unload("n1".to_owned())]);
+}
+
+#[test]
+fn refused_rule_ends_the_activity_and_gives_the_device_back() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    engine.take_actions();
+    engine.loaded(second, Ok(net(second)));
+    let Some(Action::Schedule { group, .. }) = engine.take_actions().pop() else {
+        panic!("no rule");
+    };
+    engine.scheduled(
+        group,
+        Err(Error::Refused("left joint 2 is taken".to_owned())),
+    );
+    assert_eq!(
+        outcome(&engine, second),
+        Err(Error::Refused("left joint 2 is taken".to_owned()))
+    );
+    assert_eq!(engine.latest("left"), Some(first));
+}
+
+#[test]
+fn group_waits_for_all_predecessors_and_starts_in_one_rule() {
+    let mut engine = Engine::default();
+    let (left, right) = (running(&mut engine, "left"), running(&mut engine, "right"));
+    let both = engine
+        .begin(vec![start("left"), start("right")], When::Follow)
+        .unwrap();
+    let actions = serve(&mut engine);
+    let of = |id| format!("({0}.outcompleted|{0}.outblend)", net(id));
+    let (condition, stop, start) = rule(&actions);
+    assert_eq!(condition, format!("{}&{}", of(left), of(right)));
+    assert_eq!(stop, [net(left), net(right)]);
+    assert_eq!(start, [net(both[0]), net(both[1])]);
+}
+
+#[test]
+fn result_of_a_predecessor_is_kept_until_its_successor_begins() {
+    let mut engine = Engine::default();
+    let (left, right) = (running(&mut engine, "left"), running(&mut engine, "right"));
+    let both = engine
+        .begin(vec![start("left"), start("right")], When::Follow)
+        .unwrap();
+    serve(&mut engine);
+    terminate(&mut engine, left, &["completed"]);
+    assert_eq!(serve(&mut engine), [], "the rule still reads its result");
+    engine.rule_state(&both[0].0.saturating_sub(1).to_string(), "FIRED");
+    terminate(&mut engine, right, &["blend"]);
+    assert_eq!(outcome(&engine, right), Ok(Outcome::TakenOver));
+    let unloaded = serve(&mut engine);
+    assert_eq!(unloaded.len(), 2, "{unloaded:?}");
+}
+
+#[test]
+fn now_does_not_wait() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = engine.begin(vec![start("left")], When::Now).unwrap()[0];
+    let actions = serve(&mut engine);
+    assert_eq!(
+        rule(&actions),
+        ("t", vec![net(first).as_str()], vec![net(second).as_str()])
+    );
+    terminate(&mut engine, first, &[]);
+    assert_eq!(outcome(&engine, first), Ok(Outcome::TakenOver));
+}
+
+#[test]
+fn one_device_twice_is_refused() {
+    let mut engine = Engine::default();
+    let error = engine
+        .begin(vec![start("left"), start("left")], When::Follow)
+        .unwrap_err();
+    assert!(matches!(error, Error::Invalid(_)), "{error}");
+    assert!(engine.begin(Vec::new(), When::Follow).is_err());
+    assert_eq!(engine.take_actions(), []);
+}
+
+#[test]
+fn lost_connection_ends_everything() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    let lost = Error::Lost("closed".to_owned());
+    engine.lose(&lost);
+    for id in [first, second] {
+        assert_eq!(outcome(&engine, id), Err(lost.clone()));
+    }
+    assert_eq!(engine.begin(vec![start("left")], When::Follow), Err(lost));
+    assert_eq!(engine.take_actions(), []);
+}
+
+#[test]
+fn released_activities_are_forgotten_once_ended() {
+    let mut engine = Engine::default();
+    let mut last = running(&mut engine, "left");
+    for _ in 0..1000 {
+        let next = begin(&mut engine, "left");
+        serve(&mut engine);
+        engine.net_state(&net(next), "RUNNING", "");
+        terminate(&mut engine, last, &["blend"]);
+        engine.release(last);
+        serve(&mut engine);
+        last = next;
+    }
+    assert!(
+        engine.activities.len() <= 2 && engine.nets.len() <= 2,
+        "{}",
+        engine.activities.len()
+    );
+    assert!(
+        engine.groups.len() <= 2 && engine.rules.len() <= 2,
+        "{}",
+        engine.groups.len()
+    );
+}
+
+/// A controller in which rules fire and nets end as in a real one; it checks what it is asked for.
+#[derive(Default)]
+struct Controller {
+    /// Nets that run, with the device that they command.
+    running: BTreeMap<String, String>,
+    /// Results of loaded nets.
+    results: BTreeMap<String, BTreeSet<String>>,
+    devices: BTreeMap<String, String>,
+    rules: VecDeque<(u64, String, Vec<String>, Vec<String>)>,
+}
+
+impl Controller {
+    fn serve(&mut self, engine: &mut Engine) {
+        loop {
+            let actions = engine.take_actions();
+            if actions.is_empty() {
+                return;
+            }
+            for action in actions {
+                match action {
+                    Action::Load { activity, net } => {
+                        let id = format!("n{}", activity.0);
+                        self.devices.insert(id.clone(), net);
+                        self.results.insert(id.clone(), BTreeSet::new());
+                        engine.loaded(activity, Ok(id));
+                    }
+                    Action::Schedule {
+                        group,
+                        condition,
+                        stop,
+                        start,
+                    } => {
+                        let is_loaded = |net: &String| self.results.contains_key(net);
+                        if !stop.iter().chain(&start).all(is_loaded) {
+                            let error = Error::Refused("invalid netname".to_owned());
+                            engine.scheduled(group, Err(error));
+                            continue;
+                        }
+                        self.rules.push_back((group.0, condition, stop, start));
+                        engine.scheduled(group, Ok(group.0.to_string()));
+                    }
+                    Action::Cancel(net) => {
+                        if self.running.contains_key(&net) {
+                            self.end(engine, &net, "cancelled");
+                        }
+                    }
+                    Action::Unload(net) => {
+                        // As a real one, it ignores this for a net that runs.
+                        let is_idle = !self.running.contains_key(&net);
+                        if is_idle && self.results.remove(&net).is_some() {
+                            self.rules.retain(|(_, _, _, start)| !start.contains(&net));
+                            engine.net_state(&net, "UNLOADED", "");
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn end(&mut self, engine: &mut Engine, net: &str, result: &str) {
+        self.running.remove(net);
+        self.set(engine, net, result);
+        engine.net_state(net, "TERMINATED", "");
+    }
+
+    fn set(&mut self, engine: &mut Engine, net: &str, result: &str) {
+        if let Some(results) = self.results.get_mut(net) {
+            results.insert(result.to_owned());
+        }
+        engine.value(net, result, "true");
+    }
+
+    /// Whether a conjunction of disjunctions holds.
+    fn holds(&self, condition: &str) -> bool {
+        let literal = |literal: &str| {
+            let (net, key) = literal.split_once(".out").unwrap();
+            self.results
+                .get(net)
+                .is_some_and(|results| results.contains(key))
+        };
+        condition == "t"
+            || condition.split('&').all(|or| {
+                let inside = or.trim_start_matches('(').trim_end_matches(')');
+                inside.split('|').any(literal)
+            })
+    }
+
+    fn fire(&mut self, engine: &mut Engine) {
+        let due = self
+            .rules
+            .iter()
+            .position(|(_, condition, _, _)| self.holds(condition));
+        let Some((rule, _, stop, start)) = due.and_then(|at| self.rules.remove(at)) else {
+            return;
+        };
+        for net in stop {
+            self.running.remove(&net);
+            self.rules.retain(|(_, _, _, start)| !start.contains(&net));
+            engine.net_state(&net, "TERMINATED", "stopped by a rule");
+        }
+        for net in start {
+            let device = self.devices[&net].clone();
+            let holder = self.running.values().find(|other| **other == device);
+            assert_eq!(holder, None, "{net} takes {device} from another net");
+            self.running.insert(net.clone(), device);
+            engine.net_state(&net, "RUNNING", "");
+        }
+        engine.rule_state(&rule.to_string(), "FIRED");
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Step {
+    Begin(Vec<usize>, bool),
+    Cancel(usize),
+    Release(usize),
+    Fire,
+    Blend(usize),
+    End(usize, usize),
+    Serve,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let devices = proptest::sample::subsequence(vec![0, 1, 2], 1..=2);
+    prop_oneof![
+        4 => (devices, any::<bool>()).prop_map(|(devices, now)| Step::Begin(devices, now)),
+        1 => (0_usize..20).prop_map(Step::Cancel),
+        1 => (0_usize..20).prop_map(Step::Release),
+        6 => Just(Step::Fire),
+        2 => (0_usize..4).prop_map(Step::Blend),
+        3 => (0_usize..4, 0_usize..4).prop_map(|(net, result)| Step::End(net, result)),
+        8 => Just(Step::Serve),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 512, ..ProptestConfig::default() })]
+
+    /// Whatever a program does: no net is unloaded while it runs, no device is commanded twice, and once everything has
+    /// been cancelled, each activity has ended and nothing is left in the controller.
+    #[test]
+    fn any_program_leaves_nothing_behind(steps in proptest::collection::vec(step(), 0..80)) {
+        const ENDS: [&str; 4] = ["completed", "until_touch", "failed", "cancelled"];
+        let mut engine = Engine::default();
+        let mut controller = Controller::default();
+        let mut ids = Vec::new();
+        for step in steps {
+            let running = |controller: &Controller, number: usize| {
+                controller.running.keys().nth(number).cloned()
+            };
+            match step {
+                Step::Begin(devices, now) => {
+                    let starts = devices.iter().map(|device| Start {
+                        device: device.to_string(),
+                        net: device.to_string(),
+                        results: ["completed", "blend", "until_touch"].map(str::to_owned).to_vec(),
+                    });
+                    let when = if now { When::Now } else { When::Follow };
+                    ids.extend(engine.begin(starts.collect(), when).unwrap());
+                }
+                Step::Cancel(number) => {
+                    if let Some(id) = ids.get(number) {
+                        engine.cancel(*id);
+                    }
+                }
+                Step::Release(number) => {
+                    if let Some(id) = ids.get(number) {
+                        engine.release(*id);
+                    }
+                }
+                Step::Fire => controller.fire(&mut engine),
+                Step::Blend(number) => {
+                    if let Some(net) = running(&controller, number) {
+                        controller.set(&mut engine, &net, "blend");
+                    }
+                }
+                Step::End(number, result) => {
+                    if let Some(net) = running(&controller, number) {
+                        controller.end(&mut engine, &net, ENDS[result]);
+                    }
+                }
+                Step::Serve => controller.serve(&mut engine),
+            }
+        }
+        for _ in 0..200 {
+            for device in ["0", "1", "2"] {
+                engine.cancel_device(device);
+            }
+            controller.serve(&mut engine);
+            controller.fire(&mut engine);
+        }
+        controller.serve(&mut engine);
+        for id in &ids {
+            let state = engine.state(*id);
+            prop_assert!(state.is_none_or(|state| matches!(state, State::Ended(_))), "{:?} {:?}", id, state);
+            engine.release(*id);
+        }
+        controller.serve(&mut engine);
+        prop_assert!(controller.results.is_empty(), "{:?}", controller.results);
+        prop_assert!(engine.activities.is_empty() && engine.groups.is_empty() && engine.nets.is_empty());
+    }
+}

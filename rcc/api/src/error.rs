@@ -1,0 +1,91 @@
+//! What can go wrong with an activity, as values that a program can match. Texts give the cause first, then a hint.
+
+/// Why something was not begun, or did not end as requested. Positions are in rad.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+#[allow(clippy::error_impl_error, reason = "the one error type of the crate")]
+pub enum Error {
+    /// The controller cannot be reached.
+    #[error("{0}")]
+    Connection(String),
+    /// The connection ended; the controller cancels what this program began.
+    #[error("the connection to the controller is lost: {0}")]
+    Lost(String),
+    /// An argument is out of its bounds; nothing was begun.
+    #[error("{0}")]
+    Invalid(String),
+    /// A joint position is out of its range; nothing was begun.
+    #[error("{joint}: {value:.4} rad is out of its range, {min:.4} to {max:.4} rad")]
+    Limit {
+        /// Arm and joint.
+        joint: String,
+        /// The position.
+        value: f64,
+        /// The range begins here.
+        min: f64,
+        /// The range ends here.
+        max: f64,
+    },
+    /// The controller has no such device, or the device has no such interface.
+    #[error("there is no {wanted} `{name}`\nhint: the controller has {known}")]
+    NoDevice {
+        /// Kind of device.
+        wanted: &'static str,
+        /// The name.
+        name: String,
+        /// Names of the devices of this kind.
+        known: String,
+    },
+    /// The controller rejected the net of an activity.
+    #[error("the controller rejected the net: {}", .0.join("; "))]
+    Rejected(Vec<String>),
+    /// The controller refused a command or a rule, with its reason.
+    #[error("{0}")]
+    Refused(String),
+    /// A joint is commanded by another program or net.
+    #[error("{device}: another net commands its joints")]
+    Conflict {
+        /// The device.
+        device: String,
+    },
+    /// The path leaves the reach of the arm.
+    #[error("{device}: the path leaves the reach of the arm at {progress:.0} % of the motion")]
+    Unreachable {
+        /// The arm.
+        device: String,
+        /// Part of the path, in percent.
+        progress: f64,
+    },
+    /// The device does not follow its commands.
+    #[error("{device}: {cause}")]
+    DeviceFailed {
+        /// The device.
+        device: String,
+        /// The cause.
+        cause: String,
+    },
+    /// What was to run before ended with an error; nothing was begun.
+    #[error("not begun, since the activity before it failed: {0}")]
+    PredecessorFailed(Box<Self>),
+    /// The net ended without a result.
+    #[error("{device}: the motion ended without a result: {reason}")]
+    Ended {
+        /// The device.
+        device: String,
+        /// The reason that the controller gives.
+        reason: String,
+    },
+}
+
+impl From<takt_client::Error> for Error {
+    fn from(error: takt_client::Error) -> Self {
+        use takt_client::Error as Client;
+        match error {
+            Client::Refused { text, .. } => Self::Refused(text),
+            Client::Closed { .. } | Client::Connection { .. } | Client::Unread { .. } => {
+                Self::Lost(error.to_string())
+            }
+            other => Self::Connection(other.to_string()),
+        }
+    }
+}

@@ -1,0 +1,19 @@
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+pub mod arm;
+pub mod cell;
+pub mod engine;
+pub mod error;
+pub mod expression;
+pub mod handle;
+pub mod motion;
+mod net;
+pub mod pose;
+
+pub use arm::{Activity, Arm};
+pub use cell::Cell;
+pub use error::Error;
+pub use expression::{Condition, Number};
+pub use handle::{Handle, Outcome, together};
+pub use pose::{Pose, deg};

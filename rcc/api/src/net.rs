@@ -1,0 +1,183 @@
+//! Writer of net texts: one primitive a line, values in their shortest exact form. Equal primitives without effect are
+//! written once. It knows no controller.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+/// An out port of a primitive in the net, such as `p3.outValue`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Port(String);
+
+/// A primitive in the net.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Primitive(String);
+
+impl Primitive {
+    /// One of its out ports.
+    pub(crate) fn out(&self, port: &str) -> Port {
+        Port(format!("{}.{port}", self.0))
+    }
+}
+
+/// An argument of a primitive: what is at a port, or the text of a parameter.
+#[derive(Clone, Debug)]
+pub(crate) enum Argument {
+    Port(Port),
+    Text(String),
+}
+
+impl From<&Port> for Argument {
+    fn from(port: &Port) -> Self {
+        Self::Port(port.clone())
+    }
+}
+
+impl From<&str> for Argument {
+    fn from(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+}
+
+impl From<String> for Argument {
+    fn from(text: String) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl From<f64> for Argument {
+    fn from(number: f64) -> Self {
+        Self::Text(number.to_string())
+    }
+}
+
+impl From<usize> for Argument {
+    fn from(number: usize) -> Self {
+        Self::Text(number.to_string())
+    }
+}
+
+/// A net in the making.
+#[derive(Debug, Default)]
+pub(crate) struct Net {
+    lines: Vec<String>,
+    /// Names of primitives by their text.
+    known: BTreeMap<String, String>,
+}
+
+impl Net {
+    /// Adds a primitive, or finds the equal one.
+    pub(crate) fn add<const N: usize>(
+        &mut self,
+        kind: &str,
+        arguments: [(&str, Argument); N],
+    ) -> Primitive {
+        let text = arguments
+            .iter()
+            .fold(format!("{kind}("), |mut text, (name, argument)| {
+                let separator = if text.ends_with('(') { "" } else { ", " };
+                // Writing to a String does not fail.
+                let _ = match argument {
+                    Argument::Port(Port(port)) => write!(text, "{separator}{name}={port}"),
+                    Argument::Text(value) => write!(text, "{separator}{name}='{}'", escaped(value)),
+                };
+                text
+            })
+            + ")";
+        let name = self.known.get(&text).cloned().unwrap_or_else(|| {
+            let name = format!("p{}", self.lines.len());
+            self.lines.push(format!("  {name}={text}"));
+            self.known.insert(text, name.clone());
+            name
+        });
+        Primitive(name)
+    }
+
+    /// Adds a primitive with one in port `inValue`.
+    pub(crate) fn of(&mut self, kind: &str, value: &Port) -> Port {
+        self.add(kind, [("inValue", value.into())]).out("outValue")
+    }
+
+    /// Adds a primitive of two values.
+    pub(crate) fn of_two(&mut self, kind: &str, first: &Port, second: &Port) -> Port {
+        let arguments = [("inFirst", first.into()), ("inSecond", second.into())];
+        self.add(kind, arguments).out("outValue")
+    }
+
+    /// Whether one of the ports is true; `None` if there are none.
+    pub(crate) fn any(&mut self, ports: &[Port]) -> Option<Port> {
+        let (first, rest) = ports.split_first()?;
+        Some(rest.iter().fold(first.clone(), |all, port| {
+            self.of_two("Core::BooleanOr", &all, port)
+        }))
+    }
+
+    /// A result that rules and programs can read.
+    pub(crate) fn result(&mut self, key: &str, value: &Port) {
+        self.add(
+            "Core::BooleanNetcommOut",
+            [("inValue", value.into()), ("Key", key.into())],
+        );
+    }
+
+    /// The text of the net, which is evaluated once.
+    pub(crate) fn finish_once(self) -> String {
+        format!("{{\n{}\n}}", self.lines.join(",\n"))
+    }
+
+    /// The text of the net, which ends when `end` is true.
+    pub(crate) fn finish(self, end: &Port) -> String {
+        format!(
+            "{{\n{},\n  outTerminate={}\n}}",
+            self.lines.join(",\n"),
+            end.0
+        )
+    }
+}
+
+/// The text of a parameter between apostrophes.
+fn escaped(text: &str) -> String {
+    text.replace('\\', "\\\\").replace('\'', "\\'")
+}
+
+/// The text of an array.
+pub(crate) fn array(numbers: &[f64]) -> String {
+    let numbers: Vec<_> = numbers.iter().map(f64::to_string).collect();
+    format!("[{}]", numbers.join(","))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_primitives_are_written_once() {
+        let mut net = Net::default();
+        let monitor = |net: &mut Net| {
+            net.add(
+                "RobotArm::JointMonitor",
+                [("Robot", "left".into()), ("Axis", 0.into())],
+            )
+        };
+        let (first, second) = (monitor(&mut net), monitor(&mut net));
+        assert_eq!(first, second);
+        let text = net.finish(&first.out("outValue"));
+        assert_eq!(text.matches("JointMonitor").count(), 1, "{text}");
+    }
+
+    #[test]
+    fn names_with_apostrophes_are_escaped() {
+        let mut net = Net::default();
+        let cancel = net.add("Cancel", []).out("outCancel");
+        net.result(r"it's \", &cancel);
+        let text = net.finish(&cancel);
+        assert!(text.contains(r"Key='it\'s \\'"), "{text}");
+    }
+
+    #[test]
+    fn numbers_are_exact() {
+        assert_eq!(
+            array(&[0.1 + 0.2, -0.0, 1e-7, 1e21]),
+            "[0.30000000000000004,-0,0.0000001,1000000000000000000000]"
+        );
+    }
+}
