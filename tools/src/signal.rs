@@ -1,14 +1,14 @@
 //! Signals that ask a command to stop, for commands without an event loop.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use anyhow::Context as _;
 use tokio::signal::unix::{SignalKind, signal};
 
 /// A request to stop: SIGINT (Ctrl-C) or SIGTERM.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Stop(Arc<AtomicBool>);
+pub(crate) struct Stop(Arc<AtomicU32>);
 
 impl Stop {
     /// Handles both signals from now on.
@@ -28,17 +28,24 @@ impl Stop {
         };
         std::thread::spawn(move || {
             runtime.block_on(async {
-                tokio::select! {
-                    _ = interrupt.recv() => {}
-                    _ = terminate.recv() => {}
+                loop {
+                    tokio::select! {
+                        _ = interrupt.recv() => {}
+                        _ = terminate.recv() => {}
+                    }
+                    flag.0.fetch_add(1, Ordering::Relaxed);
                 }
             });
-            flag.0.store(true, Ordering::Relaxed);
         });
         Ok(stop)
     }
 
     pub(crate) fn is_requested(&self) -> bool {
+        self.requests() > 0
+    }
+
+    /// Number of requests so far.
+    pub(crate) fn requests(&self) -> u32 {
         self.0.load(Ordering::Relaxed)
     }
 }

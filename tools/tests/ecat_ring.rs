@@ -35,9 +35,15 @@ fn ecat_ring_asked_at_one_end_names_the_other() {
         assert_eq!(output.status.code(), Some(2), "{error}");
         let named = format!("frames leave the segment at {other}");
         assert!(error.contains(&named), "{error}");
-        let whole = expect_status(&run(&["ecat", "scan", end, "--second", other]), 0);
-        assert!(whole.contains("the ring is whole"), "{whole}");
+        // In the order in which frames pass the slaves, from either end.
+        assert!(error.contains("`near --second back`"), "{error}");
     }
+    let whole = expect_status(&run(&["ecat", "scan", "near", "--second", "back"]), 0);
+    assert!(whole.contains("the ring is whole"), "{whole}");
+    let output = run(&["ecat", "scan", "back", "--second", "near"]);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    assert!(error.contains("the first slave is at near"), "{error}");
     let folder = Folder::new();
     let text = "[[ethercat]]\nname = 'ring'\ninterface = 'near'\nsecond = 'back'\n";
     let cell = folder.write("cell.toml", text);

@@ -35,6 +35,22 @@ impl<L: Link> Port<L> {
         &mut self.link
     }
 
+    /// Its source MAC address.
+    pub const fn source(&self) -> [u8; 6] {
+        self.source
+    }
+
+    /// Whether the frame that was received last was sent with this source address. Slaves may set its bit 1 (locally
+    /// administered) while they forward a frame.
+    pub fn received_from(&self, source: [u8; 6]) -> bool {
+        let plain = |mut mac: [u8; 6]| {
+            mac[0] &= !0x02;
+            mac
+        };
+        let sender = self.frame.get(6..).and_then(|rest| rest.first_chunk());
+        sender.is_some_and(|sender| plain(*sender) == plain(source))
+    }
+
     /// Number of frames skipped because they were not EtherCAT.
     pub const fn foreign(&self) -> u64 {
         self.foreign
@@ -98,6 +114,8 @@ mod tests {
         far.send(&frame[..60]).unwrap();
         let (body, _) = port.receive(Duration::ZERO).unwrap().unwrap();
         assert_eq!((body.len(), body[19], body[20]), (46, 7, 0));
+        assert!(port.received_from([0, 0, 0, 0, 0, 1]) && port.received_from(port.source()));
+        assert!(!port.received_from([2, 0, 0, 0, 0, 2]));
         assert_eq!(port.foreign(), 1);
         assert!(port.receive(Duration::ZERO).unwrap().is_none());
         assert!(port.send(&[0; 1501]).is_err());

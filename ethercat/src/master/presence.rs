@@ -175,7 +175,6 @@ impl Master {
 
     /// Handles the census: how many answered, and the OR of their states.
     pub(super) fn handle_census(&mut self, count: u16, states: u8) {
-        self.presence.frames_lost = 0;
         self.presence.counted = count;
         if self.presence.state != State::Calm {
             return;
@@ -405,6 +404,8 @@ impl Master {
 
     /// All answers of a frame are handled.
     pub(super) fn after_frame(&mut self) {
+        // Also of a frame without census: losses with an answer in between are not consecutive.
+        self.presence.frames_lost = 0;
         if self.scan.phase != Phase::Running {
             return;
         }
@@ -482,7 +483,8 @@ impl Master {
         if self.scan.phase == Phase::Running {
             self.presence.state = State::Calm;
         }
-        if self.presence.frames_lost != FRAMES_LOST || self.scan.phase != Phase::Running {
+        // More than that if the last phase of the start was silent too.
+        if self.presence.frames_lost < FRAMES_LOST || self.scan.phase != Phase::Running {
             return;
         }
         for unit in self.units.iter_mut().filter(|unit| unit.is_present()) {

@@ -76,6 +76,31 @@ impl Rig {
         }
     }
 
+    /// Runs a job to its end, while of each `of` sent frames `lost` in a row do not return: in turn before and after the
+    /// slaves processed them. Frames are counted, as a master that waits for one sends none.
+    #[track_caller]
+    pub(crate) fn lossy(
+        &mut self,
+        job: Job,
+        of: u64,
+        lost: u64,
+        mut watch: impl FnMut(&Master),
+    ) -> Reply {
+        self.master.submit(job).unwrap();
+        for _ in 0..60_000 {
+            let sent = self.master.frames().sent;
+            let (loses, processed) = (sent % of < lost, (sent / of) % 2 == 1);
+            self.segment.faults.lose = u32::from(loses && !processed);
+            self.segment.faults.lose_returned = u32::from(loses && processed);
+            self.cycle();
+            watch(&self.master);
+            if let Some(reply) = self.master.poll_reply() {
+                return reply;
+            }
+        }
+        panic!("no reply; {:?}", self.events);
+    }
+
     /// Runs until a condition holds, at most `most` cycles; returns the number of cycles.
     #[track_caller]
     pub(crate) fn until(&mut self, most: usize, holds: impl Fn(&Master) -> bool) -> usize {

@@ -152,6 +152,16 @@ fn soem_scans_configures_and_moves_two_drives_by_sync0() {
 }
 
 #[test]
+fn soem_reads_and_writes_files_in_boot() {
+    run(
+        "soem_reads_and_writes_files_in_boot",
+        "pysoem_foe_peer.py",
+        "pysoem",
+        wire::files,
+    );
+}
+
+#[test]
 fn kickcat_scans_configures_and_moves_two_drives() {
     run(
         "kickcat_scans_configures_and_moves_two_drives",

@@ -108,6 +108,23 @@ pub(crate) fn segment() -> Bench {
     }
 }
 
+/// A coupler, and two drives that serve a log file and take firmware in BOOT; the first is busy twice at each packet.
+pub(crate) fn files() -> Bench {
+    let drive = |busy| {
+        let (drive, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
+        let drive = drive.with_files();
+        let files = drive.files().unwrap();
+        let log = (0..=255).cycle().take(3 * 256).collect();
+        files.lock().files.insert(b"log".to_vec(), log);
+        files.lock().busy = busy;
+        drive
+    };
+    Bench {
+        segment: Segment::line([Coupler::slave(), drive(2), drive(0)]),
+        loops: Vec::new(),
+    }
+}
+
 /// Slaves that answer as real devices do, with their delays multiplied by `times`.
 pub(crate) fn profiles(devices: &[Profile], times: u64) -> Bench {
     let (segment, _) = Profile::line(devices, times).unwrap();

@@ -13,14 +13,15 @@ use takt_ethercat::master::{JobError, JobKind};
 use takt_ethercat::sii::Identity;
 
 use super::session::{Session, Wire};
-use super::{REQUEST_CYCLE, Target, state};
+use super::{REQUEST_CYCLE, Target, scan, state};
 use crate::output::{complain, say, span};
 use crate::signal::Stop;
 use crate::{Verdict, confirm};
 
 /// Read files of a slave and update its firmware (FoE).
 ///
-/// All other slaves are brought to PRE-OP. Exit status: 0 done; 1 the slave refuses, with its reason; 2 it could not be tried.
+/// All other slaves are brought to PRE-OP. Ctrl-C ends a read; an update it ends only if pressed twice. An update that fails says
+/// in which state the slave is left. Exit status: 0 done; 1 the slave refuses, with its reason; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat foe enp2s0 3 read log.txt --to log.txt
@@ -91,12 +92,13 @@ impl Foe {
             );
             confirm::change(&what, *yes)?;
         }
-        // Ctrl-C does not interrupt an update.
-        let _stop = Stop::listen()?;
+        let stop = Stop::listen()?;
         let (bar, timeout) = (bar(work.content.len()), self.target.timeout);
-        let times = (self.answer, timeout);
+        let (times, writes) = ((self.answer, timeout), work.writes());
+        let mut interrupts = Interrupts::new(writes);
         let done = transfer(&mut session, slave, work, times, |bytes| {
             bar.set_position(u64::try_from(bytes).unwrap_or(u64::MAX));
+            interrupts.goes_on(stop.requests(), |line| bar.suspend(|| complain(line)))
         })?;
         bar.finish_and_clear();
         let content = match done {
@@ -130,6 +132,10 @@ pub(super) struct Work {
 }
 
 impl Work {
+    const fn writes(&self) -> bool {
+        matches!(self.kind, JobKind::WriteFile { .. })
+    }
+
     fn of(action: &Action) -> anyhow::Result<Self> {
         let named = |name: &str| {
             FileName::new(name).with_context(|| {
@@ -186,13 +192,62 @@ fn bar(len: usize) -> ProgressBar {
     bar
 }
 
-/// Transfers a file; the inner error is the reason of the slave.
+/// How many requests to stop end a transfer: a slave whose update is interrupted has no firmware, so that the first one is
+/// answered by a warning.
+#[derive(Debug)]
+struct Interrupts {
+    enough: u32,
+    warned: bool,
+}
+
+impl Interrupts {
+    const fn new(writes: bool) -> Self {
+        Self {
+            enough: if writes { 2 } else { 1 },
+            warned: false,
+        }
+    }
+
+    /// Whether the transfer continues after this number of requests.
+    fn goes_on(&mut self, requests: u32, mut warn: impl FnMut(&str)) -> bool {
+        if requests > 0 && requests < self.enough && !self.warned {
+            self.warned = true;
+            warn(
+                "takt: the update continues: interrupted, it leaves the slave without a whole firmware\n\
+             hint: Ctrl-C again ends it nevertheless",
+            );
+        }
+        requests < self.enough
+    }
+}
+
+/// What a transfer that failed leaves behind, after this number of bytes.
+fn left<W: Wire>(session: &Session<W>, slave: usize, writes: bool, done: usize) -> String {
+    let state = session.master().slave(slave).map(scan::state);
+    let state = state.unwrap_or_default();
+    if !writes {
+        return format!("it is left in {state}");
+    }
+    if done == 0 {
+        return format!(
+            "no byte of the file was accepted, and it is left in {state}\n\
+             hint: `takt ecat scan` brings it back to PRE-OP if its firmware is whole"
+        );
+    }
+    format!(
+        "its firmware is incomplete, and it is left in {state}\n\
+             hint: write the file again; until then do not switch it off, and start no controller, which leaves BOOT"
+    )
+}
+
+/// Transfers a file while `goes_on` returns true for the number of bytes transferred; the inner error is the reason of the
+/// slave and what is left.
 pub(super) fn transfer<W: Wire>(
     session: &mut Session<W>,
     slave: usize,
     work: Work,
     (answer, timeout): (Duration, Duration),
-    progress: impl FnMut(usize),
+    mut goes_on: impl FnMut(usize) -> bool,
 ) -> anyhow::Result<Result<Vec<u8>, String>> {
     let timeouts = Timeouts {
         mailbox: answer,
@@ -206,10 +261,24 @@ pub(super) fn transfer<W: Wire>(
     if let Some(fault) = fault {
         return Ok(Err(fault.to_string()));
     }
-    let (result, data) = session.transfer(slave, work.kind, work.content, progress)?;
+    let (writes, len, mut done) = (work.writes(), work.content.len(), 0);
+    let ended = session.transfer(slave, work.kind, work.content, |bytes| {
+        done = done.max(bytes);
+        goes_on(bytes)
+    })?;
+    let Some((result, data)) = ended else {
+        let all = if writes {
+            format!(" of {len}")
+        } else {
+            String::new()
+        };
+        let left = left(session, slave, writes, done);
+        return Ok(Err(format!("interrupted after {done}{all} bytes; {left}")));
+    };
     Ok(match result {
         Ok(()) => Ok(data),
         Err(error) => {
+            let left = left(session, slave, writes, done);
             let said = String::from_utf8_lossy(&data);
             let said = said.trim_matches(|c: char| c == '\0' || c.is_whitespace());
             let is_text = matches!(error, JobError::File(_)) && !said.is_empty();
@@ -218,7 +287,7 @@ pub(super) fn transfer<W: Wire>(
             } else {
                 String::new()
             };
-            Err(format!("{error}{said}"))
+            Err(format!("{error}{said}; {left}"))
         }
     })
 }
@@ -294,15 +363,18 @@ mod tests {
         files.lock().busy = 2;
         let firmware: Vec<u8> = (0..10_000_u32).flat_map(u32::to_le_bytes).collect();
         let refused = work(AlState::PreOp, true, firmware.clone());
-        let refused = transfer(&mut session, 1, refused, TIMES, |_| ()).unwrap();
+        let refused = transfer(&mut session, 1, refused, TIMES, |_| true).unwrap();
         let text = refused.unwrap_err();
-        assert_eq!(
-            text,
-            "the slave refuses the file: in BOOT only (FoE 8008h): \"emulated\""
-        );
+        let start = "the slave refuses the file: in BOOT only (FoE 8008h): \"emulated\"; no byte of the file was accepted, \
+                     and it is left in PRE-OP\nhint: ";
+        assert!(text.starts_with(start), "{text}");
         let mut seen = Vec::new();
         let write = work(AlState::Boot, true, firmware.clone());
-        let written = transfer(&mut session, 1, write, TIMES, |done| seen.push(done)).unwrap();
+        let written = transfer(&mut session, 1, write, TIMES, |done| {
+            seen.push(done);
+            true
+        });
+        let written = written.unwrap();
         assert_eq!(written.as_ref(), Ok(&firmware));
         assert!(seen.len() > 100 && seen.is_sorted(), "{seen:?}");
         assert_eq!(files.lock().files[&b"fw"[..]], firmware);
@@ -311,7 +383,46 @@ mod tests {
         let state = session.master().slave(1).unwrap().al().0.state;
         assert_eq!(state, AlState::PreOp);
         let read = work(AlState::PreOp, false, Vec::with_capacity(1 << 20));
-        let read = transfer(&mut session, 1, read, TIMES, |_| ()).unwrap();
+        let read = transfer(&mut session, 1, read, TIMES, |_| true).unwrap();
         assert_eq!(read, Ok(firmware));
+    }
+
+    #[test]
+    fn foe_update_interrupted_names_state_left() {
+        let drive = ServoDrive::slave(ServoConfig::default()).unwrap().0;
+        let segment = Segment::line([Coupler::slave(), drive.with_files()]);
+        let mut session = up(segment, AlState::PreOp);
+        let firmware = vec![7; 40_000];
+        // As on the command line: two requests to stop, one early and one late.
+        let (mut interrupts, mut warnings) = (Interrupts::new(true), Vec::new());
+        let write = work(AlState::Boot, true, firmware.clone());
+        let ended = transfer(&mut session, 1, write, TIMES, |done| {
+            let requests = u32::from(done > 1000) + u32::from(done > 20_000);
+            interrupts.goes_on(requests, |line| warnings.push(line.to_owned()))
+        });
+        let text = ended.unwrap().unwrap_err();
+        assert!(text.starts_with("interrupted after 2"), "{text}");
+        let left = "of 40000 bytes; its firmware is incomplete, and it is left in BOOT\nhint: ";
+        assert!(text.contains(left), "{text}");
+        assert!(
+            matches!(&warnings[..], [one] if one.contains("Ctrl-C again")),
+            "{warnings:?}"
+        );
+        let shown = session.wire().segment.slave(1).unwrap().state();
+        assert_eq!(shown, AlState::Boot);
+        // As said: it does not start, and takes the file again.
+        assert_eq!(started(&mut session, 1, TIMES.1).unwrap(), Verdict::Failed);
+        let again = work(AlState::Boot, true, firmware.clone());
+        let again = transfer(&mut session, 1, again, TIMES, |_| true).unwrap();
+        assert_eq!(again, Ok(firmware));
+        assert_eq!(started(&mut session, 1, TIMES.1).unwrap(), Verdict::Good);
+        // A read ends at the first request, and leaves nothing behind.
+        let mut interrupts = Interrupts::new(false);
+        let read = work(AlState::PreOp, false, Vec::with_capacity(1 << 20));
+        let ended = transfer(&mut session, 1, read, TIMES, |done| {
+            interrupts.goes_on(u32::from(done > 1000), |_| panic!("no warning"))
+        });
+        let text = ended.unwrap().unwrap_err();
+        assert!(text.ends_with("bytes; it is left in PRE-OP"), "{text}");
     }
 }

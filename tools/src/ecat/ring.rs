@@ -27,7 +27,8 @@ pub(super) fn other_end<W: Wire>(session: &mut Session<W>) -> Option<OtherEnd> {
     if !session.master().is_empty() {
         return None;
     }
-    let open = |name: String| Some((PacketLink::open(&name).ok()?, name));
+    // What another program drives, such as an emulated segment, is no free end.
+    let open = |name: String| Some((PacketLink::open_locked(&name).ok()?, name));
     let others = interfaces(session.interface());
     let mut others: Vec<(PacketLink, String)> = others.filter_map(open).collect();
     for _ in 0..FRAMES {
@@ -81,5 +82,13 @@ pub(super) fn one_end_of(interface: &str, other: &OtherEnd) -> anyhow::Error {
     anyhow::anyhow!(
         "{interface}: frames leave the segment at {other}: it is a ring between both interfaces\nhint: name both ends: \
          `{first} --second {last}`"
+    )
+}
+
+/// The error of a command that was given both ends in the wrong order.
+pub(super) fn reversed(interface: &str, second: &str) -> anyhow::Error {
+    anyhow::anyhow!(
+        "{interface}: the first slave is at {second}, the other end of the ring\nhint: name it first: `{second} --second \
+         {interface}`"
     )
 }

@@ -71,6 +71,9 @@ fn nudged(next: Duration, error_ns: i64, cycle: Duration) -> Duration {
     }
 }
 
+/// The answer to a job, and its data.
+type Answered = (Result<(), JobError>, Vec<u8>);
+
 /// A segment that a tool is master of.
 #[derive(Debug)]
 pub(super) struct Session<W> {
@@ -90,6 +93,8 @@ pub(super) struct Session<W> {
     follows: bool,
     /// The newest sample of the reference clock, until it is read.
     clock: Option<Sample>,
+    /// The first end received frames of the second.
+    closed: bool,
 }
 
 impl<W: Wire> Session<W> {
@@ -114,6 +119,7 @@ impl<W: Wire> Session<W> {
             round_trips: Vec::new(),
             follows: false,
             clock: None,
+            closed: false,
         })
     }
 
@@ -260,15 +266,21 @@ impl<W: Wire> Session<W> {
         } else {
             left
         };
+        let second = self.second.as_ref().map(Port::source);
         let ends = std::iter::once(&mut self.port).chain(&mut self.second);
         let (mut alive, mut failed) = (false, None);
         for (number, port) in ends.enumerate() {
             match port.receive(wait) {
-                Ok(Some((bytes, at))) if self.master.handle_frame(number, bytes, at) => {
-                    self.round_trips.push(at.saturating_sub(self.sent_at));
-                    return Ok(true);
+                Ok(Some((bytes, at))) => {
+                    let whole = self.master.handle_frame(number, bytes, at);
+                    self.closed |= number == 0 && second.is_some_and(|mac| port.received_from(mac));
+                    if whole {
+                        self.round_trips.push(at.saturating_sub(self.sent_at));
+                        return Ok(true);
+                    }
+                    alive = true;
                 }
-                Ok(_) => alive = true,
+                Ok(None) => alive = true,
                 Err(error) => failed = Some(error),
             }
         }
@@ -306,6 +318,13 @@ impl<W: Wire> Session<W> {
                 return Ok(());
             }
         }
+    }
+
+    /// Whether the second end of a closed ring was named first: frames then pass the slaves on their way from there, which
+    /// alone looks like a ring that is open behind its last slave.
+    pub(super) fn is_reversed(&self) -> bool {
+        let gap = self.master.ring_gap();
+        self.closed && gap.is_some_and(|cable| cable.to.is_none())
     }
 
     /// Whether each slave is in its state or has a fault.
@@ -355,18 +374,20 @@ impl<W: Wire> Session<W> {
         kind: JobKind,
         data: Vec<u8>,
     ) -> anyhow::Result<Result<Vec<u8>, JobError>> {
-        let (result, data) = self.transfer(slave, kind, data, |_| ())?;
+        let ended = self.transfer(slave, kind, data, |_| true)?;
+        let (result, data) = ended.unwrap_or((Err(JobError::Absent), Vec::new()));
         Ok(result.map(|()| data))
     }
 
-    /// The same, with the data of an error, and the number of bytes transferred as it changes.
+    /// The same, with the data of an error. After each cycle `goes_on` gets the number of bytes transferred; if it returns
+    /// false, the session ends within the job, and so does this with `None`.
     pub(super) fn transfer(
         &mut self,
         slave: usize,
         kind: JobKind,
         data: Vec<u8>,
-        mut progress: impl FnMut(usize),
-    ) -> anyhow::Result<(Result<(), JobError>, Vec<u8>)> {
+        mut goes_on: impl FnMut(usize) -> bool,
+    ) -> anyhow::Result<Option<Answered>> {
         let job = Job {
             slave,
             kind,
@@ -374,7 +395,7 @@ impl<W: Wire> Session<W> {
             token: 0,
         };
         if let Err(refused) = self.master.submit(job) {
-            return Ok((refused.result, refused.job.data));
+            return Ok(Some((refused.result, refused.job.data)));
         }
         let (mut begin, mut before) = (self.port.link().now()?, 0);
         loop {
@@ -383,18 +404,20 @@ impl<W: Wire> Session<W> {
             if let Some(reply) = self.master.poll_reply()
                 && reply.job.token == 0
             {
-                return Ok((reply.result, reply.job.data));
+                return Ok(Some((reply.result, reply.job.data)));
             }
             let now = self.port.link().now()?;
             let slave = self.master.slave(slave);
             let done = slave.and_then(|slave| slave.transferred()).unwrap_or(0);
             if done != before {
                 (begin, before) = (now, done);
-                progress(done);
+            }
+            if !goes_on(done) {
+                return Ok(None);
             }
             let passed = now.saturating_sub(begin);
             if passed >= JOB {
-                return Ok((Err(JobError::Timeout(passed)), Vec::new()));
+                return Ok(Some((Err(JobError::Timeout(passed)), Vec::new())));
             }
         }
     }

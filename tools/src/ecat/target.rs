@@ -117,7 +117,12 @@ impl Target {
         crate::link::ready(ends, Medium::Ethernet)?;
         session.listen()?;
         match session.bring_up(self.timeout) {
-            Ok(()) => Ok(session),
+            Ok(()) => {
+                if let Some(second) = self.second.as_ref().filter(|_| session.is_reversed()) {
+                    return Err(ring::reversed(&self.interface, second));
+                }
+                Ok(session)
+            }
             // A segment that ends at another interface of this host is a ring.
             Err(error) => match self.second.is_none().then(|| ring::other_end(&mut session)) {
                 Some(Some(other)) => Err(ring::one_end_of(&self.interface, &other)),

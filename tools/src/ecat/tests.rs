@@ -474,6 +474,26 @@ fn dump_prints_each_datagram() {
 }
 
 #[test]
+fn dump_prints_ethernet_frames_between_sdo_answers() {
+    let mut drive = ServoDrive::slave(ServoConfig::default()).unwrap().0;
+    drive.set_ethernet(Some(3_000_000));
+    let mut session = up(Segment::line([Coupler::slave(), drive]), AlState::PreOp);
+    for _ in 0..5 {
+        perform(&mut session, &upload("1018:01", false)).unwrap();
+    }
+    let (lines, verdict) = decoded(&recorded(&mut session), dump::Filter::default());
+    assert_eq!(verdict, Verdict::Good);
+    let ethernet = |line: &&String| {
+        line.contains(" < FPRD")
+            && line.contains("EoE #")
+            && line.ends_with("Ethernet frame 0, fragment 0, last, 60 bytes")
+    };
+    assert!(lines.iter().filter(ethernet).count() > 1, "{lines:#?}");
+    let answered = |line: &&String| line.contains("SDO 1018h:01, 4 bytes: 87 7A 00 00");
+    assert_eq!(lines.iter().filter(answered).count(), 5);
+}
+
+#[test]
 fn dump_of_damaged_recording_does_not_panic() {
     let mut session = up(tree(), AlState::PreOp);
     let bytes = recorded(&mut session);

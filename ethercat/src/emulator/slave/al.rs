@@ -183,7 +183,7 @@ impl Slave {
             return Err(AlStatusCode(0x0011));
         }
         match wanted {
-            AlState::PreOp => self.check_mailboxes(),
+            AlState::PreOp => self.check_firmware().and_then(|()| self.check_mailboxes()),
             AlState::SafeOp => self.check_process_data(),
             AlState::Op => self.check_running(),
             AlState::Init | AlState::Boot | AlState::Other(_) => Ok(()),
@@ -225,6 +225,15 @@ impl Slave {
             if (set.start, set.len) != own || set.activate & 0x01 == 0 {
                 return Err(AlStatusCode(0x0015));
             }
+        }
+        Ok(())
+    }
+
+    /// An update that did not end leaves nothing to start.
+    fn check_firmware(&self) -> Result<(), AlStatusCode> {
+        let server = self.files.as_ref();
+        if server.is_some_and(|server| server.files.lock().incomplete) {
+            return Err(AlStatusCode(0x0014));
         }
         Ok(())
     }

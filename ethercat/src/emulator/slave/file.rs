@@ -17,6 +17,8 @@ pub struct FileStore {
     pub busy: u16,
     /// Longest file, bytes.
     pub capacity: usize,
+    /// The last write has not ended: without a whole firmware, PRE-OP is refused.
+    pub incomplete: bool,
 }
 
 impl Default for FileStore {
@@ -27,6 +29,7 @@ impl Default for FileStore {
             password: 0,
             busy: 0,
             capacity: 1 << 20,
+            incomplete: false,
         }
     }
 }
@@ -122,9 +125,13 @@ impl FileServer {
         if state != AlState::Boot {
             return Err(FoeError::BOOT_ONLY);
         }
-        if password != self.files.lock().password {
+        let mut store = self.files.lock();
+        if password != store.password {
             return Err(FoeError::DENIED);
         }
+        // The memory is erased now.
+        store.incomplete = true;
+        drop(store);
         self.transfer = Some(Transfer::Write {
             name: name.to_vec(),
             data: Vec::new(),
@@ -163,6 +170,7 @@ impl FileServer {
             store
                 .files
                 .insert(std::mem::take(name), std::mem::take(data));
+            store.incomplete = false;
             self.transfer = None;
         }
         Ok(Some(encoded(&Foe::Acknowledge { packet: number })))

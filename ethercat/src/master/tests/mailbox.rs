@@ -402,3 +402,47 @@ fn start_up_without_mailbox_repeat_survives_any_lost_frame() {
         rig.until(2000, Master::is_operational);
     }
 }
+
+#[test]
+fn sdo_transfers_survive_one_frame_lost_in_seven() {
+    let address = Address::new(0x1008, 0);
+    let whole = Whole::Entry;
+    let kinds = [
+        (JobKind::Upload { address, whole }, Vec::with_capacity(64)),
+        (
+            JobKind::Download {
+                address: Address::new(0x6065, 0),
+                whole,
+            },
+            vec![1, 2, 3, 0],
+        ),
+        (JobKind::List(1), Vec::with_capacity(1000)),
+        (JobKind::DescribeEntry(address), Vec::with_capacity(100)),
+    ];
+    for lost in [1, 2] {
+        for goal in [AlState::PreOp, AlState::Op] {
+            let config = MasterConfig {
+                goal,
+                ..MasterConfig::default()
+            };
+            let drive = ServoDrive::slave(ServoConfig::default()).unwrap().0;
+            let mut rig = Rig::new(config, Segment::line([drive]));
+            rig.until(5000, Master::is_operational);
+            for (kind, data) in kinds.iter().cycle().take(40) {
+                let mut buffer = Vec::with_capacity(data.capacity());
+                buffer.extend_from_slice(data);
+                let job = Job {
+                    slave: 0,
+                    kind: *kind,
+                    data: buffer,
+                    token: 7,
+                };
+                let reply = rig.lossy(job, 7, lost, |_| ());
+                assert_eq!(reply.result, Ok(()), "{kind:?} {lost} {goal}");
+                assert!(!reply.job.data.is_empty());
+            }
+            let faults = |it: &Event| matches!(it, Event::Fault { .. });
+            assert!(!rig.events.iter().any(faults), "{:?}", rig.events);
+        }
+    }
+}

@@ -472,3 +472,48 @@ fn index(rest: &[u8]) -> String {
     let two = rest.first_chunk().map(|two| u16::from_le_bytes(*two));
     two.map_or_else(String::new, |index| format!(" {index:04X}h"))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A message of the mailbox protocol EoE, decoded.
+    fn decoded(message: &[u8], known: bool) -> Option<String> {
+        let header = MailboxHeader {
+            len: u16::try_from(message.len()).unwrap(),
+            address: 0,
+            kind: MailboxKind::Eoe,
+            counter: 3,
+        };
+        let mut bytes = header.encode().to_vec();
+        bytes.extend_from_slice(message);
+        // What follows in the mailbox is of an earlier message.
+        bytes.extend_from_slice(&[0xAA; 20]);
+        mailbox(&bytes, known)
+    }
+
+    #[test]
+    fn eoe_messages_of_each_type_are_decoded() {
+        let fragment = [&[0x00, 0x00, 0x42, 0x70][..], &[0x55; 40]].concat();
+        let last = [&[0x00, 0x01, 0x05, 0x70][..], &[0x55; 28]].concat();
+        let messages: [(&[u8], &str); 10] = [
+            (&fragment, "Ethernet frame 7, fragment 2, 40 bytes"),
+            (&last, "Ethernet frame 7, fragment 5, last, 28 bytes"),
+            (&[2, 0, 0, 0, 1, 2], "set address 01 02"),
+            (&[3, 0, 0x00, 0x00], "address set, result 0000h"),
+            (&[3, 0, 0x02, 0x01], "address set, result 0102h"),
+            (&[4, 0, 0, 0], "set filter"),
+            (&[5, 0, 1, 0], "filter set, result 0001h"),
+            (&[6, 0, 0, 0], "read address"),
+            (&[7, 0, 0, 0, 9], "address 09"),
+            (&[0x1B, 0, 0, 0, 9], "type 11 09"),
+        ];
+        for (message, text) in messages {
+            let line = decoded(message, true);
+            assert_eq!(line.as_deref(), Some(&*format!("EoE #3 {text}")));
+        }
+        assert_eq!(decoded(&[0, 1, 0], true), None, "truncated");
+        // Without the SyncManagers on record, other memory may begin with such bytes.
+        assert_eq!(decoded(&last, false), None);
+    }
+}

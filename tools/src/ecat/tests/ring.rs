@@ -70,6 +70,11 @@ fn ring(cut: Option<usize>, goal: AlState) -> (Session<RingPort>, RingPort) {
 }
 
 fn unstarted(cut: Option<usize>, goal: AlState) -> (Session<RingPort>, RingPort) {
+    unstarted_at(Entry::First, cut, goal)
+}
+
+/// With this end named first.
+fn unstarted_at(first: Entry, cut: Option<usize>, goal: AlState) -> (Session<RingPort>, RingPort) {
     let terminals = (0..3).map(|_| Io::digital(8, 8).0);
     let mut segment = Segment::line(terminals.collect::<Vec<_>>());
     segment.set_redundant(true);
@@ -82,7 +87,7 @@ fn unstarted(cut: Option<usize>, goal: AlState) -> (Session<RingPort>, RingPort)
             now: Duration::from_secs(1),
             returned: Default::default(),
         })),
-        Entry::First,
+        first,
     );
     let config = MasterConfig {
         goal,
@@ -90,7 +95,11 @@ fn unstarted(cut: Option<usize>, goal: AlState) -> (Session<RingPort>, RingPort)
         redundant: true,
         ..MasterConfig::default()
     };
-    let other = RingPort(end.0.clone(), Entry::Last);
+    let last = match first {
+        Entry::First => Entry::Last,
+        Entry::Last => Entry::First,
+    };
+    let other = RingPort(end.0.clone(), last);
     let session = Session::new("near", end.clone(), [2, 0, 0, 0, 0, 1], config).unwrap();
     let mut session = session.with_second(other, [2, 0, 0, 0, 0, 2]);
     session.listen().unwrap();
@@ -106,6 +115,26 @@ fn ring_is_scanned_from_both_ends() {
     assert!(text.contains("near: 3 slaves"), "{text}");
     assert!(text.ends_with("the ring is whole\n"), "{text}");
     assert_eq!(scan::verdict(session.master()), Verdict::Good);
+}
+
+#[test]
+fn ring_with_ends_reversed_is_not_an_open_one() {
+    let timeout = Duration::from_secs(10);
+    for (first, cut, reversed) in [
+        (Entry::First, None, false),
+        (Entry::Last, None, true),
+        // Nothing comes through the ring: the cable is cut indeed.
+        (Entry::First, Some(0), false),
+        (Entry::Last, Some(0), false),
+    ] {
+        let (mut session, _) = unstarted_at(first, cut, AlState::PreOp);
+        session.bring_up(timeout).unwrap();
+        assert_eq!(session.is_reversed(), reversed, "{first:?} {cut:?}");
+        let is_open = session.master().ring_gap().is_some();
+        assert_eq!(is_open, cut.is_some() || reversed, "{first:?} {cut:?}");
+    }
+    let text = crate::ecat::ring::reversed("back", "near").to_string();
+    assert!(text.ends_with("`near --second back`"), "{text}");
 }
 
 #[test]
