@@ -1,5 +1,10 @@
 //! Programs of the Robotics API against a controller with two simulated arms, over the real line protocol.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "tests and their helpers fail by panicking"
+)]
+
 use std::collections::BTreeMap;
 use std::future::{Future, IntoFuture as _};
 use std::net::SocketAddr;

@@ -7,17 +7,18 @@ use takt_cia402::dictionary::DataType;
 pub(crate) fn json(data_type: Option<DataType>, bytes: &[u8], shown: String) -> Value {
     let number = |data_type: DataType| -> Option<Value> {
         let real = |number: f64| serde_json::Number::from_f64(number).map(Value::Number);
-        match data_type {
-            DataType::Real32 => real(f32::from_le_bytes(bytes.try_into().ok()?).into()),
-            DataType::Real64 => real(f64::from_le_bytes(bytes.try_into().ok()?)),
-            other => {
-                let number = other.integer(bytes)?;
-                let small = i64::try_from(number).map(Value::from);
-                small
-                    .or_else(|_| u64::try_from(number).map(Value::from))
-                    .ok()
-            }
+        if data_type == DataType::Real32 {
+            return real(f32::from_le_bytes(bytes.try_into().ok()?).into());
         }
+        if data_type == DataType::Real64 {
+            return real(f64::from_le_bytes(bytes.try_into().ok()?));
+        }
+        let is_whole = data_type.size() == Some(bytes.len());
+        let number = data_type.integer(bytes).filter(|_| is_whole)?;
+        let small = i64::try_from(number).map(Value::from);
+        small
+            .or_else(|_| u64::try_from(number).map(Value::from))
+            .ok()
     };
     data_type.and_then(number).unwrap_or(Value::String(shown))
 }

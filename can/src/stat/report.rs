@@ -57,7 +57,7 @@ pub struct Report {
     pub sent: u64,
     /// Statistics by identifier.
     pub ids: BTreeMap<Id, IdStat>,
-    /// Frames of identifiers beyond [`IDS_MAX`].
+    /// Frames of identifiers beyond [`IDS_MAX`](super::IDS_MAX).
     pub other_ids: u64,
     /// Time on the wire with actual stuff bits.
     pub busy: Duration,

@@ -1,15 +1,15 @@
 //! Robot arms: what a program reads of them, and the motions that it requests.
 
 use std::sync::Arc;
-use std::time::Duration;
 
-use crate::cell::Session;
 use crate::engine::When;
 use crate::error::Error;
 use crate::expression::{Condition, Number};
-use crate::handle::{Handle, Outcome, together};
+use crate::handle::{Handle, together};
 use crate::motion::{ArmDescription, CartesianLimits, Motion, Order};
+use crate::outcome::Outcome;
 use crate::pose::Pose;
+use crate::session::Session;
 
 /// An arm of a cell. Clones are the same arm with speeds and limits of their own.
 #[derive(Clone, Debug)]
@@ -265,6 +265,3 @@ impl Activity {
         Ok(self.order.net())
     }
 }
-
-/// How long closing a cell waits until its devices are at rest.
-pub(crate) const REST_TIMEOUT: Duration = Duration::from_secs(10);

@@ -19,7 +19,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::error::Error;
-use crate::handle::Outcome;
+use crate::outcome::Outcome;
 
 #[cfg(test)]
 mod tests;
@@ -575,11 +575,11 @@ impl Engine {
                 // It replaces what was there, however that ended.
                 _ if is_now => self.bind(follower),
                 Ok(Outcome::Completed | Outcome::Stopped(_) | Outcome::TakenOver) => {
-                    self.bind(follower)
+                    self.bind(follower);
                 }
                 Ok(Outcome::Cancelled) => self.kill(follower, &Ok(Outcome::Cancelled)),
                 Err(error @ Error::PredecessorFailed(_)) => {
-                    self.kill(follower, &Err(error.clone()))
+                    self.kill(follower, &Err(error.clone()));
                 }
                 Err(error) => {
                     let error = Error::PredecessorFailed(Box::new(error.clone()));
@@ -687,7 +687,7 @@ impl Engine {
         self.tidy();
     }
 
-    /// Unloads nets that no rule refers to any more, and forgets what nobody refers to.
+    /// Unloads nets that no rule refers to any more, and forgets what is referred to no more.
     fn tidy(&mut self) {
         let needed: BTreeSet<_> = self
             .groups

@@ -80,12 +80,18 @@ pub enum Error {
 impl From<takt_client::Error> for Error {
     fn from(error: takt_client::Error) -> Self {
         use takt_client::Error as Client;
-        match error {
-            Client::Refused { text, .. } => Self::Refused(text),
-            Client::Closed { .. } | Client::Connection { .. } | Client::Unread { .. } => {
-                Self::Lost(error.to_string())
-            }
-            other => Self::Connection(other.to_string()),
+        let text = error.to_string();
+        if let Client::Refused { text, .. } = error {
+            return Self::Refused(text);
+        }
+        let is_lost = matches!(
+            error,
+            Client::Closed { .. } | Client::Connection { .. } | Client::Unread { .. }
+        );
+        if is_lost {
+            Self::Lost(text)
+        } else {
+            Self::Connection(text)
         }
     }
 }

@@ -9,11 +9,14 @@ pub mod expression;
 pub mod handle;
 pub mod motion;
 mod net;
+pub mod outcome;
 pub mod pose;
+mod session;
 
 pub use arm::{Activity, Arm};
 pub use cell::Cell;
 pub use error::Error;
 pub use expression::{Condition, Number};
-pub use handle::{Handle, Outcome, together};
+pub use handle::{Handle, together};
+pub use outcome::Outcome;
 pub use pose::{Pose, deg};

@@ -95,7 +95,7 @@ fn driver_table_has_each_section_once() {
 }
 
 /// Sections of docs/cell.md, with a cell in which the program meets an unknown key there.
-const SECTIONS: [(&str, &str); 22] = [
+const SECTIONS: [(&str, &str); 23] = [
     ("[controller]", "[controller]\nzz = 1"),
     ("[[controller.thread]]", "[[controller.thread]]\nzz = 1"),
     (

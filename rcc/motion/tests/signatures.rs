@@ -19,7 +19,7 @@ const ELSEWHERE: &[&str] = &[
 ];
 
 /// Primitive families of Takt alone.
-const OWN: &[&str] = &["Motion::", "Takeover"];
+const OWN: &[&str] = &["Motion::", "Takeover", "ArmKinematics::VelKin"];
 
 /// Out ports that Takt adds to known primitives.
 const ADDED: &[(&str, &str)] = &[

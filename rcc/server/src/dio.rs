@@ -1,6 +1,7 @@
 //! The protocol of one client, without sockets and without a clock: lines in, lines out. It knows no other clients;
 //! they share the controller only.
 
+mod args;
 mod commands;
 mod details;
 mod devices;

@@ -246,7 +246,7 @@ fn sdo_objects_are_listed_read_and_written() {
     let object: serde_json::Value = serde_json::from_str(&object).unwrap();
     assert_eq!(
         (&object["type"], &object["value"]),
-        (&"UNSIGNED16".into(), &"18 (0012h)".into())
+        (&"UNSIGNED16".into(), &18.into())
     );
 }
 

@@ -64,7 +64,7 @@ fn rule(actions: &[Action]) -> (&str, Vec<&str>, Vec<&str>) {
                 start,
                 ..
             } => Some((condition.as_str(), texts(stop), texts(start))),
-            _ => None,
+            Action::Load { .. } | Action::Cancel(_) | Action::Unload(_) => None,
         })
         .collect();
     let [rule] = rules.as_slice() else {

@@ -1,7 +1,6 @@
 //! The commands of the protocol: checks the values, calls the controller, encodes its answer. The effects of a
 //! command are reported by the subscriptions, not here.
 
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 use takt_client::wire::{Message, Value};
@@ -11,13 +10,14 @@ use takt_core::controller::{
 use takt_core::{Error, NetId, OnLoss, SessionId};
 
 use super::Connection;
+use super::args::Args;
 use super::details;
 use super::devices::DeviceWatch;
 use super::error::CommandError;
 use super::figures;
-use super::limits::{DESCRIPTION_BYTES_MAX, SESSIONS_PER_CONNECTION, SUBSCRIPTIONS_MAX};
+use super::limits::{SESSIONS_PER_CONNECTION, SUBSCRIPTIONS_MAX};
 use super::nets::NetWatch;
-use super::pace::{Pace, Pushes};
+use super::pace::Pushes;
 use super::rules::RuleWatch;
 use super::sessions::SessionWatch;
 use crate::access::Admission;
@@ -539,81 +539,4 @@ fn describe(info: &NetInfo, rejected: Vec<RejectedInfo>, last: &str) -> Value {
         ("session", info.session.to_string().into()),
         ("state", state.into()),
     ])
-}
-
-/// The values of a command; excess ones are ignored.
-#[derive(Clone, Copy)]
-struct Args<'a>(&'a [Value]);
-
-impl<'a> Args<'a> {
-    fn get(self, number: usize) -> Result<&'a Value, CommandError> {
-        self.0.get(number).ok_or(CommandError::ParameterMissing)
-    }
-
-    fn optional<T>(
-        self,
-        number: usize,
-        get: impl FnOnce(Self, usize) -> Result<T, CommandError>,
-    ) -> Result<Option<T>, CommandError> {
-        (number < self.0.len())
-            .then(|| get(self, number))
-            .transpose()
-    }
-
-    fn text(self, number: usize) -> Result<&'a str, CommandError> {
-        self.get(number)?
-            .as_str()
-            .ok_or(CommandError::ParameterType)
-    }
-
-    fn description(self, number: usize) -> Result<&'a str, CommandError> {
-        let text = self.text(number)?;
-        if text.len() <= DESCRIPTION_BYTES_MAX {
-            Ok(text)
-        } else {
-            Err(CommandError::DescriptionTooLong { bytes: text.len() })
-        }
-    }
-
-    /// The pace of a subscription, by default the one for the known client.
-    fn pace(self, number: usize) -> Result<Pace, CommandError> {
-        match self.optional(number, Args::text)? {
-            None => Ok(Pace::default()),
-            Some(word) => Pace::of_word(word).ok_or(CommandError::Pace),
-        }
-    }
-
-    fn map(self, number: usize) -> Result<&'a BTreeMap<String, Value>, CommandError> {
-        self.get(number)?
-            .as_map()
-            .ok_or(CommandError::ParameterType)
-    }
-
-    fn list(self, number: usize) -> Result<&'a [Value], CommandError> {
-        self.get(number)?
-            .as_list()
-            .ok_or(CommandError::ParameterType)
-    }
-
-    fn integer(self, number: usize) -> Result<u32, CommandError> {
-        if let Value::Integer(n) = self.get(number)? {
-            Ok(*n)
-        } else {
-            Err(CommandError::ParameterType)
-        }
-    }
-
-    fn float(self, number: usize) -> Result<f64, CommandError> {
-        if let Value::Float(n) = self.get(number)? {
-            Ok(*n)
-        } else {
-            Err(CommandError::ParameterType)
-        }
-    }
-
-    /// A time in seconds; must be a float.
-    fn seconds(self, number: usize) -> Result<Duration, CommandError> {
-        let seconds = self.float(number)?;
-        Ok(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX))
-    }
 }
