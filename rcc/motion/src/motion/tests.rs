@@ -128,25 +128,30 @@ fn assert_bounded(velocities: &[Vector3<f64>], bounds: Bounds, context: &str) ->
     velocities.insert(0, Vector3::zeros());
     velocities.insert(0, Vector3::zeros());
     velocities.extend([Vector3::zeros(); 2]);
-    let accelerations = rates(&velocities);
+    assert_used(&velocities, bounds, [1e-6, 1e-5, 1e-3], context)
+}
+
+/// Asserts that each bound is kept but for its tolerance; returns the largest used part of each.
+fn assert_used(
+    velocities: &[Vector3<f64>],
+    bounds: Bounds,
+    tolerances: [f64; 3],
+    context: &str,
+) -> [f64; 3] {
+    let accelerations = rates(velocities);
     let jerks = rates(&accelerations);
     let used = [
-        largest(&velocities) / bounds.velocity,
+        largest(velocities) / bounds.velocity,
         largest(&accelerations) / bounds.acceleration,
         largest(&jerks) / bounds.jerk,
     ];
-    assert!(
-        used[0] < 1.0 + 1e-6,
-        "{context}: velocity {used:?} of {bounds:?}"
-    );
-    assert!(
-        used[1] < 1.0 + 1e-5,
-        "{context}: acceleration {used:?} of {bounds:?}"
-    );
-    assert!(
-        used[2] < 1.0 + 1e-3,
-        "{context}: jerk {used:?} of {bounds:?}"
-    );
+    let names = ["velocity", "acceleration", "jerk"];
+    for ((part, tolerance), name) in used.iter().zip(tolerances).zip(names) {
+        assert!(
+            *part < 1.0 + tolerance,
+            "{context}: {name} {used:?} of {bounds:?}"
+        );
+    }
     used
 }
 

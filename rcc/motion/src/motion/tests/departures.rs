@@ -14,27 +14,7 @@ fn history(state: State) -> [f64; 3] {
 
 /// Asserts that positions are within bounds; returns the largest used part of each bound.
 fn assert_kept(positions: &[Vector3<f64>], bounds: Bounds, context: &str) -> [f64; 3] {
-    let velocities = rates(positions);
-    let accelerations = rates(&velocities);
-    let jerks = rates(&accelerations);
-    let used = [
-        largest(&velocities) / bounds.velocity,
-        largest(&accelerations) / bounds.acceleration,
-        largest(&jerks) / bounds.jerk,
-    ];
-    assert!(
-        used[0] < 1.0 + 1e-3,
-        "velocity {used:?} of {bounds:?} {context}"
-    );
-    assert!(
-        used[1] < 1.0 + 1e-3,
-        "acceleration {used:?} of {bounds:?} {context}"
-    );
-    assert!(
-        used[2] < 1.0 + 5e-3,
-        "jerk {used:?} of {bounds:?} {context}"
-    );
-    used
+    assert_used(&rates(positions), bounds, [1e-3, 1e-3, 5e-3], context)
 }
 
 /// A state from which the limits can be kept.
