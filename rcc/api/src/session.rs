@@ -15,6 +15,9 @@ use crate::motion::Order;
 /// Least time between two reports of one value of a net. Results are reported with the end of the net in any case.
 const REFRESH: f64 = 0.05;
 
+/// Most pushes that wait for the reply to their subscription: a few of each one in progress.
+const EARLY_MAX: usize = 4096;
+
 /// How often the receiver checks whether the program still uses the connection.
 const RECEIVE_SLICE: Duration = Duration::from_millis(200);
 
@@ -328,6 +331,10 @@ impl Session {
 
     fn handle_in(&self, subjects: &mut Subjects, push: Message) {
         let Some(subject) = subjects.known.get(&push.tag).cloned() else {
+            if subjects.early.len() == EARLY_MAX {
+                let text = "notifications of no subscription".to_owned();
+                return self.engine().lose(&Error::Lost(text));
+            }
             subjects.early.push(push);
             return;
         };

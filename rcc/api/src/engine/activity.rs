@@ -1,0 +1,186 @@
+//! Activities and groups: what a program begins, what each of them does, and how it ended.
+
+use std::collections::BTreeSet;
+
+use crate::error::Error;
+use crate::outcome::Outcome;
+
+/// Results that make a motion fail, with the cause that they stand for.
+const FAILURES: &[(&str, &str)] = &[
+    ("failed", "a joint does not follow its commands"),
+    ("illegal", "a joint would leave its range"),
+];
+
+/// Number of an activity, unique for its engine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ActivityId(pub(super) u64);
+
+/// Number of a group of activities that begin together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct GroupId(pub(super) u64);
+
+/// An activity to be begun.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Start {
+    /// The device that it commands.
+    pub device: String,
+    /// Text of its net.
+    pub net: String,
+    /// Keys of the results after which a successor may begin.
+    pub results: Vec<String>,
+}
+
+/// When a group begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum When {
+    /// After what its devices do, or where that permits blending.
+    Follow,
+    /// In the next cycle, in place of what its devices do.
+    Now,
+}
+
+/// What is to be requested from the controller.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Load the net and subscribe to it; report by [`Engine::loaded`].
+    Load {
+        /// Its activity.
+        activity: ActivityId,
+        /// Text of the net.
+        net: String,
+    },
+    /// Install a rule and subscribe to it; report by [`Engine::scheduled`].
+    Schedule {
+        /// Its group.
+        group: GroupId,
+        /// When it fires.
+        condition: String,
+        /// Nets that it stops.
+        stop: Vec<String>,
+        /// Nets that it starts.
+        start: Vec<String>,
+    },
+    /// Request that a net end.
+    Cancel(String),
+    /// Remove a net that does not run.
+    Unload(String),
+}
+
+/// What an activity does.
+#[derive(Clone, Debug, PartialEq)]
+pub enum State {
+    /// Its net is being loaded.
+    Loading,
+    /// Its net is loaded; predecessors or other activities of its group are not yet.
+    Loaded,
+    /// It waits for its predecessors.
+    Waiting,
+    /// Its net runs.
+    Running,
+    /// It has ended.
+    Ended(Result<Outcome, Error>),
+}
+
+#[derive(Debug)]
+pub(super) struct Activity {
+    pub(super) device: String,
+    pub(super) group: GroupId,
+    pub(super) results: Vec<String>,
+    pub(super) net: Option<String>,
+    pub(super) state: State,
+    /// Keys of the results that are true.
+    pub(super) values: BTreeSet<String>,
+    /// Part of the path, 0 to 1.
+    pub(super) progress: f64,
+    /// Whether a program still refers to it.
+    pub(super) is_held: bool,
+    /// How it ends if its net is unloaded before it runs: its end was requested after its rule.
+    pub(super) pending: Option<Result<Outcome, Error>>,
+    /// Whether the unloading of its net was requested.
+    pub(super) is_unloading: bool,
+}
+
+#[derive(Debug)]
+pub(super) struct Group {
+    pub(super) members: Vec<ActivityId>,
+    pub(super) predecessors: Vec<ActivityId>,
+    /// Activities of its devices whose end was requested and is not confirmed.
+    pub(super) ending: Vec<ActivityId>,
+    pub(super) when: When,
+    pub(super) life: GroupLife,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum GroupLife {
+    /// Nets are being loaded.
+    Loading,
+    /// The rule is requested or installed.
+    Scheduled,
+    /// The rule fired.
+    Fired,
+    /// It will not begin any more.
+    Dead,
+}
+
+impl Activity {
+    /// How it ended, by the results of its net. `is_followed`: another activity takes its place.
+    pub(super) fn outcome(&self, reason: &str, is_followed: bool) -> Result<Outcome, Error> {
+        let device = || self.device.clone();
+        let is = |key: &str| self.values.contains(key);
+        if is("unreachable") {
+            let progress = self.progress * 100.0;
+            return Err(Error::Unreachable {
+                device: device(),
+                progress,
+            });
+        }
+        if is("concurrent") {
+            return Err(Error::Conflict { device: device() });
+        }
+        for (key, cause) in FAILURES {
+            if is(key) {
+                let cause = if reason.is_empty() {
+                    (*cause).to_owned()
+                } else {
+                    format!("{cause}: {reason}")
+                };
+                return Err(Error::DeviceFailed {
+                    device: device(),
+                    cause,
+                });
+            }
+        }
+        if let Some(name) = self
+            .values
+            .iter()
+            .find_map(|key| key.strip_prefix("until_"))
+        {
+            return Ok(Outcome::Stopped(name.to_owned()));
+        }
+        if is("completed") {
+            return Ok(Outcome::Completed);
+        }
+        if is("cancelled") {
+            return Ok(Outcome::Cancelled);
+        }
+        if is_followed {
+            return Ok(Outcome::TakenOver);
+        }
+        let reason = if reason.is_empty() {
+            "the controller gives none"
+        } else {
+            reason
+        };
+        Err(Error::Ended {
+            device: device(),
+            reason: reason.to_owned(),
+        })
+    }
+}
+
+impl Group {
+    /// Whether its rule has neither fired nor died.
+    pub(super) fn may_begin(&self) -> bool {
+        matches!(self.life, GroupLife::Loading | GroupLife::Scheduled)
+    }
+}
