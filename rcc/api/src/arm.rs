@@ -2,12 +2,10 @@
 
 use std::sync::Arc;
 
-use crate::engine::When;
+use crate::activity::Activity;
 use crate::error::Error;
 use crate::expression::{Condition, Number};
-use crate::handle::{Handle, together};
-use crate::motion::{ArmDescription, CartesianLimits, Motion, Order};
-use crate::outcome::Outcome;
+use crate::motion::{ArmDescription, ArmMotion, CartesianLimits, Path};
 use crate::pose::Pose;
 use crate::session::Session;
 
@@ -51,35 +49,29 @@ impl Arm {
 
     /// A motion to joint positions, rad: all joints start and arrive together.
     pub fn ptp(&self, to: impl Into<Vec<f64>>) -> Activity {
-        self.motion(Motion::Ptp(to.into()))
+        self.motion(Path::Ptp(to.into()))
     }
 
     /// A motion of the flange along a straight line to a pose in the base of the arm.
     pub fn lin(&self, to: impl Into<Pose>) -> Activity {
-        self.motion(Motion::Lin(to.into()))
+        self.motion(Path::Lin(to.into()))
     }
 
     /// A motion of the flange along the arc through `via` to `to`, both in the base of the arm.
     pub fn circ(&self, via: impl Into<Pose>, to: impl Into<Pose>) -> Activity {
-        self.motion(Motion::Circ {
+        self.motion(Path::Circ {
             via: via.into(),
             to: to.into(),
         })
     }
 
-    fn motion(&self, motion: Motion) -> Activity {
-        Activity {
-            session: Arc::clone(&self.session),
-            when: When::Follow,
-            order: Order {
-                arm: self.description.clone(),
-                motion,
-                limits: self.limits,
-                speed: self.speed,
-                blend: None,
-                until: Vec::new(),
-            },
-        }
+    fn motion(&self, path: Path) -> Activity {
+        let motion = ArmMotion {
+            arm: self.description.clone(),
+            path,
+            limits: self.limits,
+        };
+        Activity::new(&self.session, motion, self.speed)
     }
 
     /// Measured positions of the joints, rad.
@@ -195,73 +187,5 @@ impl Force {
     /// Torque about z, Nm.
     pub fn torque_z(&self) -> Number {
         self.number("outTcpTz")
-    }
-}
-
-/// A motion that was described and not begun.
-#[derive(Clone, Debug)]
-#[must_use = "nothing moves before it is begun"]
-pub struct Activity {
-    pub(crate) session: Arc<Session>,
-    pub(crate) when: When,
-    pub(crate) order: Order,
-}
-
-impl Activity {
-    /// Multiplies its speed by `factor`, above 0 to 1.
-    pub fn speed(mut self, factor: f64) -> Self {
-        self.order.speed *= factor;
-        self
-    }
-
-    /// Lets a successor take over from this part of the path on, 0 to below 1.
-    pub const fn blend(mut self, progress: f64) -> Self {
-        self.order.blend = Some(progress);
-        self
-    }
-
-    /// Stops the motion on its path when the condition holds; the outcome names it.
-    pub fn until(mut self, name: &str, condition: Condition) -> Self {
-        self.order.until.push((name.to_owned(), condition));
-        self
-    }
-
-    /// Lets it begin in the next cycle, in place of what the arm does, at rest or in motion.
-    pub const fn now(mut self) -> Self {
-        self.when = When::Now;
-        self
-    }
-
-    /// Begins it, and returns when it runs: a program is at most one activity ahead.
-    ///
-    /// # Errors
-    /// If it is invalid, rejected, or what the arm does before fails.
-    pub fn begin(self) -> Result<Handle, Error> {
-        together([self]).begin()
-    }
-
-    /// Lets it begin after what the arm does, and returns at once.
-    ///
-    /// # Errors
-    /// If it is invalid or rejected.
-    pub fn queue(self) -> Result<Handle, Error> {
-        together([self]).queue()
-    }
-
-    /// Begins it and waits until it has ended.
-    ///
-    /// # Errors
-    /// As [`Self::begin`] and [`Handle::wait`].
-    pub fn run(self) -> Result<Outcome, Error> {
-        self.begin()?.wait()
-    }
-
-    /// The text of the net that it becomes.
-    ///
-    /// # Errors
-    /// If it is invalid.
-    pub fn explain(&self) -> Result<String, Error> {
-        self.order.check()?;
-        Ok(self.order.net())
     }
 }

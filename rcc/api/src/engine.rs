@@ -25,7 +25,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::error::Error;
 use crate::outcome::Outcome;
-pub use activity::{Action, ActivityId, GroupId, Start, State, When};
+pub use activity::{Action, ActivityId, Failure, GroupId, Start, State, When};
 use activity::{Activity, Group, GroupLife};
 
 /// The activities of one program.
@@ -106,6 +106,7 @@ impl Engine {
             device: start.device,
             group,
             results: start.results,
+            failures: start.failures,
             net: None,
             state: State::Loading,
             values: BTreeSet::new(),

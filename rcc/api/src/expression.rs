@@ -170,6 +170,20 @@ impl Condition {
         Self(Arc::new(ConditionKind::Lasting(self, duration)))
     }
 
+    /// Writes it into a net; returns where it is true from the first cycle on in which the condition held. Null counts
+    /// as false.
+    pub(crate) fn latched(&self, net: &mut Net) -> Port {
+        let value = self.write(net);
+        let unknown = net.of("Core::BooleanIsNull", &value);
+        let known = [
+            ("inCondition", (&unknown).into()),
+            ("inFalse", (&value).into()),
+        ];
+        let known = net.add("Core::BooleanConditional", known).out("outValue");
+        net.add("Core::Trigger", [("inOn", (&known).into())])
+            .out("outActive")
+    }
+
     /// Writes it into a net; returns where its value is.
     pub(crate) fn write(&self, net: &mut Net) -> Port {
         match &*self.0 {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
-use crate::arm::Activity;
+use crate::activity::Activity;
 use crate::engine::{ActivityId, State, When};
 use crate::error::Error;
 use crate::outcome::Outcome;

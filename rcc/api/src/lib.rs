@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+pub mod activity;
 pub mod arm;
 pub mod cell;
 pub mod engine;
@@ -9,11 +10,13 @@ pub mod expression;
 pub mod handle;
 pub mod motion;
 mod net;
+mod order;
 pub mod outcome;
 pub mod pose;
 mod session;
 
-pub use arm::{Activity, Arm};
+pub use activity::Activity;
+pub use arm::Arm;
 pub use cell::Cell;
 pub use error::Error;
 pub use expression::{Condition, Number};

@@ -111,6 +111,12 @@ impl Net {
         }))
     }
 
+    /// The override of the net: a factor of the speed of its motions, 0 to 1, which a client may set while it runs.
+    pub(crate) fn override_in(&mut self) -> Port {
+        let argument = [("Key", "override".into()), ("Value", 1.0.into())];
+        self.add("Core::DoubleNetcommIn", argument).out("outValue")
+    }
+
     /// A result that rules and programs can read.
     pub(crate) fn result(&mut self, key: &str, value: &Port) {
         self.add(

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 
 use takt_client::{Client, Message, Value};
 
-use crate::engine::{Action, ActivityId, Engine, GroupId, Start, State, When};
+use crate::engine::{Action, ActivityId, Engine, GroupId, State, When};
 use crate::error::Error;
-use crate::motion::Order;
+use crate::order::Order;
 
 /// Least time between two reports of one value of a net. Results are reported with the end of the net in any case.
 const REFRESH: f64 = 0.05;
@@ -100,13 +100,10 @@ impl Session {
 
     /// Begins activities together.
     pub(crate) fn begin(&self, orders: &[Order], when: When) -> Result<Vec<ActivityId>, Error> {
-        orders.iter().try_for_each(Order::check)?;
-        let start = |order: &Order| Start {
-            device: order.arm.name.clone(),
-            net: order.net(),
-            results: order.results(),
-        };
-        let starts = orders.iter().map(start).collect();
+        let starts = orders
+            .iter()
+            .map(Order::compile)
+            .collect::<Result<_, _>>()?;
         let begun = self.engine().begin(starts, when);
         self.perform();
         begun

@@ -5,12 +5,6 @@ use std::collections::BTreeSet;
 use crate::error::Error;
 use crate::outcome::Outcome;
 
-/// Results that make a motion fail, with the cause that they stand for.
-const FAILURES: &[(&str, &str)] = &[
-    ("failed", "a joint does not follow its commands"),
-    ("illegal", "a joint would leave its range"),
-];
-
 /// Number of an activity, unique for its engine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ActivityId(pub(super) u64);
@@ -20,7 +14,7 @@ pub struct ActivityId(pub(super) u64);
 pub struct GroupId(pub(super) u64);
 
 /// An activity to be begun.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Start {
     /// The device that it commands.
     pub device: String,
@@ -28,6 +22,75 @@ pub struct Start {
     pub net: String,
     /// Keys of the results after which a successor may begin.
     pub results: Vec<String>,
+    /// Results after which it has failed, the first in order before the others.
+    pub failures: Vec<Failure>,
+}
+
+/// A result of a net that stands for an error.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Failure {
+    /// Key of the result.
+    pub key: String,
+    /// The error; progress and the controller's reason are added to it.
+    pub error: Error,
+}
+
+impl Failure {
+    /// The device fails for a cause.
+    pub fn of(key: &str, device: &str, cause: &str) -> Self {
+        let error = Error::DeviceFailed {
+            device: device.to_owned(),
+            cause: cause.to_owned(),
+        };
+        Self::with(key, device, error)
+    }
+
+    /// One key for each device, so that a net may command several.
+    fn with(key: &str, device: &str, error: Error) -> Self {
+        let key = format!("{key}_{device}");
+        Self { key, error }
+    }
+
+    /// A joint of an arm does not follow its commands.
+    pub fn joints_failed(device: &str) -> Self {
+        Self::of("failed", device, "a joint does not follow its commands")
+    }
+
+    /// A joint of an arm would leave its range.
+    pub fn out_of_range(device: &str) -> Self {
+        Self::of("illegal", device, "a joint would leave its range")
+    }
+
+    /// Another net commands the device.
+    pub fn conflict(device: &str) -> Self {
+        let error = Error::Conflict {
+            device: device.to_owned(),
+        };
+        Self::with("concurrent", device, error)
+    }
+
+    /// The path of an arm leaves its reach.
+    pub fn unreachable(device: &str) -> Self {
+        let error = Error::Unreachable {
+            device: device.to_owned(),
+            progress: 0.0,
+        };
+        Self::with("unreachable", device, error)
+    }
+
+    /// The error with what is known at the end of the net.
+    fn at_end(&self, reason: &str, part: f64) -> Error {
+        let mut error = self.error.clone();
+        if let Error::Unreachable { progress, .. } = &mut error {
+            *progress = part * 100.0;
+        }
+        if let Error::DeviceFailed { cause, .. } = &mut error
+            && !reason.is_empty()
+        {
+            *cause = format!("{cause}: {reason}");
+        }
+        error
+    }
 }
 
 /// When a group begins.
@@ -86,6 +149,7 @@ pub(super) struct Activity {
     pub(super) device: String,
     pub(super) group: GroupId,
     pub(super) results: Vec<String>,
+    pub(super) failures: Vec<Failure>,
     pub(super) net: Option<String>,
     pub(super) state: State,
     /// Keys of the results that are true.
@@ -127,28 +191,9 @@ impl Activity {
     pub(super) fn outcome(&self, reason: &str, is_followed: bool) -> Result<Outcome, Error> {
         let device = || self.device.clone();
         let is = |key: &str| self.values.contains(key);
-        if is("unreachable") {
-            let progress = self.progress * 100.0;
-            return Err(Error::Unreachable {
-                device: device(),
-                progress,
-            });
-        }
-        if is("concurrent") {
-            return Err(Error::Conflict { device: device() });
-        }
-        for (key, cause) in FAILURES {
-            if is(key) {
-                let cause = if reason.is_empty() {
-                    (*cause).to_owned()
-                } else {
-                    format!("{cause}: {reason}")
-                };
-                return Err(Error::DeviceFailed {
-                    device: device(),
-                    cause,
-                });
-            }
+        let mut failures = self.failures.iter();
+        if let Some(failure) = failures.find(|failure| is(&failure.key)) {
+            return Err(failure.at_end(reason, self.progress));
         }
         if let Some(name) = self
             .values

@@ -11,6 +11,12 @@ fn start(device: &str) -> Start {
         device: device.to_owned(),
         net: format!("net of {device}"),
         results: RESULTS.map(str::to_owned).to_vec(),
+        failures: vec![
+            Failure::unreachable(device),
+            Failure::joints_failed(device),
+            Failure::out_of_range(device),
+            Failure::conflict(device),
+        ],
     }
 }
 
@@ -178,12 +184,12 @@ fn each_result_has_its_outcome() {
         (&["until_touch"], stopped("touch")),
         (&["until_touch", "blend"], stopped("touch")),
         (
-            &["failed", "blend"],
+            &["failed_left", "blend"],
             failed("a joint does not follow its commands"),
         ),
-        (&["illegal"], failed("a joint would leave its range")),
+        (&["illegal_left"], failed("a joint would leave its range")),
         (
-            &["concurrent"],
+            &["concurrent_left"],
             Err(Error::Conflict {
                 device: "left".to_owned(),
             }),
@@ -202,7 +208,7 @@ fn path_out_of_reach_states_its_place() {
     let mut engine = Engine::default();
     let id = running(&mut engine, "left");
     engine.value(&net(id), "progress", "0.42");
-    terminate(&mut engine, id, &["unreachable"]);
+    terminate(&mut engine, id, &["unreachable_left"]);
     let error = outcome(&engine, id).unwrap_err().to_string();
     assert!(error.contains("at 42 % of the motion"), "{error}");
 }
@@ -223,7 +229,7 @@ fn successors_of_a_failed_activity_do_not_begin() {
     let second = begin(&mut engine, "left");
     let third = begin(&mut engine, "left");
     serve(&mut engine);
-    terminate(&mut engine, first, &["failed"]);
+    terminate(&mut engine, first, &["failed_left"]);
     let unloaded = serve(&mut engine);
     for id in [second, third] {
         let error = outcome(&engine, id).unwrap_err();

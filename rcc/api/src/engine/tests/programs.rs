@@ -162,6 +162,7 @@ proptest! {
                         device: device.to_string(),
                         net: device.to_string(),
                         results: ["completed", "blend", "until_touch"].map(str::to_owned).to_vec(),
+                        failures: vec![Failure { key: "failed".to_owned(), error: Error::DeviceFailed { device: device.to_string(), cause: "fault".to_owned() } }],
                     });
                     let when = if now { When::Now } else { When::Follow };
                     ids.extend(engine.begin(starts.collect(), when).unwrap());

@@ -1,0 +1,95 @@
+//! What a program has described and not begun: an activity of a device, of any kind.
+
+use std::sync::Arc;
+
+use crate::engine::When;
+use crate::error::Error;
+use crate::handle::{Handle, together};
+use crate::order::{Operation, Order};
+use crate::outcome::Outcome;
+use crate::session::Session;
+
+/// An activity that was described and not begun.
+#[derive(Clone, Debug)]
+#[must_use = "nothing moves before it is begun"]
+pub struct Activity {
+    pub(crate) session: Arc<Session>,
+    pub(crate) when: When,
+    pub(crate) order: Order,
+}
+
+impl Activity {
+    /// The activity that executes an operation, at a speed above 0 to 1.
+    pub(crate) fn new(
+        session: &Arc<Session>,
+        operation: impl Operation + 'static,
+        speed: f64,
+    ) -> Self {
+        Self {
+            session: Arc::clone(session),
+            when: When::Follow,
+            order: Order {
+                operation: Arc::new(operation),
+                speed,
+                blend: None,
+                until: Vec::new(),
+            },
+        }
+    }
+
+    /// Multiplies its speed by `factor`, above 0 to 1.
+    pub fn speed(mut self, factor: f64) -> Self {
+        self.order.speed *= factor;
+        self
+    }
+
+    /// Lets a successor take over from this part of the path on, 0 to below 1.
+    pub const fn blend(mut self, progress: f64) -> Self {
+        self.order.blend = Some(progress);
+        self
+    }
+
+    /// Stops the motion on its path when the condition holds; the outcome names it.
+    pub fn until(mut self, name: &str, condition: crate::Condition) -> Self {
+        self.order.until.push((name.to_owned(), condition));
+        self
+    }
+
+    /// Lets it begin in the next cycle, in place of what its device does, at rest or in motion.
+    pub const fn now(mut self) -> Self {
+        self.when = When::Now;
+        self
+    }
+
+    /// Begins it, and returns when it runs: a program is at most one activity ahead.
+    ///
+    /// # Errors
+    /// If it is invalid, rejected, or what its device does before fails.
+    pub fn begin(self) -> Result<Handle, Error> {
+        together([self]).begin()
+    }
+
+    /// Lets it begin after what its device does, and returns at once.
+    ///
+    /// # Errors
+    /// If it is invalid or rejected.
+    pub fn queue(self) -> Result<Handle, Error> {
+        together([self]).queue()
+    }
+
+    /// Begins it and waits until it has ended.
+    ///
+    /// # Errors
+    /// As [`Self::begin`] and [`Handle::wait`].
+    pub fn run(self) -> Result<Outcome, Error> {
+        self.begin()?.wait()
+    }
+
+    /// The text of the net that it becomes.
+    ///
+    /// # Errors
+    /// If it is invalid.
+    pub fn explain(&self) -> Result<String, Error> {
+        Ok(self.order.compile()?.net)
+    }
+}

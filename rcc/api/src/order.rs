@@ -1,0 +1,193 @@
+//! What an activity is to do, as the net that the controller executes: an [`Operation`] writes its own part, and every
+//! net has the same rest: its end, its results, the conditions that stop it, and the place from which a successor may
+//! take over. A new kind of operation is a type of its own; nothing here changes for it.
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use crate::engine::{Failure, Start};
+use crate::error::Error;
+use crate::expression::Condition;
+use crate::net::{Net, Port};
+
+/// Most conditions that stop one activity.
+const UNTIL_MAX: usize = 32;
+
+/// What an activity does with its devices.
+pub(crate) trait Operation: Debug + Send + Sync {
+    /// Names of the devices that it commands, each once; none for a mere wait. The first names it in errors.
+    fn devices(&self) -> Vec<String>;
+
+    /// Checks all that can be checked without the controller.
+    fn check(&self) -> Result<(), Error>;
+
+    /// Writes what it does into a net.
+    fn write(&self, net: &mut Net, requests: &Requests) -> Ports;
+}
+
+/// What an operation is requested to do in each cycle.
+#[derive(Debug)]
+pub(crate) struct Requests {
+    /// Whether it is to brake and end: it is cancelled, or a condition has held.
+    pub(crate) stop: Port,
+    /// Speed as part of the limits, above 0 to 1.
+    pub(crate) speed: f64,
+}
+
+/// Where an operation is in each cycle.
+#[derive(Debug)]
+pub(crate) struct Ports {
+    /// Whether it has ended: at its goal, or at rest after a stop.
+    pub(crate) done: Port,
+    /// Completed part, 0 to 1. Without it the operation cannot be blended.
+    pub(crate) progress: Option<Port>,
+    /// Why it fails. The net ends in the cycle in which one of the ports is true; the first in order is reported.
+    pub(crate) failures: Vec<(Failure, Port)>,
+    /// Further results from which a successor may take over, with their keys. `maintaining`: it reached its goal and
+    /// keeps it up.
+    pub(crate) results: Vec<(&'static str, Port)>,
+}
+
+/// An operation with what every activity can have.
+#[derive(Clone, Debug)]
+pub(crate) struct Order {
+    pub(crate) operation: Arc<dyn Operation>,
+    /// Speed as part of the limits, above 0 to 1.
+    pub(crate) speed: f64,
+    /// Progress (part of the path, 0 to 1) from which a successor may take over.
+    pub(crate) blend: Option<f64>,
+    /// Conditions that stop it on its path, by name; the first that holds decides.
+    pub(crate) until: Vec<(String, Condition)>,
+}
+
+impl Order {
+    /// What the engine begins.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] and [`Error::Limit`], which name the argument, its value and its bounds.
+    pub(crate) fn compile(&self) -> Result<Start, Error> {
+        self.check()?;
+        let mut net = Net::default();
+        let cancel = net.add("Cancel", []).out("outCancel");
+        let until = self.until.iter();
+        let met: Vec<_> = until.map(|(_, until)| until.latched(&mut net)).collect();
+        let stops: Vec<_> = std::iter::once(cancel.clone()).chain(met.clone()).collect();
+        let stop = net.any(&stops).unwrap_or_else(|| cancel.clone());
+        let requests = Requests {
+            stop: stop.clone(),
+            speed: self.speed,
+        };
+        let ports = self.operation.write(&mut net, &requests);
+        let going = net.of("Core::BooleanNot", &stop);
+        let ended = net.of_two("Core::BooleanAnd", &ports.done, &going);
+        net.result("completed", &ended);
+        let cancelled = net.of_two("Core::BooleanAnd", &ports.done, &cancel);
+        net.result("cancelled", &cancelled);
+        let mut results = vec!["completed".to_owned()];
+        results.extend(self.blend(&mut net, &ports, &going)?);
+        results.extend(self.report_conditions(&mut net, &ports.done, &cancel, &met));
+        for (key, port) in &ports.results {
+            let open = net.of_two("Core::BooleanAnd", port, &going);
+            net.result(key, &open);
+            results.push((*key).to_owned());
+        }
+        let mut ends = Vec::new();
+        let mut failures = Vec::new();
+        for (failure, port) in ports.failures {
+            net.result(&failure.key, &port);
+            ends.push(port);
+            failures.push(failure);
+        }
+        ends.push(ports.done);
+        let end = net.any(&ends).unwrap_or(cancel);
+        Ok(Start {
+            device: self
+                .operation
+                .devices()
+                .first()
+                .cloned()
+                .unwrap_or_default(),
+            net: net.finish(&end),
+            results,
+            failures,
+        })
+    }
+
+    /// The result from which a successor may take over in motion; reports the progress.
+    fn blend(&self, net: &mut Net, ports: &Ports, going: &Port) -> Result<Option<String>, Error> {
+        let Some(progress) = &ports.progress else {
+            let text = "it has no progress, so that `blend` has no meaning";
+            return match self.blend {
+                Some(_) => Err(self.invalid(text)),
+                None => Ok(None),
+            };
+        };
+        let report = [("inValue", progress.into()), ("Key", "progress".into())];
+        net.add("Core::DoubleNetcommOut", report);
+        let Some(blend) = self.blend else {
+            return Ok(None);
+        };
+        let far = [("inFirst", progress.into()), ("Second", blend.into())];
+        let far = net.add("Core::DoubleGreater", far).out("outValue");
+        let moving = net.of("Core::BooleanNot", &ports.done);
+        let open = net.of_two("Core::BooleanAnd", &moving, going);
+        let may = net.of_two("Core::BooleanAnd", &far, &open);
+        net.result("blend", &may);
+        Ok(Some("blend".to_owned()))
+    }
+
+    /// One result for each condition that stops the motion; the first in order wins, and a cancel before all.
+    fn report_conditions(
+        &self,
+        net: &mut Net,
+        done: &Port,
+        cancel: &Port,
+        met: &[Port],
+    ) -> Vec<String> {
+        let mut before = cancel.clone();
+        let report = |((name, _), met): (&(String, Condition), &Port)| {
+            let first = net.of("Core::BooleanNot", &before);
+            let at_rest = net.of_two("Core::BooleanAnd", done, met);
+            let decides = net.of_two("Core::BooleanAnd", &at_rest, &first);
+            let key = format!("until_{name}");
+            net.result(&key, &decides);
+            before = net.of_two("Core::BooleanOr", &before, met);
+            key
+        };
+        self.until.iter().zip(met).map(report).collect()
+    }
+
+    fn invalid(&self, what: &str) -> Error {
+        let device = self.operation.devices().into_iter().next();
+        let name = device.unwrap_or_else(|| "wait".to_owned());
+        Error::Invalid(format!("{name}: {what}"))
+    }
+
+    /// Checks all that can be checked without the controller.
+    fn check(&self) -> Result<(), Error> {
+        self.operation.check()?;
+        if !(self.speed > 0.0 && self.speed <= 1.0) {
+            let text = format!("the speed is {}; it is above 0, at most 1", self.speed);
+            return Err(self.invalid(&text));
+        }
+        if let Some(blend) = self.blend.filter(|blend| !(0.0..1.0).contains(blend)) {
+            return Err(self.invalid(&format!("blend is {blend}; it is from 0 to below 1")));
+        }
+        let count = self.until.len();
+        if count > UNTIL_MAX {
+            return Err(self.invalid(&format!("{count} conditions; at most {UNTIL_MAX}")));
+        }
+        for (number, (name, _)) in self.until.iter().enumerate() {
+            let is_letter = |b: u8| b.is_ascii_alphanumeric() || b == b'_';
+            if name.is_empty() || !name.bytes().all(is_letter) {
+                let text = format!("`{name}` is no name of a condition: letters, digits and `_`");
+                return Err(self.invalid(&text));
+            }
+            let before = self.until.get(..number).unwrap_or_default();
+            if before.iter().any(|(other, _)| other == name) {
+                return Err(self.invalid(&format!("two conditions are called `{name}`")));
+            }
+        }
+        Ok(())
+    }
+}
