@@ -52,8 +52,9 @@ impl Engine {
         if let Some(lost) = &self.lost {
             return Err(lost.clone());
         }
-        let devices: BTreeSet<_> = starts.iter().map(|start| &start.device).collect();
-        if starts.is_empty() || devices.len() < starts.len() {
+        let count: usize = starts.iter().map(|start| start.devices.len()).sum();
+        let devices: BTreeSet<_> = starts.iter().flat_map(|start| &start.devices).collect();
+        if starts.is_empty() || devices.len() < count {
             let text =
                 "activities that begin together have different devices, and there is at least one";
             return Err(Error::Invalid(text.to_owned()));
@@ -67,14 +68,14 @@ impl Engine {
             // Also those that wait: they are replaced as well.
             When::Now => {
                 let replaced = |(id, activity): (&ActivityId, &Activity)| {
-                    let is_one = devices.contains(&activity.device) && !self.has_ended(*id);
+                    let is_one = activity.commands(devices.iter().copied()) && !self.has_ended(*id);
                     is_one.then_some(*id)
                 };
                 self.activities.iter().filter_map(replaced).collect()
             }
         };
         let ending = |(id, activity): (&ActivityId, &Activity)| {
-            let is_one = activity.pending.is_some() && devices.contains(&activity.device);
+            let is_one = activity.pending.is_some() && activity.commands(devices.iter().copied());
             (is_one && !self.has_ended(*id)).then_some(*id)
         };
         let ending = match when {
@@ -103,7 +104,7 @@ impl Engine {
             net: start.net,
         });
         let activity = Activity {
-            device: start.device,
+            devices: start.devices,
             group,
             results: start.results,
             failures: start.failures,
@@ -146,7 +147,7 @@ impl Engine {
         let mut newest = self.activities.iter().rev();
         let is_one = |activity: &Activity| {
             let goes_on = !matches!(activity.state, State::Ended(_)) && activity.pending.is_none();
-            goes_on && activity.device == device
+            goes_on && activity.devices.iter().any(|mine| mine == device)
         };
         let found = newest.find(|(_, activity)| is_one(activity));
         found.map(|(id, _)| *id)
@@ -204,7 +205,7 @@ impl Engine {
             "FIREFAILED" => {
                 let first = self.members(id).first().copied();
                 let device = first.and_then(|id| self.activities.get(&id));
-                let device = device.map(|activity| activity.device.clone());
+                let device = device.map(Activity::name);
                 let device = device.unwrap_or_default();
                 self.kill(id, &Err(Error::Conflict { device }));
             }
@@ -306,7 +307,8 @@ impl Engine {
     /// Cancels what a device does, and everything that waits for it.
     pub fn cancel_device(&mut self, device: &str) {
         let mine = |(id, activity): (&ActivityId, &Activity)| {
-            let is_mine = activity.device == device && !matches!(activity.state, State::Ended(_));
+            let commands = activity.devices.iter().any(|mine| mine == device);
+            let is_mine = commands && !matches!(activity.state, State::Ended(_));
             is_mine.then_some(*id)
         };
         let mine: Vec<_> = self.activities.iter().filter_map(mine).collect();

@@ -101,12 +101,7 @@ impl Order {
         ends.push(ports.done);
         let end = net.any(&ends).unwrap_or(cancel);
         Ok(Start {
-            device: self
-                .operation
-                .devices()
-                .first()
-                .cloned()
-                .unwrap_or_default(),
+            devices: self.operation.devices(),
             net: net.finish(&end),
             results,
             failures,

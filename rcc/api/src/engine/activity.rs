@@ -16,8 +16,8 @@ pub struct GroupId(pub(super) u64);
 /// An activity to be begun.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Start {
-    /// The device that it commands.
-    pub device: String,
+    /// The devices that it commands, with one net: coupled arms have several.
+    pub devices: Vec<String>,
     /// Text of its net.
     pub net: String,
     /// Keys of the results after which a successor may begin.
@@ -146,7 +146,7 @@ pub enum State {
 
 #[derive(Debug)]
 pub(super) struct Activity {
-    pub(super) device: String,
+    pub(super) devices: Vec<String>,
     pub(super) group: GroupId,
     pub(super) results: Vec<String>,
     pub(super) failures: Vec<Failure>,
@@ -187,9 +187,21 @@ pub(super) enum GroupLife {
 }
 
 impl Activity {
+    /// Its devices, as texts name them.
+    pub(super) fn name(&self) -> String {
+        self.devices.join(", ")
+    }
+
+    /// Whether it commands one of these devices.
+    pub(super) fn commands<'a>(&self, devices: impl IntoIterator<Item = &'a String>) -> bool {
+        devices
+            .into_iter()
+            .any(|device| self.devices.contains(device))
+    }
+
     /// How it ended, by the results of its net. `is_followed`: another activity takes its place.
     pub(super) fn outcome(&self, reason: &str, is_followed: bool) -> Result<Outcome, Error> {
-        let device = || self.device.clone();
+        let device = || self.name();
         let is = |key: &str| self.values.contains(key);
         let mut failures = self.failures.iter();
         if let Some(failure) = failures.find(|failure| is(&failure.key)) {

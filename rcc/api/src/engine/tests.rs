@@ -7,16 +7,23 @@ use super::*;
 const RESULTS: [&str; 2] = ["completed", "blend"];
 
 fn start(device: &str) -> Start {
-    Start {
-        device: device.to_owned(),
-        net: format!("net of {device}"),
-        results: RESULTS.map(str::to_owned).to_vec(),
-        failures: vec![
+    coupled(&[device])
+}
+
+fn coupled(devices: &[&str]) -> Start {
+    let failures = |device: &&str| {
+        [
             Failure::unreachable(device),
             Failure::joints_failed(device),
             Failure::out_of_range(device),
             Failure::conflict(device),
-        ],
+        ]
+    };
+    Start {
+        devices: devices.iter().map(|device| (*device).to_owned()).collect(),
+        net: format!("net of {}", devices.join(" and ")),
+        results: RESULTS.map(str::to_owned).to_vec(),
+        failures: devices.iter().flat_map(failures).collect(),
     }
 }
 
@@ -353,6 +360,47 @@ fn result_of_a_predecessor_is_kept_until_its_successor_begins() {
     assert_eq!(outcome(&engine, right), Ok(Outcome::TakenOver));
     let unloaded = serve(&mut engine);
     assert_eq!(unloaded.len(), 2, "{unloaded:?}");
+}
+
+#[test]
+fn coupled_arms_follow_both_and_keep_both() {
+    let mut engine = Engine::default();
+    let (left, right) = (running(&mut engine, "left"), running(&mut engine, "right"));
+    let both = engine
+        .begin(vec![coupled(&["left", "right"])], When::Follow)
+        .unwrap()[0];
+    let of = |id| format!("({0}.outcompleted|{0}.outblend)", net(id));
+    let actions = serve(&mut engine);
+    let (condition, stop, start) = rule(&actions);
+    assert_eq!(condition, format!("{}&{}", of(left), of(right)));
+    assert_eq!(stop, [net(left), net(right)]);
+    assert_eq!(start, [net(both)]);
+    for device in ["left", "right"] {
+        assert_eq!(engine.latest(device), Some(both));
+    }
+    let next = begin(&mut engine, "right");
+    let actions = serve(&mut engine);
+    let both = net(both);
+    assert_eq!(
+        rule(&actions).1,
+        [both.as_str()],
+        "a successor of one arm ends the net of both"
+    );
+    engine.cancel_device("left");
+    serve(&mut engine);
+    assert_eq!(outcome(&engine, next), Ok(Outcome::Cancelled));
+}
+
+#[test]
+fn coupled_arms_may_not_repeat_a_device() {
+    let mut engine = Engine::default();
+    for starts in [
+        vec![coupled(&["left", "left"])],
+        vec![coupled(&["left", "right"]), start("right")],
+    ] {
+        let error = engine.begin(starts, When::Follow).unwrap_err();
+        assert!(matches!(error, Error::Invalid(_)), "{error}");
+    }
 }
 
 #[test]

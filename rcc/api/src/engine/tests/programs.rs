@@ -159,7 +159,7 @@ proptest! {
             match step {
                 Step::Begin(devices, now) => {
                     let starts = devices.iter().map(|device| Start {
-                        device: device.to_string(),
+                        devices: vec![device.to_string()],
                         net: device.to_string(),
                         results: ["completed", "blend", "until_touch"].map(str::to_owned).to_vec(),
                         failures: vec![Failure { key: "failed".to_owned(), error: Error::DeviceFailed { device: device.to_string(), cause: "fault".to_owned() } }],
