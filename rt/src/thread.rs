@@ -3,7 +3,15 @@
 //! It assigns no priorities, and never fails for missing rights: the thread runs, and its [`Grant`]s
 //! report how.
 
-use std::{fmt, io, sync::mpsc, thread};
+use std::{
+    fmt, io,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
+    thread,
+};
 
 use nix::errno::Errno;
 
@@ -78,6 +86,42 @@ pub fn spawn<T: Send + 'static>(
     })?;
     let grants = set_up.recv().map_err(io::Error::other)?;
     Ok(Thread { handle, grants })
+}
+
+/// A thread whose body ends when that is requested.
+#[derive(Debug)]
+pub struct Stoppable<T> {
+    thread: Thread<T>,
+    stop: Arc<AtomicBool>,
+}
+
+impl<T: Send + 'static> Stoppable<T> {
+    /// Starts a thread as [`spawn`] does. `body` ends soon after its argument became true.
+    ///
+    /// # Errors
+    /// As [`spawn`].
+    pub fn spawn(
+        config: ThreadConfig,
+        body: impl FnOnce(&AtomicBool) -> T + Send + 'static,
+    ) -> io::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopping = Arc::clone(&stop);
+        let thread = spawn(config, move || body(&stopping))?;
+        Ok(Self { thread, stop })
+    }
+}
+
+impl<T> Stoppable<T> {
+    /// Requests the end, waits for it and returns the result of the body, or its panic.
+    pub fn stop(self) -> thread::Result<T> {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.join()
+    }
+
+    /// Whether the body has ended.
+    pub fn is_finished(&self) -> bool {
+        self.thread.is_finished()
+    }
 }
 
 /// Affinity first: a real-time thread on the wrong processor disturbs the threads there.
@@ -171,6 +215,25 @@ mod tests {
                 .all(|grant| grant.outcome == Outcome::NotRequested)
         );
         assert_eq!(thread.join().unwrap().as_deref(), Some("ordinary"));
+    }
+
+    #[test]
+    fn thread_stoppable_ends_on_request() {
+        let body = |stop: &AtomicBool| {
+            let mut turns = 0_u64;
+            while !stop.load(Ordering::Relaxed) {
+                turns += 1;
+                thread::yield_now();
+            }
+            turns
+        };
+        let thread = Stoppable::spawn(ThreadConfig::new("stoppable"), body).unwrap();
+        assert!(!thread.is_finished());
+        assert!(thread.stop().is_ok());
+        let failed = Stoppable::spawn(ThreadConfig::new("failed"), |_: &AtomicBool| {
+            Err::<(), _>("broken")
+        });
+        assert_eq!(failed.unwrap().stop().unwrap(), Err("broken"));
     }
 
     /// Whatever the rights of the user: the body runs, and each request has an outcome.

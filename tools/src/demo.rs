@@ -21,15 +21,16 @@ use takt_core::device::driver::DeviceDriver as _;
 use takt_core::record::Recorder;
 use takt_core::stop_channel::StopSwitch;
 use takt_devices::ethercat::Ethercat;
+use takt_embedded::{EmulatedCell, Machines};
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::LogBook;
 
 use crate::Verdict;
 use crate::client::Client;
 use crate::output::{check_writable, complain, is_terminal, positive_span, say, share};
-use crate::run::{Access, Server, print_grants, stop_channel};
+use crate::run::{Access, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
-use cell::{Kind, Machines};
+use cell::Kind;
 use recovery::{Outcome, Parts};
 use report::{Baseline, Report};
 use samples::Samples;
@@ -81,7 +82,8 @@ impl Demo {
         if let Some(recording) = &self.from {
             return replay(recording);
         }
-        let (cell, segments) = self.robots.config()?;
+        let emulated = EmulatedCell::named(self.robots.cell())?;
+        let cell = emulated.config.clone();
         check_writable(&self.svg)?;
         let stop = Stop::listen()?;
         let host = prepare(&HostConfig::default());
@@ -95,24 +97,24 @@ impl Demo {
         if !self.json {
             print_grants(&host, &controller);
         }
-        let server = Server::start(
+        let server = start_server(
             &cell,
             &controller,
             Access::default(),
             LogBook::default(),
             Some(&channel),
         )?;
-        let machines = Machines::start(&controller, &segments, self.drop)?;
+        let machines = Machines::start(&controller, emulated, self.drop)?;
         self.wait_until_ready(&controller, &stop)?;
-        let address = server.tcp().context("the server does not listen")?;
-        let baseline = Baseline::take(&controller, &machines.krcs);
+        let address = server.tcp_address().context("the server does not listen")?;
+        let baseline = Baseline::take(&controller, machines.krcs());
         let ended = self.drive(&controller, &machines, address, &nets, &stop);
         let recorded = controller.finish_recording();
         let (samples, outcome) = ended?;
         let arms = self.robots.moved();
         let moved: Vec<_> = arms.iter().copied().zip(samples.moved()).collect();
         let followed = cell.controller.follow.unwrap_or_default();
-        let krcs = &machines.krcs;
+        let krcs = machines.krcs();
         let report = Report::collect(
             &controller,
             &host,
@@ -122,7 +124,7 @@ impl Demo {
             (&baseline, outcome),
         );
         let drawn = plot::draw(&self.svg, arms, &samples, &controller.stats());
-        server.stop();
+        stop_server(server);
         // Before its robots, so that their end is no fault.
         drop(controller);
         machines.stop()?;

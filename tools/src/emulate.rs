@@ -30,9 +30,6 @@ mod youbot;
 use clap::Subcommand;
 
 use crate::Verdict;
-#[cfg(feature = "fri")]
-pub(crate) use robot::{Robot, resting};
-pub(crate) use service::Service;
 
 /// Emulated robots.
 #[derive(Debug, Subcommand)]

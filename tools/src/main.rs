@@ -13,7 +13,7 @@
 mod can;
 mod client;
 mod confirm;
-#[cfg(all(feature = "fri", feature = "ethercat"))]
+#[cfg(feature = "demo")]
 mod demo;
 mod doctor;
 #[cfg(feature = "ethercat")]
@@ -62,7 +62,7 @@ struct Arguments {
 enum Command {
     /// Run the controller in the foreground.
     Run(run::Run),
-    #[cfg(all(feature = "fri", feature = "ethercat"))]
+    #[cfg(feature = "demo")]
     /// Move emulated robots with nets and report; needs no hardware and no root.
     Demo(demo::Demo),
     Doctor(doctor::Doctor),
@@ -94,7 +94,7 @@ enum Command {
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(run) => run.run(),
-        #[cfg(all(feature = "fri", feature = "ethercat"))]
+        #[cfg(feature = "demo")]
         Command::Demo(demo) => demo.run(),
         Command::Doctor(doctor) => doctor.run(),
         #[cfg(feature = "can")]

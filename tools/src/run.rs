@@ -24,7 +24,7 @@ use takt_core::stop_channel::{
 use takt_core::{CellConfig, Controller};
 use takt_link::linux::host::{Transport, bind_error};
 use takt_rt::host::{HostConfig, prepare};
-use takt_server::LogBook;
+use takt_server::{LogBook, ServerThreads};
 
 pub(crate) use self::access::Access;
 use self::logging::Logging;
@@ -76,9 +76,8 @@ impl Run {
             .for_each(|grant| {
                 complain(&format!("warning: the stop channel: {grant}"));
             });
-        let server = Server::start(&cell, &controller, access, book, Some(&channel))?;
-        for address in server
-            .addresses()
+        let server = start_server(&cell, &controller, access, book, Some(&channel))?;
+        for address in addresses(&server)
             .into_iter()
             .chain(stop_addresses(&channel))
         {
@@ -88,7 +87,7 @@ impl Run {
             say(&format!("{name} waits for its robot at udp {address}"))?;
         }
         Service::new(&self.config, cell, &controller, logging).run()?;
-        server.stop();
+        stop_server(server);
         if let Some(cycles) = controller.finish_recording()? {
             say(&format!("recorded {cycles} cycles"))?;
         }
@@ -208,90 +207,50 @@ fn read_cell(path: &Path) -> anyhow::Result<CellConfig> {
     Ok(cell?)
 }
 
-/// The server of a controller, in threads of its own.
-#[derive(Debug)]
-pub(crate) struct Server {
-    runtime: tokio::runtime::Runtime,
-    task: tokio::task::JoinHandle<()>,
-    stop: tokio::sync::oneshot::Sender<()>,
-    http: Option<SocketAddr>,
-    tcp: Option<SocketAddr>,
-    local: Option<PathBuf>,
+/// Starts the server of a controller at the addresses of the cell, in threads of its own.
+pub(crate) fn start_server(
+    cell: &CellConfig,
+    controller: &Controller,
+    access: Access,
+    log: LogBook,
+    channel: Option<&StopChannel>,
+) -> anyhow::Result<ServerThreads> {
+    let config = takt_server::ServerConfig {
+        http: cell.controller.websocket,
+        tcp: cell.controller.tcp,
+        on_loss: cell.controller.on_loss,
+        log,
+        stop: channel.and_then(|channel| {
+            let port = channel.tcp_address()?.port();
+            Some(takt_server::StopPort::new(port, channel.key()))
+        }),
+        ..takt_server::ServerConfig::default()
+    };
+    ServerThreads::start(access.bind(config), controller).map_err(|error| {
+        if let takt_server::Error::Listen { address, source } = &error {
+            return cannot_listen("cannot listen", *address, source);
+        }
+        error.into()
+    })
 }
 
-impl Server {
-    /// Listens at the addresses of the cell.
-    pub(crate) fn start(
-        cell: &CellConfig,
-        controller: &Controller,
-        access: Access,
-        log: LogBook,
-        channel: Option<&StopChannel>,
-    ) -> anyhow::Result<Self> {
-        let runtime = tokio::runtime::Builder::new_multi_thread()
-            .worker_threads(2)
-            .enable_all()
-            .thread_name("takt-server")
-            .build()
-            .context("cannot start the server's threads")?;
-        let config = takt_server::ServerConfig {
-            http: cell.controller.websocket,
-            tcp: cell.controller.tcp,
-            on_loss: cell.controller.on_loss,
-            log,
-            stop: channel.and_then(|channel| {
-                let port = channel.tcp_address()?.port();
-                Some(takt_server::StopPort::new(port, channel.key()))
-            }),
-            ..takt_server::ServerConfig::default()
-        };
-        let server = runtime.block_on(access.bind(config));
-        let server = server.map_err(|error| {
-            if let takt_server::Error::Listen { address, source } = &error {
-                return cannot_listen("cannot listen", *address, source);
-            }
-            error.into()
-        })?;
-        let local = server.local_path().map(Path::to_owned);
-        let (http, tcp) = (server.http_address(), server.tcp_address());
-        let (stop, stopped) = tokio::sync::oneshot::channel();
-        let shutdown = async {
-            // A dropped sender means the same as a message.
-            let _ = stopped.await;
-        };
-        let task = runtime.spawn(server.run(controller.clone(), shutdown));
-        Ok(Self {
-            runtime,
-            task,
-            stop,
-            http,
-            tcp,
-            local,
-        })
-    }
+/// Where a server listens, as text.
+fn addresses(server: &ServerThreads) -> Vec<String> {
+    let http = server
+        .http_address()
+        .map(|at| format!("DirectIO at ws://{at}/DirectIO/"));
+    let tcp = server
+        .tcp_address()
+        .map(|at| format!("DirectIO lines at tcp {at}"));
+    let local = server.local_path();
+    let local = local.map(|path| format!("DirectIO lines at unix {}", path.display()));
+    http.into_iter().chain(tcp).chain(local).collect()
+}
 
-    /// Where it listens.
-    pub(crate) fn addresses(&self) -> Vec<String> {
-        let http = self
-            .http
-            .map(|at| format!("DirectIO at ws://{at}/DirectIO/"));
-        let tcp = self.tcp.map(|at| format!("DirectIO lines at tcp {at}"));
-        let local = self.local.as_ref();
-        let local = local.map(|path| format!("DirectIO lines at unix {}", path.display()));
-        http.into_iter().chain(tcp).chain(local).collect()
-    }
-
-    /// Where it takes plain lines.
-    pub(crate) const fn tcp(&self) -> Option<SocketAddr> {
-        self.tcp
-    }
-
-    /// Ends all connections.
-    pub(crate) fn stop(self) {
-        let _ = self.stop.send(());
-        if self.runtime.block_on(self.task).is_err() {
-            complain("the server had ended by a fault of its own");
-        }
+/// Ends a server and all of its connections.
+pub(crate) fn stop_server(server: ServerThreads) {
+    if !server.stop() {
+        complain("the server had ended by a fault of its own");
     }
 }
 

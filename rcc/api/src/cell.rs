@@ -54,6 +54,16 @@ impl Cell {
         Ok(Self { session })
     }
 
+    #[cfg(feature = "embedded")]
+    pub(crate) const fn of_session(session: Arc<Session>) -> Self {
+        Self { session }
+    }
+
+    #[cfg(feature = "embedded")]
+    pub(crate) fn session(&self) -> &Session {
+        &self.session
+    }
+
     /// An arm by its name.
     ///
     /// # Errors

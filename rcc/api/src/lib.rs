@@ -4,6 +4,8 @@
 pub mod activity;
 pub mod arm;
 pub mod cell;
+#[cfg(feature = "embedded")]
+mod embedded;
 pub mod engine;
 pub mod error;
 pub mod expression;

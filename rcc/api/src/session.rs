@@ -31,6 +31,9 @@ pub(crate) struct Session {
     wakers: Mutex<Vec<Waker>>,
     /// Notified after each change of the engine.
     changed: Condvar,
+    /// A controller in this program, which ends with the session.
+    #[cfg(feature = "embedded")]
+    embedded: Option<takt_embedded::Embedded>,
 }
 
 /// What the tags of pushes stand for. The lock is held while a push is handled, so that pushes of one subject are handled
@@ -55,6 +58,26 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Session {
     /// Opens a session that ends with the connection, and starts the receiving thread.
     pub(crate) fn begin_with(client: Client) -> Result<Arc<Self>, Error> {
+        Self::begin_at(
+            client,
+            #[cfg(feature = "embedded")]
+            None,
+        )
+    }
+
+    /// The same with a controller in this program, which ends with the session.
+    #[cfg(feature = "embedded")]
+    pub(crate) fn begin_embedded(
+        client: Client,
+        embedded: takt_embedded::Embedded,
+    ) -> Result<Arc<Self>, Error> {
+        Self::begin_at(client, Some(embedded))
+    }
+
+    fn begin_at(
+        client: Client,
+        #[cfg(feature = "embedded")] embedded: Option<takt_embedded::Embedded>,
+    ) -> Result<Arc<Self>, Error> {
         let session = client.call("nse", ["takt-api", "end"])?;
         let session = Arc::new(Self {
             id: session.text().unwrap_or_default().to_owned(),
@@ -63,6 +86,8 @@ impl Session {
             subjects: Mutex::default(),
             wakers: Mutex::default(),
             changed: Condvar::new(),
+            #[cfg(feature = "embedded")]
+            embedded,
         });
         let receiver = Arc::downgrade(&session);
         // The receiver does not keep the session: the program's last reference ends it.
@@ -82,6 +107,12 @@ impl Session {
             .spawn(receive);
         thread.map_err(|error| Error::Connection(format!("cannot start a thread: {error}")))?;
         Ok(session)
+    }
+
+    /// The controller in this program.
+    #[cfg(feature = "embedded")]
+    pub(crate) const fn embedded(&self) -> Option<&takt_embedded::Embedded> {
+        self.embedded.as_ref()
     }
 
     pub(crate) const fn client(&self) -> &Client {

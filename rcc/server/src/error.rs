@@ -35,6 +35,9 @@ pub enum Error {
         "cannot listen at {path}: {source}\nhint: name another path as socket under [controller] of cell.toml, or \"\" for none"
     )]
     Local { path: String, source: io::Error },
+    /// The system refuses threads.
+    #[error("cannot start the server's threads: {0}")]
+    Threads(#[source] io::Error),
     /// All connection slots of the kind are in use.
     #[error("too many connections: at most {bound}; close one first")]
     Full { bound: usize },

@@ -10,6 +10,7 @@ pub mod log;
 pub mod server;
 mod sessions;
 mod site;
+mod threads;
 mod websocket;
 
 pub use error::Error;
@@ -21,5 +22,6 @@ pub use log::LogBook;
 pub use server::local::{self, LocalSocket};
 pub use server::{Loopback, OnLoss, Server, ServerConfig};
 pub use site::StopPort;
+pub use threads::ServerThreads;
 #[doc(hidden)]
 pub use websocket::fuzz as fuzz_frames;

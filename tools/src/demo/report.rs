@@ -10,12 +10,12 @@ use takt_core::controller::FaultCounts;
 use takt_core::device::driver::DeviceDriver as _;
 use takt_devices::ethercat::Ethercat;
 use takt_devices::fri::Lwr;
+use takt_devices::fri::emulator::Robot;
 use takt_rt::host::Host;
 use takt_rt::stats::Summary;
 
 use super::cell::Arm;
 use super::recovery::Outcome;
-use crate::emulate::Robot;
 use crate::output::time;
 
 /// Quantiles of a time, ns.
@@ -160,7 +160,7 @@ impl RobotReport {
     ) -> Option<Self> {
         let name = arm.name;
         let krc = krcs.iter().find(|(of, _)| of == name);
-        let missed = krc.map_or(0, |(_, robot)| u64::from(robot.status.missed()));
+        let missed = krc.map_or(0, |(_, robot)| u64::from(robot.status().missed()));
         let of_lwr = |arm: &Lwr| arm.drives(name).then(|| WireReport::of_lwr(arm, missed));
         let of_segment = |segment: &Ethercat| {
             segment
@@ -216,7 +216,7 @@ impl Baseline {
         // Faults first, so that a fall between the two readings is not counted as unexplained.
         let faults = controller.fault_counts();
         let exits = krcs.iter();
-        let exits = exits.map(|(name, robot)| (name.clone(), robot.status.exits()));
+        let exits = exits.map(|(name, robot)| (name.clone(), robot.status().exits()));
         Self {
             faults,
             exits: exits.collect(),
@@ -349,10 +349,10 @@ impl Report {
         }
         for (name, robot) in krcs {
             // An exit that the controller observed is a fault of the device.
-            let exits = robot.status.exits() - before.exits.get(name).copied().unwrap_or(0);
+            let exits = robot.status().exits() - before.exits.get(name).copied().unwrap_or(0);
             let mut seen = devices.iter().filter(|device| device.name == *name);
             let seen = seen.next().map_or(0, |device| device.faults);
-            if let (true, Some(why)) = (exits > seen, robot.status.last_exit()) {
+            if let (true, Some(why)) = (exits > seen, robot.status().last_exit()) {
                 faults.push(format!(
                     "{name} left command mode {exits} times, of which the controller saw {seen}: {why}"
                 ));

@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use takt_core::Controller;
+use takt_embedded::Machines;
 
-use super::cell::{Arm, Machines};
+use super::cell::{Arm, positions};
 
 /// Maximum number of samples. At that number every other one is dropped, and the sampling rate is halved.
 const SAMPLES_MAX: usize = 4096;
@@ -43,7 +44,7 @@ impl Samples {
         arms: &[Arm],
         at: Duration,
     ) {
-        let positions = arms.iter().map(|arm| machines.positions(controller, *arm));
+        let positions = arms.iter().map(|arm| positions(machines, controller, *arm));
         let positions: Vec<_> = positions.collect();
         self.offer(at.as_secs_f64(), &positions);
     }

@@ -6,18 +6,18 @@ use std::time::Duration;
 
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
+use takt_devices::fri::emulator::{Robot, holding_program, tolerant_timing};
 use takt_fri::sunrise::emulator::{
-    Cabinet, CabinetConfig, Control, Faults, Io, Limits, Overlay, Program, Robot as Arm, Timing,
+    Cabinet, CabinetConfig, Control, Faults, Io, Limits, Overlay, Robot as Arm,
 };
 use takt_fri::sunrise::wire::{
     CommandMode, Dialect, IOS_MAX, IoDirection, Name, OperationMode, TRANSFORMATIONS_MAX,
 };
 use takt_fri::sunrise::{DEFAULT_PORT, IoLevel};
 
-use super::Robot;
-use super::knobs::{Knobs, MISSES_MAX};
+use super::knobs::Knobs;
 use super::lwr::Strategy;
-use super::robot::connect;
+use super::robot::{connect, watch};
 use crate::Verdict;
 use crate::output::{say, span, span_of_ms};
 
@@ -143,8 +143,6 @@ fn frame(name: &str) -> Result<String, String> {
     Ok(name.to_owned())
 }
 
-/// Pause of the robot program after a motion has ended.
-const RESTART: Duration = Duration::from_secs(1);
 /// Stiffness of springs at the joints, Nm/rad, and their damping.
 const JOINT_SPRINGS: ([f64; 7], [f64; 7]) = ([1000.0; 7], [0.7; 7]);
 /// The same at the tool, N/m and Nm/rad.
@@ -196,35 +194,26 @@ impl Iiwa {
             "iiwa sends messages to {} every {:?}, from {local}",
             self.connect, self.period
         ))?;
-        robot.watch(self.knobs.duration)
+        watch(robot, self.knobs.duration)
     }
 
     fn config(&self) -> anyhow::Result<CabinetConfig> {
         let Model(robot) = self.model;
         let Version(dialect) = self.dialect;
         let line = self.knobs.line();
-        let tolerant = Timing {
-            misses_max: MISSES_MAX,
-            bad_from: 0.0,
-            ok_from: 0.5,
-            ..Timing::default()
-        };
         let config = CabinetConfig {
             robot,
             limits: Limits::of(robot),
             dialect,
             send_period: self.period,
             receive_multiplier: self.receive_multiplier,
-            timing: self.knobs.timing(tolerant),
+            timing: self.knobs.timing(tolerant_timing()),
             operation_mode: match self.mode {
                 Mode::T1 => OperationMode::T1,
                 Mode::T2 => OperationMode::T2,
                 Mode::Aut => OperationMode::Aut,
             },
-            program: Program::Auto {
-                overlay: self.overlay()?,
-                restart: Some(RESTART),
-            },
+            program: holding_program(self.overlay()?),
             faults: Faults {
                 to_client: line,
                 to_cabinet: line,
@@ -310,6 +299,8 @@ impl Iiwa {
 #[cfg(test)]
 mod tests {
     use clap::Parser;
+    use takt_devices::fri::emulator::MISSES_MAX;
+    use takt_fri::sunrise::emulator::{Program, Timing};
 
     use super::*;
 

@@ -9,8 +9,6 @@ use takt_fri::lwr::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
 
 use crate::output::{positive_span, share, span};
 
-/// Consecutive cycles without an answer that an emulated controller tolerates unless it is strict.
-pub(super) const MISSES_MAX: u32 = 100;
 /// Damping of an obstacle, Ns/m.
 const CONTACT_DAMPING: f64 = 50.0;
 /// Its stiffness unless another is given, N/m.

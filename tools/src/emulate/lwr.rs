@@ -6,13 +6,13 @@ use std::time::Duration;
 
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
+use takt_devices::fri::emulator::{Robot, resting};
 use takt_fri::lwr::emulator::{self, Krc, KrcConfig, Script};
 use takt_fri::lwr::wire::Control;
 use takt_fri::lwr::{DEFAULT_PORT, Protocol};
 
 use super::knobs::Knobs;
-use super::robot::connect;
-use super::{Robot, resting};
+use super::robot::{connect, watch};
 use crate::Verdict;
 use crate::output::{say, span_of_ms};
 
@@ -84,7 +84,7 @@ impl Lwr {
             "LWR sends measurements to {} every {:?}, from {local}",
             self.connect, self.period
         ))?;
-        robot.watch(self.knobs.duration)
+        watch(robot, self.knobs.duration)
     }
 
     fn config(&self) -> KrcConfig {
@@ -124,9 +124,9 @@ impl Lwr {
 #[cfg(test)]
 mod tests {
     use clap::Parser;
+    use takt_devices::fri::emulator::MISSES_MAX;
 
     use super::*;
-    use crate::emulate::knobs::MISSES_MAX;
 
     #[derive(Debug, Parser)]
     struct Line {

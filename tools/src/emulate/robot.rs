@@ -1,111 +1,41 @@
-//! An emulated FRI controller in a thread of its own. What it emulates is in `takt_fri`.
+//! Emulated FRI controllers on the command line: their socket, and changes of their state as lines. Their threads are in
+//! `takt_devices::fri::emulator`.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
+use takt_devices::fri::emulator::Robot;
 use takt_fri::linux::UdpLink;
-use takt_fri::lwr::emulator::{self, Krc, KrcConfig, Served, Status, serve};
-use takt_rt::thread::{Thread, ThreadConfig};
+use takt_fri::lwr::emulator::{Served, Status};
 
-use super::knobs::MISSES_MAX;
 use crate::Verdict;
 use crate::output::{complain, say};
 use crate::run::until_stopped;
 
-/// An arm in a posture in which every joint can move both ways.
-pub(crate) fn resting(period: Duration) -> KrcConfig {
-    let joints = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
-    // A real KRC is assumed to tolerate fewer missing answers and to end command mode at bad quality. A host without
-    // PREEMPT_RT sometimes stalls for longer, which the demo is not to show.
-    let timing = emulator::Timing {
-        misses_max: MISSES_MAX,
-        bad_from: 0.0,
-        ..emulator::Timing::default()
-    };
-    KrcConfig {
-        period,
-        joints,
-        timing,
-        ..KrcConfig::default()
+/// Prints changes of state until the end, then the counts of datagrams.
+pub(super) fn watch<C: Served + 'static>(
+    robot: Robot<C>,
+    duration: Option<Duration>,
+) -> anyhow::Result<Verdict> {
+    let mut printed = Printed::default();
+    until_stopped(duration, || {
+        printed
+            .next(robot.status())
+            .map_or(Ok(()), |line| say(&line))
+    })?;
+    let status = robot.stop().context("the emulated controller failed")?;
+    if let Some(line) = printed.next(&status) {
+        say(&line)?;
     }
-}
-
-/// An emulated FRI controller in a thread of its own.
-#[derive(Debug)]
-pub(crate) struct Robot<C: Served = Krc> {
-    /// Its state.
-    pub(crate) status: Arc<Status<C>>,
-    thread: Thread<std::io::Result<()>>,
-    stop: Arc<AtomicBool>,
-}
-
-impl Robot {
-    /// Starts a KRC; its datagrams go to `target`.
-    pub(crate) fn start(name: &str, target: SocketAddr, config: KrcConfig) -> anyhow::Result<Self> {
-        let link = connect(None, target, 0)?;
-        Self::launch(name, link, |start| Krc::new(config, start))
-    }
-}
-
-impl<C: Served + 'static> Robot<C> {
-    /// Starts the controller that `controller` makes for its start time.
-    pub(super) fn launch(
-        name: &str,
-        mut link: UdpLink,
-        controller: impl FnOnce(Duration) -> C + Send + 'static,
-    ) -> anyhow::Result<Self> {
-        let status = Arc::new(Status::new());
-        let stop = Arc::new(AtomicBool::new(false));
-        let (shared, stopping) = (Arc::clone(&status), Arc::clone(&stop));
-        // Above drivers: the real controller has a processor of its own.
-        let config_of_thread = ThreadConfig {
-            priority: Some(88),
-            ..ThreadConfig::new(name)
-        };
-        let thread = takt_rt::thread::spawn(config_of_thread, move || {
-            let mut controller = controller(takt_fri::linux::monotonic()?);
-            serve(&mut controller, &mut link, &shared, &stopping)
-        })
-        .with_context(|| format!("cannot start thread {name}"))?;
-        Ok(Self {
-            status,
-            thread,
-            stop,
-        })
-    }
-
-    /// Prints changes of state until the end, then the counts of datagrams.
-    pub(super) fn watch(self, duration: Option<Duration>) -> anyhow::Result<Verdict> {
-        let mut printed = Printed::default();
-        until_stopped(duration, || {
-            printed.next(&self.status).map_or(Ok(()), |line| say(&line))
-        })?;
-        let status = self.stop()?;
-        if let Some(line) = printed.next(&status) {
-            say(&line)?;
-        }
-        say(&format!(
-            "sent {}, answers {}, missed {}, own stalls {}",
-            status.sent(),
-            status.answers(),
-            status.missed(),
-            status.stalls()
-        ))?;
-        Ok(Verdict::Good)
-    }
-
-    /// Ends the thread.
-    pub(crate) fn stop(self) -> anyhow::Result<Arc<Status<C>>> {
-        self.stop.store(true, Ordering::Relaxed);
-        match self.thread.join() {
-            Ok(served) => served.context("the emulated controller failed")?,
-            Err(_) => anyhow::bail!("the emulated controller ended by a panic"),
-        }
-        Ok(self.status)
-    }
+    say(&format!(
+        "sent {}, answers {}, missed {}, own stalls {}",
+        status.sent(),
+        status.answers(),
+        status.missed(),
+        status.stalls()
+    ))?;
+    Ok(Verdict::Good)
 }
 
 /// What was printed of a controller.
@@ -166,7 +96,10 @@ pub(super) fn connect(
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
     use super::*;
+    use takt_fri::lwr::emulator::serve;
     use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig, CabinetStatus};
 
     #[test]

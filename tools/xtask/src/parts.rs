@@ -61,7 +61,10 @@ const PARTS: &[Part] = &[
     part("motion", &["takt-motion"]),
     part("core", &["takt-core"]),
     part("server", &["takt-client", "takt-server"]),
-    part("api", &["takt-client", "takt-api", "takt-tests"]),
+    part(
+        "api",
+        &["takt-client", "takt-embedded", "takt-api", "takt-tests"],
+    ),
     part("tools", &["takt-tools", "xtask"]),
     part("deploy", &["takt-deploy"]),
     part("tests", &["takt-tests"]),

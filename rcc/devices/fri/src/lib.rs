@@ -3,6 +3,7 @@
 
 mod config;
 mod driver;
+pub mod emulator;
 mod fri;
 pub mod iiwa;
 pub mod lwr;

@@ -79,7 +79,22 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     ("takt-client", &[]),
     ("takt-server", &["takt-client", "takt-core"]),
-    ("takt-api", &["takt-client"]),
+    (
+        "takt-embedded",
+        &[
+            "takt-client",
+            "takt-core",
+            "takt-devices",
+            "takt-ethercat",
+            "takt-fri",
+            "takt-rt",
+            "takt-server",
+        ],
+    ),
+    (
+        "takt-api",
+        &["takt-client", "takt-devices", "takt-embedded"],
+    ),
     ("takt-deploy", &[]),
     ("takt-tools", ALL),
     ("takt-tests", ALL),

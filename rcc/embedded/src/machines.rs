@@ -1,0 +1,219 @@
+//! The emulated machines of a cell, each in a thread of its own. They speak the wire protocol of the real ones.
+
+use std::fmt;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use takt_core::{CellConfig, Controller};
+use takt_devices::ethercat::{self, Ethercat, EthercatConfig, Wire};
+use takt_devices::fri::IiwaConfig;
+use takt_devices::fri::emulator::{Robot, holding_program, local, resting, tolerant_timing};
+use takt_devices::wsg::emulator::{Gripper, GripperConfig, Port};
+use takt_ethercat::emulator::{
+    Coupler, DriveHandle, Segment, Server, ServoConfig, ServoDrive, SharedSegment, YouBot,
+    YouBotConfig,
+};
+use takt_ethercat::linux::{cable, monotonic};
+use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
+use takt_rt::Nanos;
+use takt_rt::stats::stalls;
+use takt_rt::thread::{Stoppable, ThreadConfig};
+
+use crate::cell::EmulatedCell;
+use crate::error::Error;
+
+/// Time from one measurement of an emulated LWR to the next.
+const LWR_PERIOD: Duration = Duration::from_millis(1);
+/// Address of the master in a segment that has no other.
+const MASTER: [u8; 6] = [2, 0, 0, 0, 0, 1];
+/// Longest wait of an emulated segment for a frame, so that a stop is seen soon.
+const WAIT: Duration = Duration::from_millis(5);
+/// A turn of this length counts as a stall: its wait, and four cycles of the segments.
+const STALL: Nanos = Nanos::from_millis(13);
+/// Above drivers: the real device has a processor of its own.
+const PRIORITY: u8 = 88;
+
+/// A thread that serves an emulated device.
+type Service = Stoppable<io::Result<()>>;
+
+/// The emulated machines of a cell. They are stopped after their controller, so that their end is no fault.
+#[derive(Default)]
+pub struct Machines {
+    krcs: Vec<(String, Robot)>,
+    cabinets: Vec<(String, Robot<Cabinet>)>,
+    services: Vec<(String, Service)>,
+    wheels: Vec<DriveHandle>,
+}
+
+impl fmt::Debug for Machines {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = self.services.iter().map(|(name, _)| name);
+        let names = names.chain(self.krcs.iter().map(|(name, _)| name));
+        let names = names.chain(self.cabinets.iter().map(|(name, _)| name));
+        f.debug_list().entries(names).finish()
+    }
+}
+
+impl Machines {
+    /// Starts them; this share of the datagrams of each LWR is lost in each direction, 0 to 1.
+    ///
+    /// # Errors
+    /// If the system refuses a thread or socket, or the controller a segment.
+    pub fn start(controller: &Controller, cell: EmulatedCell, drop: f64) -> Result<Self, Error> {
+        let mut machines = Self::default();
+        for (seed, (name, address)) in (1..).zip(controller.waits_at()) {
+            machines.arm(&cell.config, (name, address), seed, drop)?;
+        }
+        for (name, port) in cell.grippers {
+            machines.gripper(name, port)?;
+        }
+        for config in &cell.segments {
+            let slaves = machines.slaves(config)?;
+            let service = segment(controller, config, slaves)?;
+            machines.services.push((config.name.clone(), service));
+        }
+        Ok(machines)
+    }
+
+    /// The emulated KRCs, by name of the arm.
+    pub fn krcs(&self) -> &[(String, Robot)] {
+        &self.krcs
+    }
+
+    /// The wheels of an emulated base.
+    pub fn wheels(&self) -> &[DriveHandle] {
+        &self.wheels
+    }
+
+    fn arm(
+        &mut self,
+        cell: &CellConfig,
+        (name, address): (String, SocketAddr),
+        seed: u64,
+        drop: f64,
+    ) -> Result<(), Error> {
+        let failed = |error| Error::emulator(&name, error);
+        if cell.of_kind::<IiwaConfig>().any(|iiwa| iiwa.name == name) {
+            let config = CabinetConfig::default();
+            let config = CabinetConfig {
+                timing: tolerant_timing(),
+                program: holding_program(takt_fri::sunrise::emulator::Overlay::default()),
+                seed,
+                ..config
+            };
+            let cabinet = |start| Cabinet::new(config, start);
+            let link = local(address).map_err(failed)?;
+            let robot = Robot::launch(&format!("cabinet-{name}"), link, cabinet).map_err(failed)?;
+            self.cabinets.push((name, robot));
+            return Ok(());
+        }
+        let mut config = resting(LWR_PERIOD);
+        config.seed = seed;
+        config.faults.to_client.drop = drop;
+        config.faults.to_krc.drop = drop;
+        let robot = Robot::start(&format!("krc-{name}"), address, config).map_err(failed)?;
+        self.krcs.push((name, robot));
+        Ok(())
+    }
+
+    fn gripper(&mut self, name: String, mut port: Port) -> Result<(), Error> {
+        let mut gripper = Gripper::new(GripperConfig::default(), Port::now());
+        let thread = serve(&name, move || port.serve(&mut gripper));
+        let service = thread.map_err(|error| Error::emulator(&name, error))?;
+        self.services.push((name, service));
+        Ok(())
+    }
+
+    /// The slaves that a segment is configured for.
+    fn slaves(&mut self, config: &EthercatConfig) -> Result<Segment, Error> {
+        if !config.youbot_bases.is_empty() {
+            let (slaves, bot) = YouBot::segment(&YouBotConfig::default());
+            self.wheels = bot.wheels.into_iter().collect();
+            return Ok(slaves);
+        }
+        let mut tx90 = ServoConfig::tx90();
+        // A host without PREEMPT_RT sometimes misses SYNC0, which must not end a motion.
+        for axis in &mut tx90.axes {
+            axis.quirks.missing_set_points = None;
+        }
+        let drives = ServoDrive::slave(tx90);
+        let (drives, _) = drives.map_err(|error| Error::emulator(&config.name, error))?;
+        Ok(Segment::line([Coupler::slave(), drives]))
+    }
+
+    /// Ends all of them.
+    ///
+    /// # Errors
+    /// If one had failed; the others are ended nevertheless.
+    pub fn stop(self) -> Result<(), Error> {
+        let mut ends: Vec<(String, io::Result<()>)> = Vec::new();
+        for (name, robot) in self.krcs {
+            ends.push((name, robot.stop().map(drop)));
+        }
+        for (name, robot) in self.cabinets {
+            ends.push((name, robot.stop().map(drop)));
+        }
+        for (name, service) in self.services {
+            let ended = service.stop();
+            let panicked = |_| Err(io::Error::other("it ended by a panic"));
+            ends.push((name, ended.unwrap_or_else(panicked)));
+        }
+        let failed = ends
+            .into_iter()
+            .find_map(|(name, ended)| ended.err().map(|error| Error::emulator(name, error)));
+        failed.map_or(Ok(()), Err)
+    }
+}
+
+/// Serves a device in turns, each of which waits briefly for input.
+fn serve(
+    name: &str,
+    mut turn: impl FnMut() -> io::Result<()> + Send + 'static,
+) -> io::Result<Service> {
+    let config = ThreadConfig {
+        priority: Some(PRIORITY),
+        ..ThreadConfig::new(name)
+    };
+    Stoppable::spawn(config, move |stop| {
+        while !stop.load(Ordering::Relaxed) {
+            turn()?;
+        }
+        Ok(())
+    })
+}
+
+/// Serves a segment inside of this process, and gives it to the controller.
+fn segment(
+    controller: &Controller,
+    config: &EthercatConfig,
+    slaves: Segment,
+) -> Result<Service, Error> {
+    let (near, far) = cable();
+    // An emulated segment that stalls puts its devices into fault, as one without power does.
+    let (mut stalls, stood_still) = stalls();
+    controller.watch_stalls(&format!("emulated {}", config.name), stood_still);
+    let mut last = takt_rt::monotonic();
+    let mut server = Server::new(SharedSegment::new(slaves), far);
+    let service = serve(&config.name, move || {
+        let turn = server.turn(WAIT, &mut monotonic);
+        let now = takt_rt::monotonic();
+        let took = now - std::mem::replace(&mut last, now);
+        if took > STALL {
+            stalls.note(now, took);
+        }
+        turn.map(|_| ())
+            .map_err(|error| io::Error::other(format!("the cable failed: {error}")))
+    });
+    let service = service.map_err(|error| Error::emulator(&config.name, error))?;
+    let wire = Wire {
+        link: Box::new(near),
+        source: MASTER,
+    };
+    let devices = ethercat::describe(config);
+    controller.add_driver(&config.name, devices, config.thread, |ends| {
+        Ok(Box::new(Ethercat::start(config, wire, ends)?))
+    })?;
+    Ok(service)
+}
