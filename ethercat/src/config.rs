@@ -172,6 +172,8 @@ pub struct SlaveSpec {
     pub complete_access: bool,
     /// Timeouts of this slave; `None` for the defaults.
     pub timeouts: Option<Timeouts>,
+    /// Ethernet frames that it sends (EoE) are kept to be fetched, rather than left out.
+    pub ethernet: bool,
 }
 
 impl SlaveSpec {
@@ -193,6 +195,7 @@ impl SlaveSpec {
             watchdog: None,
             complete_access: true,
             timeouts: None,
+            ethernet: false,
         }
     }
 }

@@ -31,6 +31,9 @@ pub use image::{PdoImage, SiiImage, SiiLayout};
 pub use profile::{Handles, Profile, Profiled, UnknownProfile};
 pub use segment::{Corrupt, Entry, Faults, Returned, Segment};
 pub use serve::{Server, SharedSegment};
-pub use slave::{Chip, ClockUnit, FileStore, Files, Slave, SlaveConfig, SlaveFaults, Span, Times};
+pub use slave::{
+    Chip, ClockUnit, EthernetFaults, EthernetPort, EthernetState, FileStore, Files, Slave,
+    SlaveConfig, SlaveFaults, Span, Times,
+};
 pub use terminal::{Coupler, Io};
 pub use youbot::{Axis, Bar, Boards, DriveHandle, Firmware, Joint, YouBot, YouBotConfig};

@@ -19,5 +19,5 @@ pub use error::{DecodeError, EncodeError};
 pub use wire::{
     Address, AlState, AlStatus, AlStatusCode, CoeService, Command, Datagram, DatagramHeader,
     Datagrams, Emergency, Fmmu, Frame, FrameHeader, FrameWriter, MailboxError, MailboxHeader,
-    MailboxKind, SyncManager, WorkingCounter, coe, foe, register, sii,
+    MailboxKind, SyncManager, WorkingCounter, coe, eoe, foe, register, sii,
 };

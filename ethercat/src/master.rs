@@ -43,10 +43,10 @@ pub use diagnosis::Suspect;
 pub use event::{Cable, EmergencyReport, Event, Fault, JobError};
 pub use exchange::FrameCounters;
 pub use image::Group;
-pub use job::{EntryDescription, Job, JobKind, ObjectDescription, Reply};
+pub use job::{EntryDescription, EthernetJob, Job, JobKind, ObjectDescription, Reply};
 pub use process::{Channel, Located, Pdo, ProcessData};
 pub use scan::Phase;
-pub use unit::{PortCounters, PortState, SlaveInfo};
+pub use unit::{EthernetCounters, PortCounters, PortState, SlaveInfo};
 pub use view::SlaveView;
 
 use event::{Outbox, QUEUE_MAX};
@@ -400,6 +400,11 @@ impl Master {
         let reply = self.out.replies.pop_front()?;
         self.jobs = self.jobs.saturating_sub(1);
         Some(reply)
+    }
+
+    /// Copies the oldest Ethernet frame that a slave sent (EoE) to `to`, which 1518 bytes always fit; returns its length.
+    pub fn poll_ethernet(&mut self, slave: usize, to: &mut [u8]) -> Option<usize> {
+        self.units.get_mut(slave)?.fetch_ethernet(to)
     }
 
     /// The next event.

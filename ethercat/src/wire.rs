@@ -1,4 +1,5 @@
-//! Encoding and decoding of the wire formats, one file per layer. No clock, no socket, no allocation.
+//! Encoding and decoding of the wire formats, one file per layer. No clock, no socket, and no allocation but in the settings of
+//! Ethernet ports and the buffer of their frames, which are made once.
 
 // Received bytes are untrusted; tests index their own.
 #![cfg_attr(not(test), warn(clippy::indexing_slicing))]
@@ -7,6 +8,7 @@ mod al;
 pub mod coe;
 mod command;
 mod datagram;
+pub mod eoe;
 pub mod foe;
 mod frame;
 mod mailbox;

@@ -9,6 +9,7 @@ mod difference;
 mod directions;
 mod drive;
 mod dump;
+mod eoe;
 mod esi;
 mod finding;
 mod foe;
@@ -50,6 +51,7 @@ pub(crate) enum Ecat {
     Reg(reg::Reg),
     State(state::State),
     Foe(foe::Foe),
+    Eoe(eoe::Eoe),
     Sim(sim::Sim),
     Drive(drive::Drive),
     Youbot(youbot::YouBot),
@@ -71,6 +73,7 @@ impl Ecat {
             Self::Reg(reg) => reg.run(),
             Self::State(state) => state.run(),
             Self::Foe(foe) => foe.run(),
+            Self::Eoe(eoe) => eoe.run(),
             Self::Sim(sim) => sim.run(),
             Self::Drive(drive) => drive.run(),
             Self::Youbot(youbot) => youbot.run(),

@@ -59,6 +59,8 @@ pub struct SiiImage {
     pub spare: u16,
     /// It has FoE and BOOT.
     pub files: bool,
+    /// It has EoE.
+    pub ethernet: bool,
     /// Explicit layout instead of the derived one.
     pub layout: Option<SiiLayout>,
 }
@@ -80,7 +82,8 @@ pub struct SiiLayout {
     pub others: Vec<(u16, Vec<u8>)>,
 }
 
-/// The bit of FoE in the mailbox protocols.
+/// The bits of EoE and FoE in the mailbox protocols.
+const EOE: u16 = 0x0002;
 const FOE: u16 = 0x0008;
 /// Start addresses of mailboxes and process data.
 const MAILBOX: u16 = 0x1000;
@@ -239,6 +242,7 @@ impl SiiImage {
                 let len = self.mailbox_len;
                 let protocols = if self.coe > 0 { 0x0004 } else { 0 };
                 let protocols = protocols | if self.files { FOE } else { 0 };
+                let protocols = protocols | if self.ethernet { EOE } else { 0 };
                 ([MAILBOX, len, MAILBOX + len, len], protocols)
             }
         }
@@ -247,6 +251,11 @@ impl SiiImage {
     /// Whether it has FoE.
     pub(crate) fn speaks_foe(&self) -> bool {
         self.mailbox_len > 0 && self.mailboxes().1 & FOE != 0
+    }
+
+    /// Whether it has EoE.
+    pub(crate) fn speaks_eoe(&self) -> bool {
+        self.mailbox_len > 0 && self.mailboxes().1 & EOE != 0
     }
 
     /// The mailboxes in BOOT. Those with FoE are longer there, as no process data needs memory; except with a layout.
@@ -300,6 +309,7 @@ impl SiiImage {
         let mut bytes = [0; 32];
         (bytes[0], bytes[2], bytes[3]) = (general.group, general.order, general.name);
         (bytes[5], bytes[6], bytes[11]) = (general.coe, u8::from(self.files), general.flags);
+        bytes[7] = u8::from(self.ethernet);
         bytes[12..14].copy_from_slice(&general.ebus_ma.to_le_bytes());
         bytes[16..18].copy_from_slice(&general.ports.to_le_bytes());
         bytes

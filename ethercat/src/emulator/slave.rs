@@ -4,6 +4,7 @@
 mod al;
 mod chip;
 mod eeprom;
+mod ethernet;
 mod faults;
 mod file;
 mod logical;
@@ -23,6 +24,8 @@ use super::memory::{Memory, ecat_event};
 
 pub use chip::{Chip, ClockUnit};
 use eeprom::Eeprom;
+use ethernet::Station;
+pub use ethernet::{EthernetFaults, EthernetPort, EthernetState};
 pub use faults::SlaveFaults;
 use file::FileServer;
 pub use file::{FileStore, Files};
@@ -55,8 +58,8 @@ pub struct SlaveConfig {
     pub dirty_mailbox: bool,
     /// The counter of a mailbox answer is that of its request; unsolicited messages continue from there.
     pub counters_follow: bool,
-    /// Period at which it sends an Ethernet frame by its mailbox (EoE) once a master has set its address, ns; `None`
-    /// for a slave without EoE.
+    /// Period at which it sends an Ethernet frame by its mailbox (EoE) on its own, once a master has set its address, ns;
+    /// `None` for a slave that does not.
     pub eoe: Option<u64>,
     /// Forwarding delay of a frame, ns.
     pub forwarding: u64,
@@ -162,6 +165,8 @@ pub struct Slave {
     post: Post,
     /// `None` for a slave without FoE, which has no BOOT either.
     files: Option<FileServer>,
+    /// `None` for a slave without EoE.
+    station: Option<Station>,
     random: Random,
     channels: Channels,
     /// Time of the last outputs; `None` before the first.
@@ -185,6 +190,7 @@ impl Slave {
     /// A slave after power-on.
     pub fn new(config: SlaveConfig, application: Box<dyn Application>) -> Self {
         let files = config.sii.speaks_foe().then(FileServer::default);
+        let station = config.sii.speaks_eoe().then(Station::default);
         let mut slave = Self {
             eeprom: Eeprom::new(config.sii.encode()),
             memory: config.memory(),
@@ -199,6 +205,7 @@ impl Slave {
             faults: SlaveFaults::default(),
             post: Post::default(),
             files,
+            station,
             outputs_at: None,
             ran: 0,
             fresh: false,
@@ -221,7 +228,10 @@ impl Slave {
         }
         self.state = AlState::Init;
         self.request = None;
-        self.post.restart();
+        self.post.reset();
+        if let Some(station) = &mut self.station {
+            station.power_on();
+        }
         self.eeprom.reset();
         (self.fresh, self.missed, self.activation) = (false, 0, 0);
         (self.outputs_at, self.ran, self.expired) = (None, now, false);
@@ -338,6 +348,22 @@ impl Slave {
     /// Its files; `None` without FoE.
     pub fn files(&self) -> Option<Files> {
         self.files.as_ref().map(|server| server.files.clone())
+    }
+
+    /// The same with EoE: an Ethernet port that answers ARP, ping and UDP echo (port 7) once a master has set its
+    /// addresses. Its EEPROM is reset.
+    #[must_use]
+    pub fn with_ethernet(mut self) -> Self {
+        self.config.sii.ethernet = true;
+        *self.eeprom.bytes_mut() = self.config.sii.encode();
+        self.station = Some(Station::default());
+        self.power_on(0);
+        self
+    }
+
+    /// Its Ethernet port; `None` without EoE.
+    pub fn ethernet(&self) -> Option<EthernetPort> {
+        self.station.as_ref().map(|station| station.port.clone())
     }
 
     /// Gives it another name, whose first word is its order code. Its EEPROM is reset; the change takes effect at the

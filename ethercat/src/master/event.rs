@@ -6,6 +6,7 @@ use std::fmt;
 use std::time::Duration;
 
 use super::job::Reply;
+use crate::eoe::EoeResult;
 use crate::foe::FoeError;
 use crate::{AlState, AlStatus, AlStatusCode, Emergency, MailboxError};
 use takt_cia402::dictionary::{AbortCode, Address, Mapped};
@@ -241,6 +242,12 @@ pub enum JobError {
     /// The slave refused a file.
     #[error("the slave refuses the file: {0}")]
     File(FoeError),
+    /// The slave refused a request to its Ethernet port.
+    #[error("the slave refuses: {0}")]
+    Ethernet(EoeResult),
+    /// The data is no Ethernet frame.
+    #[error("an Ethernet frame of {0} bytes; frames have 14 to 1518, without checksum")]
+    FrameLength(usize),
     /// The answer timed out.
     #[error("no answer within {0:?}; is the slave in PRE-OP or higher, and its firmware running?")]
     Timeout(Duration),

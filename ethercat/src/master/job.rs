@@ -5,6 +5,7 @@ use takt_cia402::dictionary::Address;
 
 use super::event::JobError;
 use crate::coe::{Information, Whole};
+use crate::eoe::EoeRequest;
 use crate::foe::FileName;
 
 /// The kind of a request.
@@ -47,6 +48,8 @@ pub enum JobKind {
         /// 0 for none.
         password: u32,
     },
+    /// Use the Ethernet port of a slave (EoE).
+    Ethernet(EthernetJob),
     /// Read a register of the slave controller.
     ReadRegister {
         /// The register address.
@@ -85,6 +88,7 @@ impl JobKind {
             | Self::RawMailbox
             | Self::ReadFile { .. }
             | Self::WriteFile { .. }
+            | Self::Ethernet(_)
             | Self::ReadRegister { .. }
             | Self::WriteRegister { .. }
             | Self::ReadSii { .. }
@@ -102,13 +106,33 @@ impl JobKind {
             | Self::DescribeEntry(_)
             | Self::RawMailbox
             | Self::ReadFile { .. }
-            | Self::WriteFile { .. } => true,
+            | Self::WriteFile { .. }
+            | Self::Ethernet(_) => true,
             Self::ReadRegister { .. }
             | Self::WriteRegister { .. }
             | Self::ReadSii { .. }
             | Self::WriteSii { .. } => false,
         }
     }
+}
+
+/// What is done with the Ethernet port of a slave (EoE).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EthernetJob {
+    /// Set what `data` contains, [`IpSettings`](crate::eoe::IpSettings) or an [`AddressFilter`](crate::eoe::AddressFilter), or
+    /// read it into `data`.
+    Request {
+        /// The port; 0 for a slave with one.
+        port: u8,
+        /// What is requested.
+        request: EoeRequest,
+    },
+    /// Send the Ethernet frame in `data`, 14 to 1518 bytes without checksum. Received frames are fetched by
+    /// [`Master::poll_ethernet`](crate::master::Master::poll_ethernet).
+    Send {
+        /// The port; 0 for a slave with one.
+        port: u8,
+    },
 }
 
 /// A request to a slave.

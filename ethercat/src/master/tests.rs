@@ -4,6 +4,7 @@ use super::*;
 use crate::emulator::{Coupler, Entry, Io, Segment};
 
 mod clocks;
+mod ethernet;
 mod files;
 mod fuzz;
 mod mailbox;

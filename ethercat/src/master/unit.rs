@@ -4,6 +4,7 @@
 
 mod clock;
 mod datagram;
+mod ethernet;
 mod file;
 mod identity;
 mod info;
@@ -38,6 +39,7 @@ use start::Start;
 use status::Status;
 
 pub(super) use datagram::{Answer, Context, Request};
+pub use ethernet::EthernetCounters;
 pub use info::{Port as PortState, SlaveInfo};
 pub(super) use start::{Gate, Step};
 pub use watch::PortCounters;
@@ -68,6 +70,8 @@ pub(super) struct Unit {
 
 impl Unit {
     pub(super) fn new(number: usize, station: u16, spec: SlaveSpec, config: &MasterConfig) -> Self {
+        let mut mailbox = Mailbox::new(spec.timeouts.unwrap_or(config.timeouts));
+        mailbox.set_ethernet(spec.ethernet);
         Self {
             number,
             station,
@@ -79,7 +83,7 @@ impl Unit {
             start: Start::default(),
             operation: Operation::default(),
             turn: Turn::default(),
-            mailbox: Mailbox::new(spec.timeouts.unwrap_or(config.timeouts)),
+            mailbox,
             jobs: Jobs::new(&spec),
             status: Status::default(),
             recovery: Recovery::default(),
@@ -100,6 +104,7 @@ impl Unit {
         if let Some(timeouts) = spec.timeouts {
             self.mailbox.set_timeouts(timeouts);
         }
+        self.mailbox.set_ethernet(spec.ethernet);
         (self.number, self.spec) = (number, spec);
     }
 
@@ -317,9 +322,11 @@ impl Unit {
         }
         if watch && self.is_running() {
             self.turn.offer(Pending::Watch);
-            return self
-                .watch
-                .request(self.mailbox.exists(), self.info.has_clock());
+            return self.watch.request(
+                self.mailbox.exists(),
+                self.mailbox.has_ethernet(),
+                self.info.has_clock(),
+            );
         }
         None
     }

@@ -1,6 +1,6 @@
 //! Read access to the state of a master and its slaves.
 
-use super::unit::Unit;
+use super::unit::{EthernetCounters, Unit};
 use super::{
     Difference, FrameCounters, Group, Master, Phase, PortCounters, ProcessData, SlaveInfo,
 };
@@ -95,6 +95,11 @@ impl<'a> SlaveView<'a> {
     /// Bytes of the object or file that is transferred at present; `None` without a transfer.
     pub fn transferred(&self) -> Option<usize> {
         self.unit.transferred()
+    }
+
+    /// Counters of its Ethernet frames (EoE); `None` if its configuration does not use them.
+    pub fn ethernet(&self) -> Option<EthernetCounters> {
+        self.unit.ethernet_counters()
     }
 
     /// Unsolicited messages of its mailbox, and repeat requests.

@@ -162,6 +162,16 @@ fn soem_reads_and_writes_files_in_boot() {
 }
 
 #[test]
+fn soem_exchanges_ethernet_frames_with_slave() {
+    run(
+        "soem_exchanges_ethernet_frames_with_slave",
+        "soemx_eoe_peer.py",
+        "soemx",
+        wire::ethernet,
+    );
+}
+
+#[test]
 fn kickcat_scans_configures_and_moves_two_drives() {
     run(
         "kickcat_scans_configures_and_moves_two_drives",

@@ -125,6 +125,15 @@ pub(crate) fn files() -> Bench {
     }
 }
 
+/// A coupler, and a drive with an Ethernet port behind its mailbox.
+pub(crate) fn ethernet() -> Bench {
+    let (drive, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
+    Bench {
+        segment: Segment::line([Coupler::slave(), drive.with_ethernet()]),
+        loops: Vec::new(),
+    }
+}
+
 /// Slaves that answer as real devices do, with their delays multiplied by `times`.
 pub(crate) fn profiles(devices: &[Profile], times: u64) -> Bench {
     let (segment, _) = Profile::line(devices, times).unwrap();
@@ -198,7 +207,10 @@ impl Capture {
         let frames = self.matching("ecat");
         assert!(frames.len() > 500, "{} frames", frames.len());
         // Other complaints are accepted: SOEM's source address is no station address.
-        let mut found = self.matching("_ws.malformed || _ws.short || _ws.unreassembled");
+        // SOEM writes the addresses that it sets one after the other, where tshark expects a place for each.
+        let mut found = self.matching(
+            "(_ws.malformed || _ws.short || _ws.unreassembled) && !(ecat_mailbox.eoe.type == 2)",
+        );
         found.truncate(5);
         assert_eq!(found, Vec::<String>::new());
     }

@@ -430,16 +430,33 @@ impl<W: Wire> Session<W> {
         timeouts: Option<Timeouts>,
         timeout: Duration,
     ) -> anyhow::Result<()> {
+        self.hold_as(slave, timeout, |spec| {
+            (spec.goal, spec.timeouts) = (goal, timeouts);
+        })
+    }
+
+    /// Restarts with all slaves in PRE-OP, one of which exchanges Ethernet frames (EoE), and waits for that.
+    pub(super) fn hold_ethernet(&mut self, slave: usize, timeout: Duration) -> anyhow::Result<()> {
+        self.hold_as(slave, timeout, |spec| spec.ethernet = true)
+    }
+
+    fn hold_as(
+        &mut self,
+        slave: usize,
+        timeout: Duration,
+        change: impl Fn(&mut SlaveSpec),
+    ) -> anyhow::Result<()> {
         let at = |number: usize| {
             let position = u16::try_from(number).unwrap_or(u16::MAX);
             let mut spec = SlaveSpec::new(format!("{number}"), Location::Position(position));
             spec.goal = AlState::PreOp;
             if number == slave {
-                (spec.goal, spec.timeouts) = (goal, timeouts);
+                change(&mut spec);
             }
             spec
         };
-        let slaves = (0..self.master.len()).map(at).collect();
+        let slaves: Vec<SlaveSpec> = (0..self.master.len()).map(at).collect();
+        let goal = slaves.get(slave).map_or(AlState::PreOp, |spec| spec.goal);
         let is_up = matches!(goal, AlState::SafeOp | AlState::Op);
         self.restart(MasterConfig {
             slaves,

@@ -34,7 +34,7 @@ use plan::{Emulation, Plan};
   echo 'cut 2' | takt ecat sim near --devices youbot --duration 1min
 
 A file has one [[slave]] for each slave: kind = coupler, digital, analogue, drive, tx90 or a device; outputs, inputs,
-looped (terminals); axes (drive); behind = [slave, port]; alias, vendor, product, name, drift_ppm; files (FoE and BOOT).
+looped (terminals); axes (drive); behind = [slave, port]; alias, vendor, product, name, drift_ppm; files (FoE and BOOT); ethernet (EoE).
 
 Devices reproduce recorded real ones, with their registers, EEPROMs and times: ek1100, el1004,
 el2004, el2828, el2889, el3004, ek1914, lan9252, akd.")]

@@ -19,39 +19,9 @@ pub(super) struct Post {
     due: Option<u64>,
     /// Counter of the last mailbox received, and of the last sent.
     counters: (u8, u8),
-    /// Time of the next Ethernet frame by EoE, ns; `None` before it has an address.
-    ethernet: Option<u64>,
 }
-
-/// Frame types of EoE (ETG.1000.6, clause 5.9): a fragment that is a whole frame, the request for an address, its
-/// answer.
-mod eoe {
-    pub(super) const FRAGMENT: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
-    pub(super) const SET_ADDRESS: u8 = 0x02;
-    pub(super) const ADDRESS_SET: [u8; 4] = [0x03, 0x00, 0x00, 0x00];
-}
-
-/// The unsolicited Ethernet frame of a slave: an ARP probe, padded.
-const ETHERNET: [u8; 60] = {
-    let mut frame = [0; 60];
-    let mut at = 0;
-    while at < 6 {
-        frame[at] = 0xFF;
-        frame[6 + at] = [0x02, 0, 0, 0, 0, 1][at];
-        at += 1;
-    }
-    (frame[12], frame[13]) = (0x08, 0x06);
-    (frame[15], frame[16], frame[18], frame[19], frame[21]) = (1, 0x08, 6, 4, 1);
-    frame
-};
 
 impl Post {
-    /// Resets at power-on.
-    pub(super) fn restart(&mut self) {
-        self.reset();
-        self.ethernet = None;
-    }
-
     pub(super) fn reset(&mut self) {
         self.replies.clear();
         self.due = None;
@@ -64,7 +34,10 @@ impl Slave {
     /// `None` ends that.
     pub fn set_ethernet(&mut self, period: Option<u64>) {
         self.config.eoe = period;
-        self.post.ethernet = period.map(|_| self.ran);
+        let now = self.ran;
+        if let Some(station) = &mut self.station {
+            station.announce(period.map(|_| now));
+        }
     }
 
     pub(super) fn poll_mailbox(&mut self, now: u64) {
@@ -85,16 +58,7 @@ impl Slave {
         while self.post.replies.len() < REPLIES_MAX && self.application.unasked(&mut unasked) {
             self.queue(MailboxKind::Coe, &unasked);
         }
-        if let (Some(period), Some(due)) = (self.config.eoe, self.post.ethernet)
-            && now >= due
-            && self.post.replies.is_empty()
-        {
-            self.post.ethernet = Some(now + period);
-            self.queue(
-                MailboxKind::Eoe,
-                &[&eoe::FRAGMENT[..], &ETHERNET[..]].concat(),
-            );
-        }
+        self.send_ethernet(now);
         if let Some(reply) = self.post.replies.front()
             && self.memory.put_mailbox(1, reply)
         {
@@ -123,13 +87,6 @@ impl Slave {
             // The counter of the answer, which is incremented below, is that of the request.
             self.post.counters.1 = header.counter.wrapping_sub(1);
         }
-        if header.kind == MailboxKind::Eoe && self.config.eoe.is_some() {
-            if inside.first().map(|first| first & 0x0F) == Some(eoe::SET_ADDRESS) {
-                self.post.ethernet = Some(now);
-                self.queue(MailboxKind::Eoe, &eoe::ADDRESS_SET);
-            }
-            return;
-        }
         if let Some((left, code)) = &mut self.faults.mailbox_errors
             && happens(left)
         {
@@ -147,6 +104,21 @@ impl Slave {
             }
             return;
         }
+        let offset = self.offset();
+        if header.kind == MailboxKind::Eoe
+            && self.state != crate::AlState::Boot
+            && let Some(station) = &mut self.station
+        {
+            let time = self
+                .clock
+                .as_ref()
+                .map_or(now, |clock| clock.local(now).wrapping_add(offset));
+            let answer = station.answer(inside, now, time);
+            if let Some(answer) = answer.filter(|_| !happens(&mut self.faults.lose_answers)) {
+                self.queue(MailboxKind::Eoe, &answer);
+            }
+            return;
+        }
         if header.kind != MailboxKind::Coe
             || self.config.sii.coe == 0
             || self.state == crate::AlState::Boot
@@ -156,6 +128,20 @@ impl Slave {
         }
         if self.application.mailbox(inside, &mut reply) && !happens(&mut self.faults.lose_answers) {
             self.queue(MailboxKind::Coe, &reply);
+        }
+    }
+
+    /// Queues a fragment of an Ethernet frame whenever the mailbox has nothing else to send.
+    fn send_ethernet(&mut self, now: u64) {
+        let len = usize::from(self.memory.sync_manager(1).len);
+        let period = self.config.eoe;
+        let Some(station) = &mut self.station else {
+            return;
+        };
+        if self.post.replies.is_empty()
+            && let Some(fragment) = station.fragment(now, period, len)
+        {
+            self.queue(MailboxKind::Eoe, &fragment);
         }
     }
 

@@ -20,7 +20,7 @@ const fn next_like(start: u64, system: u64) -> u64 {
 const PULSES_MAX: u64 = 64;
 
 impl Slave {
-    fn offset(&self) -> u64 {
+    pub(super) fn offset(&self) -> u64 {
         u64::from_le_bytes(self.memory.get(register::DC_OFFSET))
     }
 

@@ -491,7 +491,11 @@ fn eoe_frames_are_sent_once_addressed() {
             .counter,
         0
     );
-    bench.write(0x1000, 0x1800, &message(1024, 2, 1, &[2, 0, 0, 0]));
+    bench.write(
+        0x1000,
+        0x1800,
+        &message(1024, 2, 1, &[2, 1, 0, 0, 0, 0, 0, 0]),
+    );
     pass(&mut bench, 5);
     let kind = |bench: &mut Bench| {
         let bytes: [u8; 1024] = bench.read(0x1000, 0x1C00);

@@ -5,7 +5,7 @@ use super::super::event::{EmergencyReport, JobError, Outbox};
 use super::super::job::{Job, Reply};
 use super::mailbox::Output;
 use super::queue::OWN;
-use super::{Context, Unit, transfer};
+use super::{Context, EthernetCounters, Unit, transfer};
 
 impl Unit {
     /// Queues a job; a full queue returns it.
@@ -68,6 +68,16 @@ impl Unit {
     /// Bytes of the current transfer so far; `None` without one.
     pub(in crate::master) fn transferred(&self) -> Option<usize> {
         self.mailbox.transferred()
+    }
+
+    /// Counters of Ethernet frames; `None` if they are not used.
+    pub(in crate::master) fn ethernet_counters(&self) -> Option<EthernetCounters> {
+        self.mailbox.ethernet_counters()
+    }
+
+    /// Copies the oldest received Ethernet frame to `to`; returns its length.
+    pub(in crate::master) fn fetch_ethernet(&mut self, to: &mut [u8]) -> Option<usize> {
+        self.mailbox.fetch_ethernet(to)
     }
 
     /// Unsolicited messages of the mailbox, and repeat requests.

@@ -15,11 +15,14 @@
 //! Slaves must repeat a lost message (ETG.1000.4, clause 8.4.3), but not all do. A request that may be repeated is then
 //! sent again, as it is if there is no answer at all.
 
+mod port;
+
 use std::time::Duration;
 
 use super::super::event::JobError;
 use super::super::job::JobKind;
 use super::datagram::{Answer, Request};
+use super::ethernet::Ethernet;
 use super::transfer::{Progress, Transfer, protocol};
 use crate::config::Timeouts;
 use crate::register;
@@ -76,6 +79,12 @@ pub(super) struct Mailbox {
     /// Number of attempts of the transfer.
     attempts: u8,
     timeouts: Timeouts,
+    /// Received Ethernet frames; `None` if they are not used.
+    ethernet: Option<Ethernet>,
+    /// Number of the last Ethernet frame sent, 0 to 15.
+    frame: u8,
+    /// The slave accepted the pending fragment of an Ethernet frame.
+    accepted: bool,
     /// Number of unsolicited messages.
     pub(super) ignored: u32,
     /// Number of repeat requests and of repeated requests.
@@ -97,6 +106,9 @@ impl Mailbox {
             repeat_since: Duration::ZERO,
             attempts: 0,
             timeouts,
+            ethernet: None,
+            frame: 0,
+            accepted: false,
             ignored: 0,
             repeated: 0,
         }
@@ -182,6 +194,9 @@ impl Mailbox {
         // the same counter for a repetition.
         self.counters.1 = 0;
         self.repeat = false;
+        if let Some(ethernet) = &mut self.ethernet {
+            ethernet.reset();
+        }
         self.transfer.take()
     }
 
@@ -197,7 +212,7 @@ impl Mailbox {
     /// Starts a transfer with datagrams of at most `capacity` bytes. Call it only if the mailbox is free.
     pub(super) fn begin(
         &mut self,
-        transfer: Transfer,
+        mut transfer: Transfer,
         kind: JobKind,
         capacity: usize,
         now: Duration,
@@ -216,6 +231,12 @@ impl Mailbox {
                 transfer,
                 Err(JobError::MailboxTooLong { size, capacity }),
             ));
+        }
+        if transfer.streams() {
+            self.frame = (self.frame + 1) % 16;
+            if let Err(error) = transfer.begin_frame(self.frame) {
+                return Some(Output::Done(transfer, Err(error)));
+            }
         }
         let raw = transfer.is_raw();
         self.transfer = Some(transfer);
@@ -241,7 +262,7 @@ impl Mailbox {
 
     fn send(&mut self, now: Duration) -> Option<Output> {
         self.since = now;
-        self.phase = Phase::Send;
+        (self.phase, self.accepted) = (Phase::Send, false);
         let len = usize::from(self.areas.receive_len);
         let transfer = self.transfer.as_mut()?;
         let written = self.message.get_mut(..len).and_then(|message| {
@@ -269,6 +290,23 @@ impl Mailbox {
             }));
         }
         None
+    }
+
+    /// Nothing is left to read: continues with what is pending.
+    fn resume(&mut self, now: Duration) -> Option<Output> {
+        self.phase = Phase::Idle;
+        match &self.transfer {
+            None => None,
+            Some(transfer) if !transfer.streams() => {
+                self.phase = Phase::Poll;
+                None
+            }
+            Some(_) if self.accepted => self.send(now),
+            Some(_) => {
+                self.phase = Phase::Send;
+                None
+            }
+        }
     }
 
     fn end(&mut self, result: Result<(), JobError>) -> Option<Output> {
@@ -364,21 +402,14 @@ impl Mailbox {
                 None
             }
             Phase::Send => self.sent(done),
-            Phase::Poll => {
-                if done && sm.is_full() {
-                    self.phase = Phase::Fetch;
-                }
+            Phase::Poll if done && sm.is_full() => {
+                self.phase = Phase::Fetch;
                 None
             }
+            Phase::Poll if done && self.streams() => self.resume(now),
+            Phase::Poll => None,
             Phase::Fetch if done => self.received(data, now),
-            Phase::Fetch => {
-                self.phase = if self.transfer.is_some() {
-                    Phase::Poll
-                } else {
-                    Phase::Idle
-                };
-                None
-            }
+            Phase::Fetch => self.resume(now),
             Phase::RepeatCheck => {
                 if done {
                     self.repeat = sm.activate & 0x02 == 0;
@@ -432,6 +463,9 @@ impl Mailbox {
 
     /// The slave accepted the message, or its mailbox is still full.
     fn sent(&mut self, taken: bool) -> Option<Output> {
+        if self.streams() {
+            return self.sent_fragment(taken);
+        }
         if !taken {
             return None;
         }
@@ -482,8 +516,8 @@ impl Mailbox {
                 let progress = transfer.map(|transfer| transfer.handle_file(inside, len));
                 self.proceed(progress.unwrap_or(Progress::Ignored), now)
             }
+            MailboxKind::Eoe => self.received_eoe(inside, now),
             MailboxKind::Aoe
-            | MailboxKind::Eoe
             | MailboxKind::Foe
             | MailboxKind::Soe
             | MailboxKind::Voe

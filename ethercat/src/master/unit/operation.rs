@@ -409,6 +409,7 @@ impl Unit {
             | JobKind::DescribeEntry(_)
             | JobKind::ReadFile { .. }
             | JobKind::WriteFile { .. }
+            | JobKind::Ethernet(_)
             | JobKind::RawMailbox => {
                 let (size, capacity) = (job.data.len(), 128);
                 return self

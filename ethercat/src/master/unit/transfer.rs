@@ -4,10 +4,12 @@
 use takt_cia402::dictionary::{AbortCode, Address};
 
 use super::super::event::JobError;
-use super::super::job::{Job, JobKind};
+use super::super::job::{EthernetJob, Job, JobKind};
+use super::ethernet::EthernetTransfer;
 use super::file::FileTransfer;
 use super::queue::OWN;
 use crate::coe::{Information, SDO_LEN, Sdo};
+use crate::eoe::{Eoe, EoeRequest, FRAME_MAX, FRAME_MIN};
 use crate::foe::Foe;
 use crate::{CoeService, MailboxKind};
 
@@ -46,14 +48,13 @@ pub(in crate::master) struct Transfer {
     part: usize,
     /// Of a file.
     file: FileTransfer,
+    /// Of an Ethernet port.
+    ethernet: EthernetTransfer,
 }
 
 impl Transfer {
     pub(in crate::master) fn new(mut job: Job) -> Self {
-        if !matches!(
-            job.kind,
-            JobKind::Download { .. } | JobKind::RawMailbox | JobKind::WriteFile { .. }
-        ) {
+        if !sends(job.kind) {
             job.data.clear();
         }
         Self {
@@ -62,6 +63,7 @@ impl Transfer {
             count: 0,
             part: 0,
             file: FileTransfer::default(),
+            ethernet: EthernetTransfer::default(),
         }
     }
 
@@ -79,6 +81,8 @@ impl Transfer {
             self.file.done()
         } else if matches!(self.job.kind, JobKind::Download { .. }) {
             self.count
+        } else if self.streams() {
+            self.ethernet.done()
         } else {
             self.job.data.len()
         }
@@ -100,7 +104,10 @@ impl Transfer {
             JobKind::List(_) | JobKind::DescribeObject(_) | JobKind::DescribeEntry(_) => {
                 self.count == 0
             }
-            JobKind::RawMailbox
+            // Addresses and filters are states, not commands.
+            JobKind::Ethernet(EthernetJob::Request { .. }) => true,
+            JobKind::Ethernet(EthernetJob::Send { .. })
+            | JobKind::RawMailbox
             | JobKind::ReadFile { .. }
             | JobKind::WriteFile { .. }
             | JobKind::ReadRegister { .. }
@@ -112,7 +119,7 @@ impl Transfer {
 
     /// Restarts with the first message.
     pub(super) fn restart(&mut self) {
-        if !matches!(self.job.kind, JobKind::Download { .. }) {
+        if !sends(self.job.kind) {
             self.job.data.clear();
         }
         (self.phase, self.count, self.part) = (Phase::Begin, 0, 0);
@@ -133,6 +140,7 @@ impl Transfer {
             | JobKind::RawMailbox
             | JobKind::ReadFile { .. }
             | JobKind::WriteFile { .. }
+            | JobKind::Ethernet(_)
             | JobKind::ReadRegister { .. }
             | JobKind::WriteRegister { .. }
             | JobKind::ReadSii { .. }
@@ -145,6 +153,9 @@ impl Transfer {
     pub(super) fn write(&mut self, to: &mut [u8]) -> Option<usize> {
         if self.mailbox_kind() == MailboxKind::Foe {
             return self.file.write(&self.job, to);
+        }
+        if let JobKind::Ethernet(kind) = self.job.kind {
+            return self.ethernet.write(kind, &self.job, to);
         }
         let (service, inside) = to.split_first_chunk_mut::<{ CoeService::LEN }>()?;
         let service_of = self
@@ -194,6 +205,7 @@ impl Transfer {
             JobKind::RawMailbox
             | JobKind::ReadFile { .. }
             | JobKind::WriteFile { .. }
+            | JobKind::Ethernet(_)
             | JobKind::ReadRegister { .. }
             | JobKind::WriteRegister { .. }
             | JobKind::ReadSii { .. }
@@ -238,6 +250,35 @@ impl Transfer {
         match Foe::decode(bytes) {
             Some(message) => self.file.handle(&message, &mut self.job, len),
             None => Progress::Done(Err(JobError::Protocol("FoE message"))),
+        }
+    }
+
+    /// Whether it sends an Ethernet frame: its fragments are not answered, and the mailbox is read between them.
+    pub(super) const fn streams(&self) -> bool {
+        matches!(self.job.kind, JobKind::Ethernet(EthernetJob::Send { .. }))
+    }
+
+    /// Begins an Ethernet frame with its number; an error if it is none.
+    pub(super) fn begin_frame(&mut self, number: u8) -> Result<(), JobError> {
+        let len = self.job.data.len();
+        if self.streams() && !(FRAME_MIN..=FRAME_MAX).contains(&len) {
+            return Err(JobError::FrameLength(len));
+        }
+        self.ethernet.set_frame(number);
+        Ok(())
+    }
+
+    /// The slave accepted the pending fragment of an Ethernet frame; whether it was the last.
+    pub(super) fn accepted(&mut self) -> bool {
+        self.ethernet.accepted(self.job.data.len())
+    }
+
+    /// Handles an EoE message that is no fragment.
+    pub(super) fn handle_ethernet(&mut self, message: &Eoe<'_>) -> Progress {
+        if let JobKind::Ethernet(kind) = self.job.kind {
+            EthernetTransfer::handle(kind, message, &mut self.job)
+        } else {
+            Progress::Ignored
         }
     }
 
@@ -451,10 +492,32 @@ pub(super) const fn protocol(kind: JobKind) -> Option<MailboxKind> {
         | JobKind::DescribeObject(_)
         | JobKind::DescribeEntry(_) => Some(MailboxKind::Coe),
         JobKind::ReadFile { .. } | JobKind::WriteFile { .. } => Some(MailboxKind::Foe),
+        JobKind::Ethernet(_) => Some(MailboxKind::Eoe),
         JobKind::RawMailbox
         | JobKind::ReadRegister { .. }
         | JobKind::WriteRegister { .. }
         | JobKind::ReadSii { .. }
         | JobKind::WriteSii { .. } => None,
+    }
+}
+
+/// Whether `data` of a job is what is sent, rather than a buffer for the answer.
+const fn sends(kind: JobKind) -> bool {
+    match kind {
+        JobKind::Download { .. } | JobKind::RawMailbox | JobKind::WriteFile { .. } => true,
+        JobKind::Ethernet(EthernetJob::Request { request, .. }) => match request {
+            EoeRequest::SetAddress | EoeRequest::SetFilter => true,
+            EoeRequest::GetAddress | EoeRequest::GetFilter => false,
+        },
+        JobKind::Ethernet(EthernetJob::Send { .. }) => true,
+        JobKind::Upload { .. }
+        | JobKind::List(_)
+        | JobKind::DescribeObject(_)
+        | JobKind::DescribeEntry(_)
+        | JobKind::ReadFile { .. }
+        | JobKind::ReadRegister { .. }
+        | JobKind::WriteRegister { .. }
+        | JobKind::ReadSii { .. }
+        | JobKind::WriteSii { .. } => false,
     }
 }

@@ -58,11 +58,19 @@ impl Watch {
         &self.counters
     }
 
-    pub(super) fn request(&mut self, mailbox: bool, clock: bool) -> Option<Request<'static>> {
-        let order = [Kind::Counters, Kind::Mailbox, Kind::Clock];
+    /// The next check; a mailbox that is `busy` is checked every other time.
+    pub(super) fn request(
+        &mut self,
+        mailbox: bool,
+        busy: bool,
+        clock: bool,
+    ) -> Option<Request<'static>> {
+        let between = if busy { Kind::Mailbox } else { Kind::Counters };
+        let order = [Kind::Counters, Kind::Mailbox, Kind::Clock, between];
+        let turns = if busy { 4 } else { 3 };
         let kind = loop {
-            let kind = order[usize::from(self.turn % 3)];
-            self.turn = (self.turn + 1) % 3;
+            let kind = order[usize::from(self.turn % turns)];
+            self.turn = (self.turn + 1) % turns;
             match kind {
                 Kind::Counters | Kind::Clear => {
                     break if self.clear {
@@ -147,7 +155,7 @@ mod tests {
     use super::*;
 
     fn read(watch: &mut Watch, block: [u8; BLOCK]) {
-        assert!(watch.request(false, false).is_some());
+        assert!(watch.request(false, false, false).is_some());
         watch.answer(Answer::Data {
             counter: 1,
             data: &block,
@@ -169,7 +177,7 @@ mod tests {
             (30, 0)
         );
         let cleared = matches!(
-            watch.request(false, false),
+            watch.request(false, false, false),
             Some(Request::Write { at: 0x0300, .. })
         );
         assert!(cleared);
@@ -189,7 +197,7 @@ mod tests {
         let registers = |mailbox, clock| {
             let mut watch = Watch::default();
             let at: Vec<u16> = (0..4)
-                .map(|_| match watch.request(mailbox, clock) {
+                .map(|_| match watch.request(mailbox, false, clock) {
                     Some(Request::Read { at, .. }) => at,
                     Some(Request::Write { .. }) | None => 0,
                 })

@@ -6,6 +6,7 @@ use std::fmt::Write as _;
 
 use takt_cia402::dictionary::DataType;
 use takt_ethercat::coe::{Information, Sdo, Whole};
+use takt_ethercat::eoe::Eoe;
 use takt_ethercat::foe::Foe;
 use takt_ethercat::{
     Address, AlStatus, AlStatusCode, CoeService, Command, Datagram, Emergency, MailboxError,
@@ -364,33 +365,12 @@ fn mailbox(data: &[u8], known: bool) -> Option<String> {
         MailboxKind::Coe => coe(rest)?,
         MailboxKind::Error => MailboxError::decode(rest)?.to_string(),
         MailboxKind::Foe => Foe::decode(rest)?.to_string(),
-        MailboxKind::Eoe => eoe(rest)?,
+        MailboxKind::Eoe => Eoe::decode(rest)?.to_string(),
         MailboxKind::Aoe | MailboxKind::Soe | MailboxKind::Voe | MailboxKind::Other(_) => {
             bytes(rest)
         }
     };
     Some(format!("{} #{counter} {text}", header.kind))
-}
-
-/// EoE (ETG.1000.6, clause 5.9): type in bits 0 to 3, last fragment in bit 8; then the number of the fragment in bits 0 to 5
-/// and that of the frame in 12 to 15, or a result.
-fn eoe(rest: &[u8]) -> Option<String> {
-    let ([kind, flags, low, high], data) = rest.split_first_chunk()?;
-    let word = u16::from_le_bytes([*low, *high]);
-    Some(match kind & 0x0F {
-        0 => {
-            let last = if flags & 1 == 1 { ", last" } else { "" };
-            let (fragment, frame, len) = (word & 0x3F, word >> 12, data.len());
-            format!("Ethernet frame {frame}, fragment {fragment}{last}, {len} bytes")
-        }
-        2 => format!("set address {}", bytes(data)),
-        3 => format!("address set, result {word:04X}h"),
-        4 => "set filter".to_owned(),
-        5 => format!("filter set, result {word:04X}h"),
-        6 => "read address".to_owned(),
-        7 => format!("address {}", bytes(data)),
-        other => format!("type {other} {}", bytes(data)),
-    })
 }
 
 fn coe(rest: &[u8]) -> Option<String> {
@@ -499,14 +479,20 @@ mod tests {
         let messages: [(&[u8], &str); 10] = [
             (&fragment, "Ethernet frame 7, fragment 2, 40 bytes"),
             (&last, "Ethernet frame 7, fragment 5, last, 28 bytes"),
-            (&[2, 0, 0, 0, 1, 2], "set address 01 02"),
-            (&[3, 0, 0x00, 0x00], "address set, result 0000h"),
-            (&[3, 0, 0x02, 0x01], "address set, result 0102h"),
-            (&[4, 0, 0, 0], "set filter"),
-            (&[5, 0, 1, 0], "filter set, result 0001h"),
-            (&[6, 0, 0, 0], "read address"),
-            (&[7, 0, 0, 0, 9], "address 09"),
-            (&[0x1B, 0, 0, 0, 9], "type 11 09"),
+            (
+                &[2, 1, 0, 0, 3, 0, 0, 0, 2, 0, 0, 0, 0, 7, 2, 7, 168, 192],
+                "set address: MAC 02:00:00:00:00:07, IP 192.168.7.2",
+            ),
+            (&[2, 1, 0, 0, 1, 2], "set address: truncated"),
+            (&[3, 1, 0, 0], "address set: done (EoE 0000h)"),
+            (&[3, 1, 1, 2], "address set: it has no IP (EoE 0201h)"),
+            (&[4, 1, 0, 0], "set filter: truncated"),
+            (
+                &[5, 1, 1, 4],
+                "filter set: it has no address filter (EoE 0401h)",
+            ),
+            (&[6, 1, 0, 0], "read address"),
+            (&[7, 1, 0, 0, 0, 0, 0, 0], "address: none"),
         ];
         for (message, text) in messages {
             let line = decoded(message, true);

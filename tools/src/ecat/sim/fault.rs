@@ -4,7 +4,8 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use takt_cia402::emulator::FaultCode;
-use takt_ethercat::emulator::{Corrupt, Segment, ServoDrive, SharedSegment};
+use takt_ethercat::emulator::{Corrupt, EthernetFaults, Segment, ServoDrive, SharedSegment};
+use takt_ethercat::eoe::EoeResult;
 use takt_ethercat::{AlState, AlStatusCode};
 
 use crate::output::span;
@@ -19,7 +20,9 @@ late N TIME           the next N frames return late by a time
 broken N SLAVE PORT   the next N frames are broken on the cable to a port
 fall SLAVE CODE       a slave leaves OP for SAFE-OP with an AL status code, hexadecimal
 fault DRIVE AXIS CODE an axis faults with a code of 603Fh, hexadecimal; drives and axes count from 0
-jump SLAVE TIME       the clock of a slave jumps ahead";
+jump SLAVE TIME       the clock of a slave jumps ahead
+eoe SLAVE FAULT N     its next N Ethernet fragments are faulty: lose, swap, frame (wrong number), long (frames), deaf (frames)
+eoe SLAVE CODE N      its next N answers to EoE requests are refusals with a result code, hexadecimal";
 
 /// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +43,47 @@ pub(super) enum Fault {
     Axis(usize, usize, u16),
     /// A clock jumps.
     Jump(usize, Duration),
+    /// The Ethernet port of a slave is faulty that many times.
+    Ethernet(usize, EthernetFault, u32),
+}
+
+/// A fault of an Ethernet port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum EthernetFault {
+    Lose,
+    Swap,
+    Frame,
+    Long,
+    Deaf,
+    Refuse(EoeResult),
+}
+
+impl FromStr for EthernetFault {
+    type Err = String;
+
+    fn from_str(word: &str) -> Result<Self, String> {
+        Ok(match word {
+            "lose" => Self::Lose,
+            "swap" => Self::Swap,
+            "frame" => Self::Frame,
+            "long" => Self::Long,
+            "deaf" => Self::Deaf,
+            code => Self::Refuse(EoeResult(hexadecimal(code)?)),
+        })
+    }
+}
+
+impl EthernetFault {
+    const fn apply(self, count: u32, faults: &mut EthernetFaults) {
+        match self {
+            Self::Lose => faults.lose = count,
+            Self::Swap => faults.swap = count,
+            Self::Frame => faults.wrong_frame = count,
+            Self::Long => faults.too_long = count,
+            Self::Deaf => faults.deaf = count,
+            Self::Refuse(result) => faults.refuse = (count, result),
+        }
+    }
 }
 
 impl FromStr for Fault {
@@ -62,6 +106,9 @@ impl FromStr for Fault {
             ["fall", slave, code] => Self::Fall(number(slave)?, hexadecimal(code)?),
             ["fault", drive, axis, code] => {
                 Self::Axis(number(drive)?, number(axis)?, hexadecimal(code)?)
+            }
+            ["eoe", slave, fault, count] => {
+                Self::Ethernet(number(slave)?, fault.parse()?, number(count)?)
             }
             ["jump", slave, time] => Self::Jump(number(slave)?, span(time)?),
             _ => return Err(format!("`{line}` is not a command")),
@@ -155,6 +202,16 @@ impl Fault {
                     "drive {number} axis {axis} faults with {code:04X}h"
                 ))
             }
+            Self::Ethernet(number, fault, count) => {
+                let slave = segment.slave(number);
+                let slave = slave.ok_or_else(|| format!("there is no slave {number}"))?;
+                let port = slave.ethernet();
+                let port = port.ok_or_else(|| format!("slave {number} has no EoE"))?;
+                fault.apply(count, &mut port.lock().faults);
+                Ok(format!(
+                    "the Ethernet port of slave {number} is faulty {count} times"
+                ))
+            }
             Self::Jump(number, time) => {
                 let slave = segment.slave(number);
                 let clock = slave.and_then(|slave| slave.clock());
@@ -174,7 +231,7 @@ mod tests {
 
     fn segment() -> (SharedSegment, Vec<ServoDrive>) {
         let (slave, drive) = ServoDrive::slave(ServoConfig::default()).unwrap();
-        let segment = Segment::line([Coupler::slave(), slave]);
+        let segment = Segment::line([Coupler::slave(), slave.with_ethernet()]);
         (SharedSegment::new(segment), vec![drive])
     }
 
@@ -197,6 +254,14 @@ mod tests {
                 "5 frames will be broken before slave 1 port 0",
             ),
             ("fault 0 0 8611h", "drive 0 axis 0 faults with 8611h"),
+            (
+                "eoe 1 lose 2",
+                "the Ethernet port of slave 1 is faulty 2 times",
+            ),
+            (
+                "eoe 1 0201h 1",
+                "the Ethernet port of slave 1 is faulty 1 times",
+            ),
             ("jump 0 5us", "the clock of slave 0 jumped by 5µs"),
         ] {
             assert_eq!(execute(line).as_deref(), Ok(text), "{line}");
@@ -217,6 +282,8 @@ mod tests {
             ("fault 1 0 8611", "there is no drive 1"),
             ("fault 0 1 8611", "drive 0 has no axis 1"),
             ("fall 9 1B", "there is no slave 9"),
+            ("eoe 0 lose 1", "slave 0 has no EoE"),
+            ("eoe 1 all 1", "`all` is not a hexadecimal code"),
         ] {
             let error = execute(line).unwrap_err();
             assert!(error.contains(cause), "{error}");

@@ -99,6 +99,9 @@ struct SlavePlan {
     /// Whether it has FoE and BOOT; devices have them as the real ones do.
     #[serde(default)]
     files: bool,
+    /// Whether it has EoE, with a station that answers ARP, ping and UDP echo.
+    #[serde(default)]
+    ethernet: bool,
     /// Outputs and inputs of a terminal of a cell.
     #[serde(skip)]
     channels: [Vec<(u16, u8, u8, u8)>; 2],
@@ -129,6 +132,7 @@ impl SlavePlan {
             product: None,
             name: None,
             files: false,
+            ethernet: false,
             channels: [const { Vec::new() }; 2],
             drift_ppm: 0.0,
         }
@@ -175,6 +179,9 @@ impl SlavePlan {
         };
         if self.files {
             slave = slave.with_files();
+        }
+        if self.ethernet {
+            slave = slave.with_ethernet();
         }
         self.customize(&mut slave);
         Ok(slave)

@@ -80,7 +80,7 @@ pub(super) fn vng(root: &Path) -> Availability<PathBuf> {
 }
 
 /// Debian packages of the tests' peers and monitors on a bus.
-const PEERS: &[&str] = &["can-utils", "iproute2", "tshark"];
+const PEERS: &[&str] = &["can-utils", "iproute2", "iputils-ping", "tshark"];
 /// Modules of our own Python environment: virtme-ng, and the tests' peers.
 const MODULES: [&str; 3] = ["virtme-ng~=1.42", "python-can~=4.0", "canopen~=2.0"];
 /// EtherCAT masters, from the list that users install too.
