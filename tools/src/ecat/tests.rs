@@ -475,7 +475,8 @@ fn dump_prints_each_datagram() {
 
 #[test]
 fn dump_prints_ethernet_frames_between_sdo_answers() {
-    let mut drive = ServoDrive::slave(ServoConfig::default()).unwrap().0;
+    let drive = ServoDrive::slave(ServoConfig::default()).unwrap().0;
+    let mut drive = drive.with_ethernet();
     drive.set_ethernet(Some(3_000_000));
     let mut session = up(Segment::line([Coupler::slave(), drive]), AlState::PreOp);
     for _ in 0..5 {
@@ -486,7 +487,8 @@ fn dump_prints_ethernet_frames_between_sdo_answers() {
     let ethernet = |line: &&String| {
         line.contains(" < FPRD")
             && line.contains("EoE #")
-            && line.ends_with("Ethernet frame 0, fragment 0, last, 60 bytes")
+            && line.contains("Ethernet frame ")
+            && line.ends_with(", fragment 0, last, 60 bytes")
     };
     assert!(lines.iter().filter(ethernet).count() > 1, "{lines:#?}");
     let answered = |line: &&String| line.contains("SDO 1018h:01, 4 bytes: 87 7A 00 00");
