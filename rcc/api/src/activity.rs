@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
+use crate::compose::{Composite, Event};
 use crate::engine::When;
 use crate::error::Error;
-use crate::handle::{Handle, together};
+use crate::handle::Handle;
 use crate::order::{Operation, Order};
 use crate::outcome::Outcome;
 use crate::session::Session;
@@ -33,6 +34,7 @@ impl Activity {
                 speed,
                 blend: None,
                 until: Vec::new(),
+                marks: Vec::new(),
             },
         }
     }
@@ -61,12 +63,27 @@ impl Activity {
         self
     }
 
+    /// Lets `next` follow: both are loaded and scheduled before the first one begins.
+    pub fn then(self, next: impl Into<Composite>) -> Composite {
+        Composite::from(self).then(next)
+    }
+
+    /// Lets `next` begin at an event of this activity, decided by the controller. What is not begun is skipped.
+    pub fn on(self, event: Event, next: impl Into<Composite>) -> Composite {
+        Composite::from(self).on(event, next)
+    }
+
+    /// Lets it begin also if what it follows fails or is cancelled.
+    pub fn after_failure(self) -> Composite {
+        Composite::from(self).after_failure()
+    }
+
     /// Begins it, and returns when it runs: a program is at most one activity ahead.
     ///
     /// # Errors
     /// If it is invalid, rejected, or what its device does before fails.
     pub fn begin(self) -> Result<Handle, Error> {
-        together([self]).begin()
+        Composite::from(self).begin()
     }
 
     /// Lets it begin after what its device does, and returns at once.
@@ -74,7 +91,7 @@ impl Activity {
     /// # Errors
     /// If it is invalid or rejected.
     pub fn queue(self) -> Result<Handle, Error> {
-        together([self]).queue()
+        Composite::from(self).queue()
     }
 
     /// Begins it and waits until it has ended.

@@ -17,6 +17,7 @@
 //! completed, stopped by a condition, or far enough to blend. It does not follow one that failed or was cancelled.
 
 mod activity;
+mod begin;
 mod succession;
 #[cfg(test)]
 mod tests;
@@ -25,7 +26,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::error::Error;
 use crate::outcome::Outcome;
-pub use activity::{Action, ActivityId, Failure, GroupId, Start, State, When};
+pub use activity::{Action, ActivityId, Failure, GroupId, Part, Start, State, Trigger, When};
 use activity::{Activity, Group, GroupLife};
 
 /// The activities of one program.
@@ -43,83 +44,6 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// Begins activities together.
-    ///
-    /// # Errors
-    /// If two of them have the same device, there is none, or the connection is lost.
-    pub fn begin(&mut self, starts: Vec<Start>, when: When) -> Result<Vec<ActivityId>, Error> {
-        self.revision += 1;
-        if let Some(lost) = &self.lost {
-            return Err(lost.clone());
-        }
-        let count: usize = starts.iter().map(|start| start.devices.len()).sum();
-        let devices: BTreeSet<_> = starts.iter().flat_map(|start| &start.devices).collect();
-        if starts.is_empty() || devices.len() < count {
-            let text =
-                "activities that begin together have different devices, and there is at least one";
-            return Err(Error::Invalid(text.to_owned()));
-        }
-        let group = GroupId(self.number());
-        let predecessors: Vec<_> = match when {
-            When::Follow => {
-                let latest = devices.iter().filter_map(|device| self.latest(device));
-                latest.collect::<BTreeSet<_>>().into_iter().collect()
-            }
-            // Also those that wait: they are replaced as well.
-            When::Now => {
-                let replaced = |(id, activity): (&ActivityId, &Activity)| {
-                    let is_one = activity.commands(devices.iter().copied()) && !self.has_ended(*id);
-                    is_one.then_some(*id)
-                };
-                self.activities.iter().filter_map(replaced).collect()
-            }
-        };
-        let ending = |(id, activity): (&ActivityId, &Activity)| {
-            let is_one = activity.pending.is_some() && activity.commands(devices.iter().copied());
-            (is_one && !self.has_ended(*id)).then_some(*id)
-        };
-        let ending = match when {
-            When::Follow => self.activities.iter().filter_map(ending).collect(),
-            When::Now => Vec::new(),
-        };
-        let members = starts
-            .into_iter()
-            .map(|start| self.add(group, start))
-            .collect::<Vec<_>>();
-        let known = Group {
-            members: members.clone(),
-            predecessors,
-            ending,
-            when,
-            life: GroupLife::Loading,
-        };
-        self.groups.insert(group, known);
-        Ok(members)
-    }
-
-    fn add(&mut self, group: GroupId, start: Start) -> ActivityId {
-        let id = ActivityId(self.number());
-        self.actions.push(Action::Load {
-            activity: id,
-            net: start.net,
-        });
-        let activity = Activity {
-            devices: start.devices,
-            group,
-            results: start.results,
-            failures: start.failures,
-            net: None,
-            state: State::Loading,
-            values: BTreeSet::new(),
-            progress: 0.0,
-            is_held: true,
-            pending: None,
-            is_unloading: false,
-        };
-        self.activities.insert(id, activity);
-        id
-    }
-
     fn number(&mut self) -> u64 {
         self.next += 1;
         self.next
@@ -209,6 +133,10 @@ impl Engine {
                 let device = device.unwrap_or_default();
                 self.kill(id, &Err(Error::Conflict { device }));
             }
+            "INACTIVE" => {
+                self.rules.remove(rule);
+                return self.rule_inactive(id);
+            }
             _ => return,
         }
         self.rules.remove(rule);
@@ -227,7 +155,10 @@ impl Engine {
         };
         match (key, text) {
             ("progress", number) => activity.progress = number.parse().unwrap_or(activity.progress),
-            (key, "true") => drop(activity.values.insert(key.to_owned())),
+            (key, "true") => {
+                activity.has_maintained |= key == "maintaining";
+                activity.values.insert(key.to_owned());
+            }
             (key, _) => drop(activity.values.remove(key)),
         }
     }
@@ -267,9 +198,11 @@ impl Engine {
         if let Some(net) = activity.net.clone().filter(|_| is_unwanted) {
             self.actions.push(Action::Cancel(net));
         }
-        if let Some(group) = self.groups.get_mut(&activity.group) {
+        let id = activity.group;
+        if let Some(group) = self.groups.get_mut(&id) {
             group.life = GroupLife::Fired;
         }
+        self.skip_reserves(id);
     }
 
     fn net_ended(&mut self, id: ActivityId, reason: &str) {
@@ -316,6 +249,14 @@ impl Engine {
         for id in mine.into_iter().rev() {
             self.cancel(id);
         }
+    }
+
+    /// Whether an activity has reached its goal and keeps it up.
+    pub fn is_maintaining(&self, id: ActivityId) -> bool {
+        let activity = self.activities.get(&id);
+        activity.is_some_and(|activity| {
+            activity.state == State::Running && activity.values.contains("maintaining")
+        })
     }
 
     /// Why nothing more can be begun, if the connection ended.

@@ -7,8 +7,7 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
-use crate::activity::Activity;
-use crate::engine::{ActivityId, State, When};
+use crate::engine::{ActivityId, State};
 use crate::error::Error;
 use crate::outcome::Outcome;
 use crate::session::Session;
@@ -17,13 +16,54 @@ use crate::session::Session;
 #[derive(Debug)]
 #[must_use = "the outcome of an activity is in its handle"]
 pub struct Handle {
-    session: Arc<Session>,
-    ids: Vec<ActivityId>,
+    pub(crate) session: Arc<Session>,
+    parts: Vec<Part>,
+}
+
+/// Longer than any activity.
+const FOR_EVER: Duration = Duration::from_secs(u32::MAX as u64);
+
+/// Activities that begin together.
+#[derive(Debug)]
+pub(crate) struct Part {
+    pub(crate) ids: Vec<ActivityId>,
+    /// Number of the part whose place it takes: that one's outcome does not count then.
+    pub(crate) replaces: Vec<usize>,
 }
 
 impl Handle {
-    pub(crate) const fn new(session: Arc<Session>, ids: Vec<ActivityId>) -> Self {
-        Self { session, ids }
+    pub(crate) const fn new(session: Arc<Session>, parts: Vec<Part>) -> Self {
+        Self { session, parts }
+    }
+
+    pub(crate) fn ids(&self) -> Vec<ActivityId> {
+        let ids = self.parts.iter().flat_map(|part| &part.ids);
+        ids.copied().collect()
+    }
+
+    /// Waits until the first parts run, or it has ended.
+    pub(crate) fn wait_for_begin(&self, is_first: &[bool]) -> Result<(), Error> {
+        let firsts = self.parts.iter().zip(is_first).filter(|(_, is)| **is);
+        let firsts: Vec<_> = firsts.flat_map(|(part, _)| part.ids.clone()).collect();
+        let until = Instant::now() + FOR_EVER;
+        let begun = self.session.wait_until(until, |session| {
+            let engine = session.engine();
+            let begun = |id: &ActivityId| {
+                let state = engine.state(*id);
+                state.is_none_or(|state| matches!(state, State::Running | State::Ended(_)))
+            };
+            let failed = |id: &ActivityId| matches!(engine.state(*id), Some(State::Ended(Err(_))));
+            let all = firsts.iter().all(begun);
+            let is_failed = firsts.iter().any(failed);
+            drop(engine);
+            match self.outcome() {
+                Some(Err(error)) => Some(Err(error)),
+                Some(Ok(_)) => Some(Ok(())),
+                // An alternative of what failed may still begin.
+                None => (all && !(is_failed && firsts.len() == 1)).then_some(Ok(())),
+            }
+        });
+        begun.unwrap_or(Ok(()))
     }
 
     /// Waits until it has ended.
@@ -46,13 +86,13 @@ impl Handle {
 
     /// Requests that it end: it brakes on its path. One that has not begun does not begin, nor do those that wait for it.
     pub fn cancel(&self) {
-        self.session.cancel(&self.ids);
+        self.session.cancel(&self.ids());
     }
 
     /// Part of the path that it has completed, 0 to 1; of several activities the smallest.
     pub fn progress(&self) -> f64 {
         let session = &self.session;
-        self.ids
+        self.ids()
             .iter()
             .map(|id| session.engine().progress(*id))
             .fold(1.0, f64::min)
@@ -63,17 +103,50 @@ impl Handle {
         let engine = self.session.engine();
         let of = |id: &ActivityId| match engine.state(*id) {
             Some(State::Ended(outcome)) => Some(outcome.clone()),
+            Some(_) if engine.is_maintaining(*id) => Some(Ok(Outcome::Maintaining)),
             Some(_) => None,
             None => Some(Ok(Outcome::Cancelled)),
         };
-        let outcomes: Option<Vec<_>> = self.ids.iter().map(of).collect();
-        outcomes.map(joint)
+        let part = |part: &Part| {
+            let outcomes: Option<Vec<_>> = part.ids.iter().map(of).collect();
+            outcomes.map(joint)
+        };
+        let outcomes: Option<Vec<_>> = self.parts.iter().map(part).collect();
+        outcomes.map(|outcomes| self.total(outcomes))
+    }
+
+    /// The outcome of those parts whose place no other part took.
+    fn total(&self, outcomes: Vec<Result<Outcome, Error>>) -> Result<Outcome, Error> {
+        let mut is_replaced = vec![false; outcomes.len()];
+        let pairs = self.parts.iter().zip(&outcomes);
+        for (part, _) in pairs.filter(|(_, outcome)| **outcome != Ok(Outcome::Skipped)) {
+            for number in &part.replaces {
+                is_replaced
+                    .get_mut(*number)
+                    .into_iter()
+                    .for_each(|is| *is = true);
+            }
+        }
+        let is_cause = |outcome: &&Result<Outcome, Error>| matches!(outcome, Err(error) if !matches!(error, Error::PredecessorFailed(_)));
+        let counted = outcomes.iter().zip(is_replaced);
+        let counted: Vec<_> = counted
+            .filter(|(_, is_replaced)| !is_replaced)
+            .map(|(outcome, _)| outcome.clone())
+            .collect();
+        match joint(counted) {
+            // The cause, not its consequence.
+            Err(error @ Error::PredecessorFailed(_)) => outcomes
+                .into_iter()
+                .find(|outcome| is_cause(&outcome))
+                .unwrap_or(Err(error)),
+            total => total,
+        }
     }
 }
 
 impl Drop for Handle {
     fn drop(&mut self) {
-        self.session.release(&self.ids);
+        self.session.release(&self.ids());
     }
 }
 
@@ -84,7 +157,9 @@ fn joint(outcomes: Vec<Result<Outcome, Error>>) -> Result<Outcome, Error> {
         Outcome::Cancelled => 0,
         Outcome::Stopped(_) => 1,
         Outcome::TakenOver => 2,
-        Outcome::Completed => 3,
+        Outcome::Maintaining => 3,
+        Outcome::Completed => 4,
+        Outcome::Skipped => 5,
     };
     Ok(outcomes
         .into_iter()
@@ -112,61 +187,6 @@ impl IntoFuture for Handle {
 
     fn into_future(self) -> Ending {
         Ending(self)
-    }
-}
-
-/// Activities of different devices that begin in the same cycle.
-#[derive(Debug)]
-#[must_use = "nothing moves before it is begun"]
-pub struct Together(Vec<Activity>);
-
-/// Combines activities of different devices to one that begins when all of the devices are ready, in the same cycle.
-pub fn together(activities: impl IntoIterator<Item = Activity>) -> Together {
-    Together(activities.into_iter().collect())
-}
-
-impl Together {
-    /// Begins them, and returns when they run.
-    ///
-    /// # Errors
-    /// If one of them is invalid or rejected, two have the same device, or they belong to different cells.
-    pub fn begin(self) -> Result<Handle, Error> {
-        let handle = self.queue()?;
-        handle.session.wait_for_begin(&handle.ids)?;
-        Ok(handle)
-    }
-
-    /// The same, but does not wait until they run.
-    ///
-    /// # Errors
-    /// As [`Self::begin`].
-    pub fn queue(self) -> Result<Handle, Error> {
-        let first = self.0.first();
-        let session = first.map(|first| Arc::clone(&first.session));
-        let Some(session) = session else {
-            return Err(Error::Invalid("there is no activity to begin".to_owned()));
-        };
-        if self
-            .0
-            .iter()
-            .any(|other| !Arc::ptr_eq(&other.session, &session))
-        {
-            let text = "activities of different cells cannot begin together";
-            return Err(Error::Invalid(text.to_owned()));
-        }
-        let is_now = self.0.iter().any(|activity| activity.when == When::Now);
-        let when = if is_now { When::Now } else { When::Follow };
-        let orders: Vec<_> = self.0.into_iter().map(|activity| activity.order).collect();
-        let ids = session.begin(&orders, when)?;
-        Ok(Handle::new(session, ids))
-    }
-
-    /// Begins them and waits until all have ended.
-    ///
-    /// # Errors
-    /// As [`Self::begin`] and [`Handle::wait`].
-    pub fn run(self) -> Result<Outcome, Error> {
-        self.begin()?.wait()
     }
 }
 

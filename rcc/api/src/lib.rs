@@ -4,6 +4,7 @@
 pub mod activity;
 pub mod arm;
 pub mod cell;
+pub mod compose;
 #[cfg(feature = "embedded")]
 mod embedded;
 pub mod engine;
@@ -20,8 +21,9 @@ mod session;
 pub use activity::Activity;
 pub use arm::Arm;
 pub use cell::Cell;
+pub use compose::{Composite, Event, either, together, when};
 pub use error::Error;
 pub use expression::{Condition, Number};
-pub use handle::{Handle, together};
+pub use handle::Handle;
 pub use outcome::Outcome;
 pub use pose::{Pose, deg};

@@ -58,6 +58,13 @@ pub(crate) struct Order {
     pub(crate) blend: Option<f64>,
     /// Conditions that stop it on its path, by name; the first that holds decides.
     pub(crate) until: Vec<(String, Condition)>,
+    /// Progress from which on a result is true that may start another activity, 0 to below 1.
+    pub(crate) marks: Vec<f64>,
+}
+
+/// The key of the result of a mark.
+pub(crate) fn mark_key(number: usize) -> String {
+    format!("mark_{number}")
 }
 
 impl Order {
@@ -78,7 +85,15 @@ impl Order {
             speed: self.speed,
         };
         let ports = self.operation.write(&mut net, &requests);
-        let going = net.of("Core::BooleanNot", &stop);
+        let failing: Vec<_> = ports
+            .failures
+            .iter()
+            .map(|(_, port)| port.clone())
+            .collect();
+        let halted: Vec<_> = std::iter::once(stop).chain(failing).collect();
+        let halted = net.any(&halted).unwrap_or_else(|| cancel.clone());
+        // No successor takes over in the cycle in which the activity fails.
+        let going = net.of("Core::BooleanNot", &halted);
         let ended = net.of_two("Core::BooleanAnd", &ports.done, &going);
         net.result("completed", &ended);
         let cancelled = net.of_two("Core::BooleanAnd", &ports.done, &cancel);
@@ -111,12 +126,18 @@ impl Order {
     /// The result from which a successor may take over in motion; reports the progress.
     fn blend(&self, net: &mut Net, ports: &Ports, going: &Port) -> Result<Option<String>, Error> {
         let Some(progress) = &ports.progress else {
-            let text = "it has no progress, so that `blend` has no meaning";
-            return match self.blend {
-                Some(_) => Err(self.invalid(text)),
-                None => Ok(None),
+            let text = "it has no progress, so that `blend` and `Event::Progress` have no meaning";
+            return if self.blend.is_some() || !self.marks.is_empty() {
+                Err(self.invalid(text))
+            } else {
+                Ok(None)
             };
         };
+        for (number, mark) in self.marks.iter().enumerate() {
+            let far = [("inFirst", progress.into()), ("Second", (*mark).into())];
+            let far = net.add("Core::DoubleGreater", far).out("outValue");
+            net.result(&mark_key(number), &far);
+        }
         let report = [("inValue", progress.into()), ("Key", "progress".into())];
         net.add("Core::DoubleNetcommOut", report);
         let Some(blend) = self.blend else {
@@ -168,7 +189,11 @@ impl Order {
         if let Some(blend) = self.blend.filter(|blend| !(0.0..1.0).contains(blend)) {
             return Err(self.invalid(&format!("blend is {blend}; it is from 0 to below 1")));
         }
-        let count = self.until.len();
+        if let Some(mark) = self.marks.iter().find(|mark| !(0.0..1.0).contains(*mark)) {
+            let text = format!("an event is at progress {mark}; it is from 0 to below 1");
+            return Err(self.invalid(&text));
+        }
+        let count = self.until.len().max(self.marks.len());
         if count > UNTIL_MAX {
             return Err(self.invalid(&format!("{count} conditions; at most {UNTIL_MAX}")));
         }

@@ -7,6 +7,10 @@ pub enum Outcome {
     Completed,
     /// It was cancelled and is at rest on its path, or was not begun.
     Cancelled,
+    /// It reached its goal and keeps it up until another activity takes over, or it is finished or cancelled.
+    Maintaining,
+    /// It did not begin: the result that was to start it did not occur, or an alternative began instead.
+    Skipped,
     /// Another activity took over while it moved.
     TakenOver,
     /// The condition of this name stopped it; it is at rest on its path.

@@ -8,9 +8,8 @@ use std::time::{Duration, Instant};
 
 use takt_client::{Client, Message, Value};
 
-use crate::engine::{Action, ActivityId, Engine, GroupId, State, When};
+use crate::engine::{Action, ActivityId, Engine, GroupId, Part};
 use crate::error::Error;
-use crate::order::Order;
 
 /// Least time between two reports of one value of a net. Results are reported with the end of the net in any case.
 const REFRESH: f64 = 0.05;
@@ -129,42 +128,23 @@ impl Session {
         lock(&self.engine)
     }
 
-    /// Begins activities together.
-    pub(crate) fn begin(&self, orders: &[Order], when: When) -> Result<Vec<ActivityId>, Error> {
-        let starts = orders
-            .iter()
-            .map(Order::compile)
-            .collect::<Result<_, _>>()?;
-        let begun = self.engine().begin(starts, when);
+    /// Begins parts in one call.
+    pub(crate) fn begin_all(&self, parts: Vec<Part>) -> Result<Vec<Vec<ActivityId>>, Error> {
+        let begun = self.engine().begin_all(parts);
         self.perform();
         begun
-    }
-
-    /// Waits until activities run, or ended.
-    pub(crate) fn wait_for_begin(&self, ids: &[ActivityId]) -> Result<(), Error> {
-        let until = Instant::now() + Duration::from_secs(u64::from(u32::MAX));
-        let begun = self.wait_until(until, |session| {
-            let engine = session.engine();
-            let mut states = ids.iter().map(|id| engine.state(*id));
-            if let Some(error) = states.clone().find_map(|state| match state {
-                Some(State::Ended(Err(error))) => Some(error.clone()),
-                _ => None,
-            }) {
-                return Some(Err(error));
-            }
-            let begun = |state: Option<&State>| {
-                state.is_none_or(|state| matches!(state, State::Running | State::Ended(_)))
-            };
-            states.all(begun).then_some(Ok(()))
-        });
-        begun.unwrap_or(Ok(()))
     }
 
     /// Waits until a device has no activity.
     pub(crate) fn wait_for_rest(&self, device: &str) -> Result<(), Error> {
         let until = Instant::now() + Duration::from_secs(u64::from(u32::MAX));
         self.wait_until(until, |session| {
-            session.engine().latest(device).is_none().then_some(())
+            let latest = session.engine().latest(device)?;
+            // What it keeps up has no end of its own.
+            if session.engine().is_maintaining(latest) {
+                session.cancel(&[latest]);
+            }
+            None::<()>
         });
         self.engine().lost().map_or(Ok(()), Err)
     }

@@ -93,6 +93,46 @@ impl Failure {
     }
 }
 
+/// Activities that begin together, as part of what a program begins in one call.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// The activities; their devices differ.
+    pub starts: Vec<Start>,
+    /// Whether it waits for what its devices do.
+    pub when: When,
+    /// Numbers of earlier parts of the call that it follows besides: of each slot the one that comes to run last.
+    pub after: Vec<Vec<usize>>,
+    /// What starts it besides; without it the part is skipped.
+    pub trigger: Option<Trigger>,
+    /// Whether it begins also if what it follows fails.
+    pub after_failure: bool,
+    /// Number of the part of the call that it stands in for: it begins only if that one cannot.
+    pub instead_of: Option<usize>,
+}
+
+impl Part {
+    /// Activities that begin together.
+    pub const fn new(starts: Vec<Start>, when: When) -> Self {
+        Self {
+            starts,
+            when,
+            after: Vec::new(),
+            trigger: None,
+            after_failure: false,
+            instead_of: None,
+        }
+    }
+}
+
+/// Results that start a part: one of the keys is true.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Trigger {
+    /// Number of an earlier part of the call; its first activity has the results.
+    pub part: usize,
+    /// Keys of results of its net.
+    pub keys: Vec<String>,
+}
+
 /// When a group begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum When {
@@ -162,12 +202,28 @@ pub(super) struct Activity {
     pub(super) pending: Option<Result<Outcome, Error>>,
     /// Whether the unloading of its net was requested.
     pub(super) is_unloading: bool,
+    /// Whether it has reached its goal and kept it up.
+    pub(super) has_maintained: bool,
 }
 
 #[derive(Debug)]
 pub(super) struct Group {
     pub(super) members: Vec<ActivityId>,
-    pub(super) predecessors: Vec<ActivityId>,
+    /// What it follows: of each slot one activity, whichever comes to run last.
+    pub(super) slots: Vec<Vec<ActivityId>>,
+    /// Activity and keys of its results that start it.
+    pub(super) trigger: Option<(ActivityId, Vec<String>)>,
+    /// Slots that the program named: if all of one are skipped, so is the group.
+    pub(super) required: Vec<Vec<ActivityId>>,
+    /// Results without which it does not begin: its own trigger, and those of what it follows by request.
+    pub(super) branch: Vec<(ActivityId, Vec<String>)>,
+    pub(super) after_failure: bool,
+    /// The group that it stands in for.
+    pub(super) instead_of: Option<GroupId>,
+    /// Number of the call that began it; its groups are scheduled before the first of them begins.
+    pub(super) call: u64,
+    /// Nets of a group that stands in for another, until they are loaded.
+    pub(super) reserve: Vec<String>,
     /// Activities of its devices whose end was requested and is not confirmed.
     pub(super) ending: Vec<ActivityId>,
     pub(super) when: When,
@@ -176,6 +232,8 @@ pub(super) struct Group {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum GroupLife {
+    /// It stands in for another one, and nothing is loaded.
+    Reserve,
     /// Nets are being loaded.
     Loading,
     /// The rule is requested or installed.
@@ -218,7 +276,13 @@ impl Activity {
             return Ok(Outcome::Completed);
         }
         if is("cancelled") {
-            return Ok(Outcome::Cancelled);
+            // It had reached its goal before.
+            let has_ended = self.has_maintained;
+            return Ok(if has_ended {
+                Outcome::Completed
+            } else {
+                Outcome::Cancelled
+            });
         }
         if is_followed {
             return Ok(Outcome::TakenOver);
@@ -238,6 +302,45 @@ impl Activity {
 impl Group {
     /// Whether its rule has neither fired nor died.
     pub(super) fn may_begin(&self) -> bool {
-        matches!(self.life, GroupLife::Loading | GroupLife::Scheduled)
+        use GroupLife::{Loading, Reserve, Scheduled};
+        matches!(self.life, Loading | Scheduled | Reserve)
     }
+
+    /// All activities that it may follow.
+    pub(super) fn predecessors(&self) -> impl Iterator<Item = ActivityId> {
+        self.slots.iter().flatten().copied()
+    }
+
+    /// Whether it follows an activity or is started by it.
+    pub(super) fn concerns(&self, id: ActivityId) -> bool {
+        self.predecessors().any(|other| other == id) || self.is_started_by(id)
+    }
+
+    /// Whether it begins in any case.
+    pub(super) fn is_sure(&self) -> bool {
+        self.life == GroupLife::Fired || (self.branch.is_empty() && self.instead_of.is_none())
+    }
+
+    /// Whether at most one of both begins: they start by different ends of one activity.
+    pub(super) fn excludes(&self, other: &[(ActivityId, Vec<String>)]) -> bool {
+        let mut mine = self.branch.iter();
+        mine.any(|(id, keys)| {
+            let mut others = other.iter();
+            others.any(|(of, theirs)| {
+                of == id && keys != theirs && are_ends(keys) && are_ends(theirs)
+            })
+        })
+    }
+
+    pub(super) fn is_started_by(&self, id: ActivityId) -> bool {
+        self.trigger
+            .as_ref()
+            .is_some_and(|(trigger, _)| *trigger == id)
+    }
+}
+
+/// Whether results are ends of an activity, of which only one occurs.
+fn are_ends(keys: &[String]) -> bool {
+    let is_end = |key: &String| !key.starts_with("mark_") && key != "blend" && key != "maintaining";
+    keys.iter().all(is_end)
 }

@@ -17,17 +17,13 @@ impl Engine {
     }
 
     pub(super) fn bind(&mut self, id: GroupId) {
+        self.follow_what_is_left(id);
         let Some(group) = self
             .groups
             .get(&id)
             .filter(|group| group.life == GroupLife::Loading)
         else {
             return;
-        };
-        let nets = |ids: &[ActivityId]| -> Option<Vec<String>> {
-            ids.iter()
-                .map(|id| self.activities.get(id)?.net.clone())
-                .collect()
         };
         let is_loaded = |id: &ActivityId| {
             self.activities
@@ -37,25 +33,39 @@ impl Engine {
         if !group.members.iter().all(is_loaded) {
             return;
         }
-        if !group.ending.iter().all(|id| self.has_ended(*id)) {
+        if !group.ending.iter().all(|id| self.has_ended(*id)) || !self.others_are_bound(group) {
             return;
         }
         let running = |id: &ActivityId| !self.has_ended(*id);
-        let waited: Vec<_> = group.predecessors.iter().copied().filter(running).collect();
+        let waited: Vec<_> = group.predecessors().filter(running).collect();
+        let call = group.call;
         let is_scheduled = |id: &ActivityId| {
-            self.activities
-                .get(id)
-                .is_some_and(|a| matches!(a.state, State::Waiting | State::Running))
+            self.activities.get(id).is_some_and(|a| {
+                let other = self.groups.get(&a.group);
+                let is_same = other.is_some_and(|other| other.call == call);
+                matches!(a.state, State::Waiting | State::Running)
+                    || (is_same && a.state == State::Loaded)
+            })
         };
-        if !waited.iter().all(is_scheduled) {
+        let is_known = |(id, _): &(ActivityId, Vec<String>)| {
+            self.activities.get(id).is_some_and(|a| a.net.is_some())
+        };
+        if !waited.iter().all(is_scheduled) || !group.trigger.iter().all(is_known) {
             return;
         }
-        let (Some(start), Some(stop)) = (nets(&group.members), nets(&waited)) else {
+        let devices = self.devices(group);
+        let is_stopped = |id: &ActivityId| {
+            let activity = self.activities.get(id);
+            activity.is_some_and(|activity| activity.commands(&devices) && !activity.is_unloading)
+        };
+        let stopped: Vec<_> = waited.iter().copied().filter(is_stopped).collect();
+        let (Some(start), Some(stop)) = (self.nets_of(&group.members), self.nets_of(&stopped))
+        else {
             return;
         };
         let condition = match group.when {
             When::Now => "t".to_owned(),
-            When::Follow => self.condition(&waited),
+            When::Follow => self.condition(group, &devices),
         };
         if group.when == When::Now {
             for replaced in &waited {
@@ -74,23 +84,174 @@ impl Engine {
         self.enter(id, GroupLife::Scheduled, State::Waiting);
     }
 
-    /// True when each of the activities has a result that a successor may follow.
-    pub(super) fn condition(&self, activities: &[ActivityId]) -> String {
-        let of = |id: &ActivityId| {
-            let activity = self.activities.get(id)?;
-            let net = activity.net.as_ref()?;
-            let results: Vec<_> = activity
-                .results
-                .iter()
-                .map(|key| format!("{net}.out{key}"))
-                .collect();
-            Some(format!("({})", results.join("|")))
+    /// Lets a group that follows failures wait for all that its devices still do: what it followed may itself have
+    /// waited, and failed before it began.
+    fn follow_what_is_left(&mut self, id: GroupId) {
+        let is_due = |group: &&Group| {
+            let is_left = group.predecessors().any(|id| !self.has_ended(id));
+            group.after_failure && group.life == GroupLife::Loading && !is_left
         };
-        let conditions: Vec<_> = activities.iter().filter_map(of).collect();
-        if conditions.is_empty() {
+        let Some(group) = self.groups.get(&id).filter(is_due) else {
+            return;
+        };
+        let devices = self.devices(group);
+        let first = group.members.first().copied();
+        let left = self.activities.iter().filter(|(id, activity)| {
+            let is_before = first.is_some_and(|first| **id < first);
+            is_before && activity.commands(&devices) && !self.has_ended(**id)
+        });
+        let slots = left.map(|(id, _)| vec![*id]).collect();
+        if let Some(group) = self.groups.get_mut(&id) {
+            group.slots = slots;
+        }
+    }
+
+    fn nets_of(&self, ids: &[ActivityId]) -> Option<Vec<String>> {
+        let net = |id| self.activities.get(id)?.net.clone();
+        ids.iter().map(net).collect()
+    }
+
+    fn devices(&self, group: &Group) -> BTreeSet<String> {
+        let members = group.members.iter();
+        let members = members.filter_map(|id| self.activities.get(id));
+        members
+            .flat_map(|activity| activity.devices.clone())
+            .collect()
+    }
+
+    /// Whether the other groups of its call wait for their rules, if it is the first of them to begin.
+    fn others_are_bound(&self, group: &Group) -> bool {
+        let of_call = |id: ActivityId| {
+            let other = self.activities.get(&id);
+            let other = other.and_then(|activity| self.groups.get(&activity.group));
+            other.is_some_and(|other| other.call == group.call)
+        };
+        let trigger = group.trigger.iter().map(|(id, _)| *id);
+        if group.instead_of.is_some() || group.predecessors().chain(trigger).any(of_call) {
+            return true;
+        }
+        let mut others = self.groups.values();
+        others.all(|other| {
+            let is_other = other.call == group.call && other.members != group.members;
+            !is_other || other.life != GroupLife::Loading || self.is_first(other)
+        })
+    }
+
+    /// Whether a group follows no other one of its call.
+    fn is_first(&self, group: &Group) -> bool {
+        let of_call = |id: ActivityId| {
+            let other = self.activities.get(&id);
+            let other = other.and_then(|activity| self.groups.get(&activity.group));
+            other.is_some_and(|other| other.call == group.call)
+        };
+        let trigger = group.trigger.iter().map(|(id, _)| *id);
+        !group.predecessors().chain(trigger).any(of_call)
+    }
+
+    /// True when of each slot an activity has a result that the group may follow, and its trigger has one of its keys.
+    fn condition(&self, group: &Group, devices: &BTreeSet<String>) -> String {
+        let mut all = Vec::new();
+        let trigger = group.trigger.as_ref();
+        if let Some((id, keys)) = trigger
+            && let Some(net) = self
+                .activities
+                .get(id)
+                .and_then(|activity| activity.net.as_ref())
+        {
+            let keys: Vec<_> = keys.iter().map(|key| format!("{net}.out{key}")).collect();
+            all.push(format!("({})", keys.join("|")));
+        }
+        for slot in &group.slots {
+            let waited = slot.iter().filter(|id| !self.has_ended(**id));
+            let waited: Vec<_> = waited
+                .filter(|id| trigger.is_none_or(|(trigger, _)| trigger != *id))
+                .collect();
+            let results: Vec<_> = waited
+                .into_iter()
+                .flat_map(|id| self.open_results(*id, group, devices))
+                .collect();
+            if !results.is_empty() {
+                all.push(format!("({})", results.join("|")));
+            }
+        }
+        if all.is_empty() {
             "t".to_owned()
         } else {
-            conditions.join("&")
+            all.join("&")
+        }
+    }
+
+    /// Results of an activity that a group may follow, without those that start an earlier group of the same device.
+    fn open_results(
+        &self,
+        id: ActivityId,
+        group: &Group,
+        devices: &BTreeSet<String>,
+    ) -> Vec<String> {
+        let Some((activity, net)) = self
+            .activities
+            .get(&id)
+            .and_then(|activity| Some((activity, activity.net.as_ref()?)))
+        else {
+            return Vec::new();
+        };
+        // Another device does not take over: it waits for the end.
+        let takes_over = activity.commands(devices);
+        let is_taken = |key: &&String| {
+            self.groups.values().any(|other| {
+                let is_other = other.members < group.members && other.may_begin();
+                let trigger = other.trigger.as_ref().filter(|(trigger, _)| *trigger == id);
+                let mine = trigger.is_some_and(|(_, keys)| keys.contains(key));
+                is_other && mine && activity.commands(&self.devices(other))
+            })
+        };
+        let has_branches = self.groups.values().any(|other| {
+            let is_other = other.members < group.members && other.may_begin();
+            is_other && other.is_started_by(id) && activity.commands(&self.devices(other))
+        });
+        // It is not taken over before the controller has decided what follows it.
+        let takes_over = takes_over && !has_branches;
+        let failures = activity.failures.iter().map(|failure| &failure.key);
+        let failures = failures.filter(|_| group.after_failure);
+        let cancelled = "cancelled".to_owned();
+        let keys = activity
+            .results
+            .iter()
+            .filter(|key| takes_over || *key != "blend");
+        keys.chain(failures)
+            .chain(group.after_failure.then_some(&cancelled))
+            .filter(|key| !is_taken(key))
+            .map(|key| format!("{net}.out{key}"))
+            .collect()
+    }
+
+    /// The rule of a group can no longer fire: it waits for what is left, or does not begin.
+    pub(super) fn rule_inactive(&mut self, id: GroupId) {
+        let Some(group) = self
+            .groups
+            .get(&id)
+            .filter(|group| group.life == GroupLife::Scheduled)
+        else {
+            return;
+        };
+        if group.trigger.is_some() {
+            self.kill(id, &Ok(Outcome::Skipped));
+        } else if group.after_failure {
+            self.enter(id, GroupLife::Loading, State::Loaded);
+            self.bind_all();
+        }
+    }
+
+    /// Groups that stand in for one that began do not begin.
+    pub(super) fn skip_reserves(&mut self, id: GroupId) {
+        let reserves = self
+            .groups
+            .iter()
+            .filter(|(_, group)| group.instead_of == Some(id) && group.life == GroupLife::Reserve);
+        let reserves: Vec<_> = reserves.map(|(id, _)| *id).collect();
+        for reserve in reserves {
+            self.skip_reserves(reserve);
+            self.kill(reserve, &Ok(Outcome::Skipped));
         }
     }
 
@@ -118,32 +279,108 @@ impl Engine {
             // The others of the group cannot begin without it.
             self.kill(group, &outcome);
         }
-        let of = |group: &Group| group.may_begin() && group.predecessors.contains(&id);
+        let values = self
+            .activities
+            .get(&id)
+            .map(|activity| activity.values.clone());
+        let values = values.unwrap_or_default();
+        let of = |group: &Group| group.may_begin() && group.concerns(id);
         let followers = self.groups.iter().filter(|(_, group)| of(group));
         let followers: Vec<_> = followers.map(|(id, _)| *id).collect();
         for follower in followers {
-            let is_now = self
-                .groups
-                .get(&follower)
-                .is_some_and(|group| group.when == When::Now);
-            match &outcome {
-                // It replaces what was there, however that ended.
-                _ if is_now => self.bind(follower),
-                Ok(Outcome::Completed | Outcome::Stopped(_) | Outcome::TakenOver) => {
-                    self.bind(follower);
-                }
-                Ok(Outcome::Cancelled) => self.kill(follower, &Ok(Outcome::Cancelled)),
-                Err(error @ Error::PredecessorFailed(_)) => {
-                    self.kill(follower, &Err(error.clone()));
-                }
-                Err(error) => {
-                    let error = Error::PredecessorFailed(Box::new(error.clone()));
-                    self.kill(follower, &Err(error));
-                }
-            }
+            self.predecessor_ended(follower, id, &outcome, &values);
         }
         self.bind_all();
         self.tidy();
+    }
+
+    /// An activity that a group follows, or that starts it, has ended with these results.
+    fn predecessor_ended(
+        &mut self,
+        follower: GroupId,
+        id: ActivityId,
+        outcome: &Result<Outcome, Error>,
+        values: &BTreeSet<String>,
+    ) {
+        let Some(group) = self.groups.get(&follower) else {
+            return;
+        };
+        if let Some((_, keys)) = group.trigger.as_ref().filter(|(trigger, _)| *trigger == id) {
+            if keys.iter().any(|key| values.contains(key)) {
+                return self.bind(follower);
+            }
+            let skipped = match outcome {
+                Ok(Outcome::Cancelled) => Ok(Outcome::Cancelled),
+                _ => Ok(Outcome::Skipped),
+            };
+            return self.kill(follower, &skipped);
+        }
+        let is_alone = group.when == When::Now || group.after_failure;
+        match outcome {
+            // It replaces what was there, or follows it, however that ended.
+            _ if is_alone => self.bind(follower),
+            Ok(Outcome::Cancelled) => self.kill(follower, &Ok(Outcome::Cancelled)),
+            Ok(Outcome::Skipped) if self.lacks_required(group) => {
+                self.kill(follower, &Ok(Outcome::Skipped));
+            }
+            Ok(_) => self.bind(follower),
+            // An alternative takes its place.
+            Err(_) if self.has_reserve(id) => {}
+            Err(error @ Error::PredecessorFailed(_)) => {
+                self.kill(follower, &Err(error.clone()));
+            }
+            Err(error) => {
+                let error = Error::PredecessorFailed(Box::new(error.clone()));
+                self.kill(follower, &Err(error));
+            }
+        }
+    }
+
+    /// Whether all activities of a slot that the program named were skipped.
+    fn lacks_required(&self, group: &Group) -> bool {
+        let is_skipped =
+            |id: &ActivityId| matches!(self.state(*id), Some(State::Ended(Ok(Outcome::Skipped))));
+        group
+            .required
+            .iter()
+            .any(|slot| slot.iter().all(is_skipped))
+    }
+
+    /// Whether a group stands in for that of an activity which could not begin.
+    fn has_reserve(&self, id: ActivityId) -> bool {
+        let activity = self.activities.get(&id);
+        activity.is_some_and(|activity| {
+            let mut groups = self.groups.values();
+            groups.any(|group| group.instead_of == Some(activity.group) && group.may_begin())
+        })
+    }
+
+    /// What else ends with a group that does not begin: those that stand in for it, or the rest of its call.
+    fn end_with(&mut self, id: GroupId, call: u64, outcome: &Result<Outcome, Error>) {
+        let cannot = matches!(outcome, Err(error) if !matches!(error, Error::PredecessorFailed(_) | Error::Lost(_)));
+        let reserve = self
+            .groups
+            .iter()
+            .find(|(_, group)| group.instead_of == Some(id) && group.life == GroupLife::Reserve);
+        if let Some((reserve, _)) = reserve {
+            let reserve = *reserve;
+            return if cannot {
+                self.activate(reserve);
+            } else {
+                self.kill(reserve, outcome);
+            };
+        }
+        if !cannot {
+            return;
+        }
+        let others = self
+            .groups
+            .iter()
+            .filter(|(_, group)| group.call == call && group.may_begin());
+        let others: Vec<_> = others.map(|(id, _)| *id).collect();
+        for other in others {
+            self.kill(other, outcome);
+        }
     }
 
     pub(super) fn members(&self, id: GroupId) -> Vec<ActivityId> {
@@ -158,7 +395,12 @@ impl Engine {
             return;
         };
         let is_scheduled = group.life == GroupLife::Scheduled;
+        let call = group.call;
         group.life = GroupLife::Dead;
+        self.end_with(id, call, outcome);
+        let Some(group) = self.groups.get(&id) else {
+            return;
+        };
         for member in group.members.clone() {
             if self.has_ended(member) {
                 continue;
@@ -182,7 +424,10 @@ impl Engine {
             .groups
             .values()
             .filter(|group| group.may_begin())
-            .flat_map(|group| group.predecessors.iter().copied())
+            .flat_map(|group| {
+                let trigger = group.trigger.iter().map(|(id, _)| *id);
+                group.predecessors().chain(trigger).collect::<Vec<_>>()
+            })
             .collect();
         let unneeded = self.activities.iter_mut().filter(|(id, activity)| {
             matches!(activity.state, State::Ended(_)) && !needed.contains(id)
@@ -215,10 +460,18 @@ impl Engine {
         let Some(activity) = self.activities.get(&id) else {
             return Ok(Outcome::Cancelled);
         };
-        let may_blend = activity.values.contains("blend");
+        let is_open = ["blend", "maintaining"]
+            .iter()
+            .any(|key| activity.values.contains(*key));
         let follows = |group: &Group| {
             let begins = matches!(group.life, GroupLife::Scheduled | GroupLife::Fired);
-            begins && group.predecessors.contains(&id) && (group.when == When::Now || may_blend)
+            let mut keys = group.trigger.iter().filter(|(trigger, _)| *trigger == id);
+            let is_triggered = keys.any(|(_, keys)| {
+                let mut keys = keys.iter();
+                keys.any(|key| activity.values.contains(key))
+            });
+            let is_mine = group.predecessors().any(|other| other == id);
+            begins && is_mine && (group.when == When::Now || is_open || is_triggered)
         };
         activity.outcome(reason, self.groups.values().any(follows))
     }

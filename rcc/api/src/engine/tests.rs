@@ -1,5 +1,6 @@
 //! Each rule of succession, one test each.
 
+mod composites;
 mod programs;
 
 use super::*;

@@ -14,6 +14,8 @@ struct Controller {
     /// Results of loaded nets.
     results: BTreeMap<String, BTreeSet<String>>,
     devices: BTreeMap<String, String>,
+    /// Nets that will not run again.
+    ended: BTreeSet<String>,
     rules: VecDeque<(u64, String, Vec<String>, Vec<String>)>,
 }
 
@@ -56,8 +58,10 @@ impl Controller {
                         // As a real one, it ignores this for a net that runs.
                         let is_idle = !self.running.contains_key(&net);
                         if is_idle && self.results.remove(&net).is_some() {
+                            self.ended.insert(net.clone());
                             self.rules.retain(|(_, _, _, start)| !start.contains(&net));
                             engine.net_state(&net, "UNLOADED", "");
+                            self.retire(engine);
                         }
                     }
                 }
@@ -67,8 +71,33 @@ impl Controller {
 
     fn end(&mut self, engine: &mut Engine, net: &str, result: &str) {
         self.running.remove(net);
+        self.ended.insert(net.to_owned());
         self.set(engine, net, result);
         engine.net_state(net, "TERMINATED", "");
+        self.retire(engine);
+    }
+
+    /// Rules whose condition can never become true any more.
+    fn retire(&mut self, engine: &mut Engine) {
+        let can_hold = |condition: &str| {
+            let literal = |literal: &str| {
+                let (net, key) = literal.split_once(".out").unwrap();
+                let is_true = |results: &BTreeSet<String>| results.contains(key);
+                !self.ended.contains(net) || self.results.get(net).is_some_and(is_true)
+            };
+            condition == "t"
+                || condition.split('&').all(|or| {
+                    let inside = or.trim_start_matches('(').trim_end_matches(')');
+                    inside.split('|').any(literal)
+                })
+        };
+        let (kept, retired): (VecDeque<_>, VecDeque<_>) = std::mem::take(&mut self.rules)
+            .into_iter()
+            .partition(|(_, condition, _, _)| can_hold(condition));
+        self.rules = kept;
+        for (rule, ..) in retired {
+            engine.rule_state(&rule.to_string(), "INACTIVE");
+        }
     }
 
     fn set(&mut self, engine: &mut Engine, net: &str, result: &str) {
@@ -103,6 +132,7 @@ impl Controller {
         };
         for net in stop {
             self.running.remove(&net);
+            self.ended.insert(net.clone());
             self.rules.retain(|(_, _, _, start)| !start.contains(&net));
             engine.net_state(&net, "TERMINATED", "stopped by a rule");
         }
@@ -114,12 +144,15 @@ impl Controller {
             engine.net_state(&net, "RUNNING", "");
         }
         engine.rule_state(&rule.to_string(), "FIRED");
+        self.retire(engine);
     }
 }
 
 #[derive(Clone, Debug)]
 enum Step {
     Begin(Vec<usize>, bool),
+    /// Parts, each with its device and how it refers to the one before it.
+    BeginAll(Vec<(usize, usize)>),
     Cancel(usize),
     Release(usize),
     Fire,
@@ -132,6 +165,7 @@ fn step() -> impl Strategy<Value = Step> {
     let devices = proptest::sample::subsequence(vec![0, 1, 2], 1..=2);
     prop_oneof![
         4 => (devices, any::<bool>()).prop_map(|(devices, now)| Step::Begin(devices, now)),
+        2 => proptest::collection::vec((0_usize..3, 0_usize..6), 1..4).prop_map(Step::BeginAll),
         1 => (0_usize..20).prop_map(Step::Cancel),
         1 => (0_usize..20).prop_map(Step::Release),
         6 => Just(Step::Fire),
@@ -139,6 +173,25 @@ fn step() -> impl Strategy<Value = Step> {
         3 => (0_usize..4, 0_usize..4).prop_map(|(net, result)| Step::End(net, result)),
         8 => Just(Step::Serve),
     ]
+}
+
+/// A part of a call, in one of the relations to the part before it.
+fn part(number: usize, device: usize, link: usize) -> Part {
+    let mut part = Part::new(vec![start(&device.to_string())], When::Follow);
+    part.starts[0].net = device.to_string();
+    let trigger = |part: usize, key: &str| {
+        let keys = vec![key.to_owned()];
+        Some(Trigger { part, keys })
+    };
+    match (link, number.checked_sub(1)) {
+        (1, Some(before)) => part.after = vec![vec![before]],
+        (2, Some(_)) => part.trigger = trigger(0, "completed"),
+        (3, Some(_)) => part.trigger = trigger(0, "until_touch"),
+        (4, Some(before)) => part.instead_of = Some(before),
+        (5, _) => part.after_failure = true,
+        _ => {}
+    }
+    part
 }
 
 proptest! {
@@ -166,6 +219,11 @@ proptest! {
                     });
                     let when = if now { When::Now } else { When::Follow };
                     ids.extend(engine.begin(starts.collect(), when).unwrap());
+                }
+                Step::BeginAll(parts) => {
+                    let parts = parts.into_iter().enumerate();
+                    let parts = parts.map(|(number, (device, link))| part(number, device, link));
+                    ids.extend(engine.begin_all(parts.collect()).unwrap().into_iter().flatten());
                 }
                 Step::Cancel(number) => {
                     if let Some(id) = ids.get(number) {
