@@ -139,12 +139,14 @@ impl Session {
     pub(crate) fn wait_for_rest(&self, device: &str) -> Result<(), Error> {
         let until = Instant::now() + Duration::from_secs(u64::from(u32::MAX));
         self.wait_until(until, |session| {
-            let latest = session.engine().latest(device)?;
+            let Some(latest) = session.engine().latest(device) else {
+                return Some(());
+            };
             // What it keeps up has no end of its own.
             if session.engine().is_maintaining(latest) {
                 session.cancel(&[latest]);
             }
-            None::<()>
+            None
         });
         self.engine().lost().map_or(Ok(()), Err)
     }

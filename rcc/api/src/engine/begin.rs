@@ -48,43 +48,11 @@ impl Engine {
     ) -> (GroupId, Vec<ActivityId>) {
         let group = GroupId(self.number());
         let devices: BTreeSet<_> = part.starts.iter().flat_map(|s| s.devices.clone()).collect();
-        let members_of = |part: &usize| before.get(*part).map(|(_, members)| members.clone());
         let instead_of = part
             .instead_of
             .and_then(|number| before.get(number).map(|(id, _)| *id));
-        let mut slots = match (part.when, instead_of) {
-            // It follows the same as the one that it stands in for.
-            (_, Some(other)) => self
-                .groups
-                .get(&other)
-                .map(|other| other.slots.clone())
-                .unwrap_or_default(),
-            (When::Follow, None) => Vec::new(),
-            (When::Now, None) => vec![self.replaced(&devices)],
-        };
-        if part.when == When::Follow {
-            let of_devices = devices.iter().map(|device| self.latest_of(device));
-            let of_devices: BTreeSet<_> = of_devices.filter(|slot| !slot.is_empty()).collect();
-            let own = before
-                .iter()
-                .find(|(id, _)| Some(*id) == instead_of)
-                .map(|(_, members)| members.clone())
-                .unwrap_or_default();
-            let mut of_devices: Vec<_> = of_devices.into_iter().collect();
-            for slot in &mut of_devices {
-                slot.retain(|id| !own.contains(id));
-            }
-            slots.extend(of_devices.into_iter().filter(|slot| !slot.is_empty()));
-        }
-        let mut required = Vec::new();
-        for parts in &part.after {
-            let alternatives: Vec<_> = parts.iter().filter_map(members_of).collect();
-            match alternatives.as_slice() {
-                // Each activity of the part is waited for.
-                [members] => required.extend(members.iter().map(|id| vec![*id])),
-                _ => required.push(alternatives.into_iter().flatten().collect::<Vec<_>>()),
-            }
-        }
+        let mut slots = self.slots(part.when, &devices, instead_of);
+        let required = required(&part.after, before);
         slots.extend(required.iter().cloned());
         let trigger = part.trigger.and_then(|trigger| {
             let first = before
@@ -93,16 +61,7 @@ impl Engine {
             Some((*first, trigger.keys))
         });
         let branch = self.branch(&required, trigger.as_ref(), instead_of);
-        for slot in &mut slots {
-            let is_other = |id: &ActivityId| {
-                let activity = self.activities.get(id);
-                let group = activity.and_then(|activity| self.groups.get(&activity.group));
-                group.is_none_or(|group| !group.excludes(&branch))
-            };
-            slot.retain(is_other);
-        }
-        let mut known = BTreeSet::new();
-        slots.retain(|slot| !slot.is_empty() && known.insert(slot.clone()));
+        self.leave_out(&mut slots, &branch);
         let is_reserve = instead_of.is_some();
         let ending = match part.when {
             When::Follow => self.ending(&devices),
@@ -136,6 +95,45 @@ impl Engine {
         };
         self.groups.insert(group, known);
         (group, members)
+    }
+
+    /// What a part of these devices follows or replaces without being named by the program.
+    fn slots(
+        &self,
+        when: When,
+        devices: &BTreeSet<String>,
+        instead_of: Option<GroupId>,
+    ) -> Vec<Vec<ActivityId>> {
+        let other = instead_of.and_then(|id| self.groups.get(&id));
+        // It follows the same as the one that it stands in for, but not that one.
+        let mut slots = other.map(|other| other.slots.clone()).unwrap_or_default();
+        match when {
+            When::Now if other.is_none() => slots.push(self.replaced(devices)),
+            When::Now => {}
+            When::Follow => {
+                let own = other.map(|other| other.members.as_slice());
+                let own = own.unwrap_or_default();
+                let mut latest: Vec<_> = devices.iter().map(|d| self.latest_of(d)).collect();
+                for slot in &mut latest {
+                    slot.retain(|id| !own.contains(id));
+                }
+                slots.extend(latest);
+            }
+        }
+        slots
+    }
+
+    /// Leaves out what does not begin if the branch does, and what is repeated.
+    fn leave_out(&self, slots: &mut Vec<Vec<ActivityId>>, branch: &[(ActivityId, Vec<String>)]) {
+        for slot in &mut *slots {
+            slot.retain(|id| {
+                let activity = self.activities.get(id);
+                let group = activity.and_then(|activity| self.groups.get(&activity.group));
+                group.is_none_or(|group| !group.excludes(branch))
+            });
+        }
+        let mut known = BTreeSet::new();
+        slots.retain(|slot| !slot.is_empty() && known.insert(slot.clone()));
     }
 
     /// Results without which a group does not begin.
@@ -233,6 +231,20 @@ impl Engine {
         slot.sort_unstable();
         slot
     }
+}
+
+/// The slots that a part names.
+fn required(after: &[Vec<usize>], before: &[(GroupId, Vec<ActivityId>)]) -> Vec<Vec<ActivityId>> {
+    let members_of = |part: &usize| before.get(*part).map(|(_, members)| members.clone());
+    let slots = |parts: &Vec<usize>| -> Vec<Vec<ActivityId>> {
+        let alternatives: Vec<_> = parts.iter().filter_map(members_of).collect();
+        match alternatives.as_slice() {
+            // Each activity of the part is waited for.
+            [members] => members.iter().map(|id| vec![*id]).collect(),
+            _ => vec![alternatives.into_iter().flatten().collect()],
+        }
+    };
+    after.iter().flat_map(slots).collect()
 }
 
 fn check(parts: &[Part]) -> Result<(), Error> {

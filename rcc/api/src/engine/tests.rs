@@ -3,6 +3,8 @@
 mod composites;
 mod programs;
 
+use std::collections::BTreeSet;
+
 use super::*;
 
 const RESULTS: [&str; 2] = ["completed", "blend"];

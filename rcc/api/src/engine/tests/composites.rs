@@ -18,11 +18,11 @@ fn begin_all(engine: &mut Engine, parts: Vec<Part>) -> Vec<ActivityId> {
 
 /// Conditions of all rules, in their order.
 fn conditions(actions: &[Action]) -> Vec<&str> {
-    let condition = |action| match action {
-        &Action::Schedule { ref condition, .. } => Some(condition.as_str()),
-        &(Action::Load { .. } | Action::Cancel(_) | Action::Unload(_)) => None,
-    };
-    actions.iter().filter_map(condition).collect()
+    let conditions = actions.iter().filter_map(|action| match action {
+        Action::Schedule { condition, .. } => Some(condition.as_str()),
+        Action::Load { .. } | Action::Cancel(_) | Action::Unload(_) => None,
+    });
+    conditions.collect()
 }
 
 fn open(id: ActivityId) -> String {
