@@ -43,6 +43,43 @@ fn net_xml_stands_random_input() {
 }
 
 #[test]
+fn machine_files_stand_random_input() {
+    let words = "component C { } property in out operation a b : double int bool string [ ] unit \"rad\" range 0 .. 1 default live \
+                 doc done every ; , ( ) '$a' { a=Core::DoubleNetcommIn(Key='a',Value='$a') , outTerminate=a.outValue } \" ' # \n";
+    feed(
+        "machine_component",
+        takt_machine::fuzz::component,
+        &split(words),
+        INPUTS,
+    );
+    let words = "<properties> </properties> <simple name='a' type='double' 'long' 'string' > <value> 1 </value> </simple> <struct \
+                 </struct> <description> &#0; &lt; <![CDATA[ ]]> a = 1 \n [a] { } \"@type\" \"@value\" \"short\" [ 1.5 , ] nan inf 0x1F";
+    feed(
+        "machine_properties",
+        takt_machine::fuzz::properties,
+        &split(words),
+        INPUTS,
+    );
+    let files: [&[u8]; 2] = [
+        include_bytes!("../../rcc/machine/tests/properties/servo.cpf"),
+        include_bytes!("../../rcc/machine/tests/properties/servo.toml"),
+    ];
+    feed_files(
+        "machine_properties",
+        takt_machine::fuzz::properties,
+        &files,
+        INPUTS,
+    );
+    let servo: &[u8] = include_bytes!("../../rcc/machine/tests/components/servo.component");
+    feed_files(
+        "machine_component",
+        takt_machine::fuzz::component,
+        &[servo],
+        INPUTS,
+    );
+}
+
+#[test]
 fn http_requests_stand_random_input() {
     let mut words = split(
         "GET POST PUT /nets/ //eval// /DirectIO/ /?token= %41 %ff ?format=json & = { } [ ] ' < >",

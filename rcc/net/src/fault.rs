@@ -1,7 +1,7 @@
 //! Faults of a net text, with their locations, and how they are rendered. Faults of a running net
 //! are values in its ports, never these.
 
-pub(crate) mod excerpt;
+pub mod excerpt;
 
 use std::fmt;
 use std::ops::Range;
@@ -308,7 +308,7 @@ impl fmt::Display for Rejection {
 impl std::error::Error for Rejection {}
 
 /// The name in `known` most similar to `name`, if any is similar enough.
-pub(crate) fn similar<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+pub fn similar<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     // Longer names and more candidates are no typing errors, and comparing them would take long.
     const LONGEST: usize = 100;
     const CANDIDATES: usize = 1000;

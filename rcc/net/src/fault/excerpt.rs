@@ -10,7 +10,7 @@ const BEFORE: usize = 60;
 const BEHIND: usize = 60;
 
 /// Line and column (both from 1, columns in characters) of a byte of `text`.
-pub(crate) fn location(text: &str, start: usize) -> (usize, usize) {
+pub fn location(text: &str, start: usize) -> (usize, usize) {
     let before = &text[..text.floor_char_boundary(start)];
     let line_start = before.rfind('\n').map_or(0, |i| i + 1);
     (
@@ -20,7 +20,7 @@ pub(crate) fn location(text: &str, start: usize) -> (usize, usize) {
 }
 
 /// Appends the line of `text` that contains the start of `at`, and carets with `note` below.
-pub(crate) fn append(text: &str, at: &Range<usize>, note: &str, out: &mut String) {
+pub fn append(text: &str, at: &Range<usize>, note: &str, out: &mut String) {
     let start = text.floor_char_boundary(at.start);
     let end = text.floor_char_boundary(at.end).max(start);
     let (before, behind) = text.split_at(start);

@@ -121,6 +121,16 @@ impl Quantity {
         Self::Any
     }
 
+    /// The quantity with that SI unit, such as `rad/s`; `1` is a plain number. `None` for any other text or unit.
+    #[must_use]
+    pub fn of_unit(unit: &str) -> Option<Self> {
+        let unit = Unit::parse(unit).filter(Unit::is_si)?;
+        if unit.dimension == Dimension::NONE {
+            return Some(Self::Number);
+        }
+        Some(Self::Of(unit.dimension))
+    }
+
     /// That of a component of a value with this quantity, whose type defines it.
     pub(super) fn part(self, dimension: Dimension) -> Self {
         match self {
@@ -344,6 +354,16 @@ mod tests {
 
     fn value(text: &str) -> Result<f64, Option<String>> {
         parse(text, Quantity::Any)
+    }
+
+    #[test]
+    fn quantity_of_si_unit_is_found() {
+        assert_eq!(Quantity::of_unit("1"), Some(Quantity::Number));
+        let speed = Dimension::ROTATION;
+        assert_eq!(Quantity::of_unit("rad/s"), Some(Quantity::Of(speed)));
+        for other in ["deg", "mm", "", "rad/", "fathom"] {
+            assert_eq!(Quantity::of_unit(other), None, "{other}");
+        }
     }
 
     #[test]

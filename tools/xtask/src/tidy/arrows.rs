@@ -18,6 +18,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("takt-fri", &["takt-link"]),
     ("takt-net", &[]),
     ("takt-motion", &["takt-net"]),
+    ("takt-machine", &["takt-net"]),
     ("takt-core", &["takt-net", "takt-motion", "takt-rt"]),
     (
         "takt-device-drives",

@@ -1,0 +1,4 @@
+//! Component files. The properties are defined with the function.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_machine::fuzz::component(data));

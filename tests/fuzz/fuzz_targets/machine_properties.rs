@@ -1,0 +1,4 @@
+//! Property files, TOML and .cpf. The properties are defined with the function.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_machine::fuzz::properties(data));
