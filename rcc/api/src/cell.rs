@@ -8,7 +8,9 @@ use takt_client::{Client, Token, Value};
 use crate::arm::Arm;
 use crate::engine::Engine;
 use crate::error::Error;
+use crate::expression::{Condition, Number};
 use crate::motion::{ArmDescription, JointLimits};
+use crate::net::Net;
 use crate::session::Session;
 
 /// How long closing a cell waits until its devices are at rest.
@@ -103,6 +105,51 @@ impl Cell {
         Ok(arms
             .map(|arm| Arm::new(Arc::clone(&self.session), arm))
             .collect())
+    }
+
+    /// Sets the speed of all activities of this program, 0 to 1, as part of their own speed: also of those that run,
+    /// which take it in their next cycle. At 0 they stand still on their paths and go on with a larger factor.
+    ///
+    /// # Errors
+    /// If the factor is not from 0 to 1, or the connection is lost.
+    pub fn set_override(&self, factor: f64) -> Result<(), Error> {
+        if !(0.0..=1.0).contains(&factor) {
+            let text = format!("the override is {factor}; it is from 0 to 1");
+            return Err(Error::Invalid(text));
+        }
+        self.session.set_speed(factor);
+        self.session.engine().lost().map_or(Ok(()), Err)
+    }
+
+    /// The speed that [`Self::set_override`] has set, 0 to 1.
+    pub fn override_factor(&self) -> f64 {
+        self.session.speed()
+    }
+
+    /// The present value of a number, in its unit; `None` if a device does not know it. The history of averages and
+    /// durations begins with the call.
+    ///
+    /// # Errors
+    /// If the controller rejects the expression, or the connection is lost.
+    pub fn value(&self, number: &Number) -> Result<Option<f64>, Error> {
+        let mut net = Net::default();
+        let value = number.write(&mut net);
+        let arguments = [("inValue", (&value).into()), ("Key", "value".into())];
+        net.add("Core::DoubleNetcommOut", arguments);
+        let values = self.session.evaluate(&net.finish_once())?;
+        Ok(values.get("outvalue").and_then(|text| text.parse().ok()))
+    }
+
+    /// Whether a condition holds at present; not if it depends on a number that a device does not know.
+    ///
+    /// # Errors
+    /// As [`Self::value`].
+    pub fn holds(&self, condition: &Condition) -> Result<bool, Error> {
+        let mut net = Net::default();
+        let value = condition.write(&mut net);
+        net.result("value", &value);
+        let values = self.session.evaluate(&net.finish_once())?;
+        Ok(values.get("outvalue").is_some_and(|text| text == "true"))
     }
 
     /// Cancels everything that this program began, waits until it is at rest, and ends the session.

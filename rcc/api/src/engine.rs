@@ -259,6 +259,11 @@ impl Engine {
         })
     }
 
+    /// Names of the nets that are loaded.
+    pub fn nets(&self) -> Vec<String> {
+        self.nets.keys().cloned().collect()
+    }
+
     /// Why nothing more can be begun, if the connection ended.
     pub fn lost(&self) -> Option<Error> {
         self.lost.clone()

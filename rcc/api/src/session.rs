@@ -28,6 +28,8 @@ pub(crate) struct Session {
     engine: Mutex<Engine>,
     subjects: Mutex<Subjects>,
     wakers: Mutex<Vec<Waker>>,
+    /// Speed of all activities as part of their own, 0 to 1.
+    speed: Mutex<f64>,
     /// Notified after each change of the engine.
     changed: Condvar,
     /// A controller in this program, which ends with the session.
@@ -84,6 +86,7 @@ impl Session {
             engine: Mutex::default(),
             subjects: Mutex::default(),
             wakers: Mutex::default(),
+            speed: Mutex::new(1.0),
             changed: Condvar::new(),
             #[cfg(feature = "embedded")]
             embedded,
@@ -228,6 +231,25 @@ impl Session {
         self.notify();
     }
 
+    /// Sets the speed of all activities, those that run included.
+    pub(crate) fn set_speed(&self, factor: f64) {
+        let mut speed = lock(&self.speed);
+        *speed = factor;
+        let nets = self.engine().nets();
+        nets.iter().for_each(|net| self.write_speed(net, factor));
+    }
+
+    pub(crate) fn speed(&self) -> f64 {
+        *lock(&self.speed)
+    }
+
+    /// Fails only for a net that is already gone, or with the connection, which the receiver reports.
+    fn write_speed(&self, net: &str, factor: f64) {
+        let value = Value::Map([("inoverride".to_owned(), Value::from(factor.to_string()))].into());
+        let values = Value::Map([(net.to_owned(), value)].into());
+        drop(self.client.call("snc", [values]));
+    }
+
     fn notify(&self) {
         self.changed.notify_all();
         for waker in std::mem::take(&mut *lock(&self.wakers)) {
@@ -239,6 +261,13 @@ impl Session {
         match action {
             Action::Load { activity, net } => {
                 let loaded = self.load(&net);
+                // A later change of the speed finds the net in the engine.
+                let speed = lock(&self.speed);
+                if let Ok(net) = &loaded
+                    && *speed < 1.0
+                {
+                    self.write_speed(net, *speed);
+                }
                 self.engine().loaded(activity, loaded);
             }
             Action::Schedule {
