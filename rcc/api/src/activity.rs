@@ -8,6 +8,8 @@ use crate::error::Error;
 use crate::handle::Handle;
 use crate::order::{Operation, Order};
 use crate::outcome::Outcome;
+use crate::plan::Plan;
+use crate::preparation::Before;
 use crate::session::Session;
 
 /// An activity that was described and not begun.
@@ -35,6 +37,7 @@ impl Activity {
                 blend: None,
                 until: Vec::new(),
                 marks: Vec::new(),
+                is_checked: true,
             },
         }
     }
@@ -102,11 +105,34 @@ impl Activity {
         self.begin()?.wait()
     }
 
+    /// Begins it without a check of its path beforehand: where the arm cannot follow, the motion fails on its way.
+    pub const fn unchecked(mut self) -> Self {
+        self.order.is_checked = false;
+        self
+    }
+
+    /// Plans it from where what its device does now ends, or from where the device is: nothing is loaded, nothing moves.
+    ///
+    /// # Errors
+    /// If it is invalid, the arm cannot follow, or its path is not known before it runs.
+    pub fn plan(&self) -> Result<Plan, Error> {
+        self.order.check()?;
+        let begins = self
+            .session
+            .begins(&self.order, self.when, &Before::new())?;
+        self.order.operation.follow(&begins, self.order.speed)?;
+        self.order.operation.plan(&begins, self.order.speed)
+    }
+
     /// The text of the net that it becomes.
     ///
     /// # Errors
     /// If it is invalid.
     pub fn explain(&self) -> Result<String, Error> {
-        Ok(self.order.compile()?.net)
+        self.order.check()?;
+        let begins = self
+            .session
+            .begins(&self.order, self.when, &Before::new())?;
+        Ok(self.order.compile(&begins)?.net)
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::activity::Activity;
 use crate::error::Error;
 use crate::expression::{Condition, Number};
-use crate::motion::{ArmDescription, ArmMotion, CartesianLimits, Path};
+use crate::motion::{ArmDescription, ArmMotion, CartesianLimits, Path, Route};
 use crate::pose::Pose;
 use crate::session::Session;
 
@@ -16,6 +16,8 @@ pub struct Arm {
     description: ArmDescription,
     limits: CartesianLimits,
     speed: f64,
+    tool: Pose,
+    base: Pose,
 }
 
 impl Arm {
@@ -25,6 +27,8 @@ impl Arm {
             description,
             limits: CartesianLimits::default(),
             speed: 1.0,
+            tool: Pose::IDENTITY,
+            base: Pose::IDENTITY,
         }
     }
 
@@ -47,22 +51,63 @@ impl Arm {
         self
     }
 
+    /// The same arm with another motion centre, given in the flange: poses of its motions and paths are those of the
+    /// motion centre, such as the tip of a tool.
+    #[must_use]
+    pub fn with_tool(mut self, tool: impl Into<Pose>) -> Self {
+        self.tool = tool.into();
+        self
+    }
+
+    /// The same arm with its base at this pose in the world, which coupled arms share.
+    #[must_use]
+    pub fn with_base(mut self, base: impl Into<Pose>) -> Self {
+        self.base = base.into();
+        self
+    }
+
+    /// Its base in the world; the world's origin, unless set by [`Self::with_base`].
+    pub const fn base(&self) -> Pose {
+        self.base
+    }
+
+    pub(crate) const fn session(&self) -> &Arc<Session> {
+        &self.session
+    }
+
     /// A motion to joint positions, rad: all joints start and arrive together.
     pub fn ptp(&self, to: impl Into<Vec<f64>>) -> Activity {
         self.motion(Path::Ptp(to.into()))
     }
 
-    /// A motion of the flange along a straight line to a pose in the base of the arm.
-    pub fn lin(&self, to: impl Into<Pose>) -> Activity {
-        self.motion(Path::Lin(to.into()))
+    /// A motion of all joints together to a pose of the motion centre in the base of the arm: of all joint positions for
+    /// it, those next to where the arm begins.
+    pub fn ptp_to(&self, to: impl Into<Pose>) -> Activity {
+        let (to, hint) = (to.into(), None);
+        self.motion(Path::Pose { to, hint })
     }
 
-    /// A motion of the flange along the arc through `via` to `to`, both in the base of the arm.
+    /// The same to the joint positions next to a hint, rad.
+    pub fn ptp_near(&self, to: impl Into<Pose>, hint: impl Into<Vec<f64>>) -> Activity {
+        let (to, hint) = (to.into(), Some(hint.into()));
+        self.motion(Path::Pose { to, hint })
+    }
+
+    /// A motion of the motion centre along a straight line to a pose in the base of the arm.
+    pub fn lin(&self, to: impl Into<Pose>) -> Activity {
+        self.motion(Path::Frame(Route::Line(to.into())))
+    }
+
+    /// A motion of the motion centre along the arc through `via` to `to`, both in the base of the arm.
     pub fn circ(&self, via: impl Into<Pose>, to: impl Into<Pose>) -> Activity {
-        self.motion(Path::Circ {
-            via: via.into(),
-            to: to.into(),
-        })
+        let (via, to) = (via.into(), to.into());
+        self.motion(Path::Frame(Route::Arc { via, to }))
+    }
+
+    /// A motion of the motion centre along a smooth curve through 1 to 63 poses in the base of the arm.
+    pub fn spline<P: Into<Pose>>(&self, through: impl IntoIterator<Item = P>) -> Activity {
+        let points = through.into_iter().map(Into::into).collect();
+        self.motion(Path::Frame(Route::Spline(points)))
     }
 
     fn motion(&self, path: Path) -> Activity {
@@ -70,6 +115,7 @@ impl Arm {
             arm: self.description.clone(),
             path,
             limits: self.limits,
+            tool: self.tool,
         };
         Activity::new(&self.session, motion, self.speed)
     }
@@ -91,11 +137,8 @@ impl Arm {
     }
 
     fn read(&self, port: &str) -> Result<Vec<f64>, Error> {
-        let name = &self.description.name;
-        let values = self.session.evaluate(&self.description.reader(port))?;
-        let joint = |axis: usize| values.get(&format!("outq{axis}"))?.parse().ok();
-        let joints: Option<Vec<f64>> = (0..self.description.joints.len()).map(joint).collect();
-        joints.ok_or_else(|| self.unknown(name))
+        let joints = self.session.joints(&self.description, port)?;
+        joints.ok_or_else(|| self.unknown(&self.description.name))
     }
 
     fn unknown(&self, name: &str) -> Error {

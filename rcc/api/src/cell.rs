@@ -213,6 +213,7 @@ fn describe(name: String, device: &Value) -> Option<ArmDescription> {
     Some(ArmDescription {
         name,
         kind: text("type").unwrap_or_default().to_owned(),
+        model: text("kinematics").unwrap_or_default().to_owned(),
         joints: joints.filter(|joints| !joints.is_empty())?,
         period: Duration::from_secs_f64(text("period")?.parse().ok()?),
     })

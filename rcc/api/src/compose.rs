@@ -11,7 +11,11 @@ use crate::handle::{self, Handle};
 use crate::net::{Net, Port};
 use crate::order::{Operation, Order, Ports, Requests, mark_key};
 use crate::outcome::Outcome;
+use crate::preparation::{Before, Goals};
 use crate::session::Session;
+
+/// Numbers of the parts that are kept, the parts, and where their activities leave arms.
+type Compiled = (Vec<usize>, Vec<engine::Part>, Vec<Vec<Goals>>);
 
 /// What may start another activity.
 #[derive(Clone, Debug, PartialEq)]
@@ -169,6 +173,7 @@ impl Waiting {
             blend: None,
             until: Vec::new(),
             marks: Vec::new(),
+            is_checked: true,
         };
         Composite {
             session: None,
@@ -196,7 +201,7 @@ impl Operation for Wait {
         Ok(())
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests) -> Ports {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
         let yes = self.condition.latched(net);
         let no = net.of("Core::BooleanNot", &yes);
         let always = net.of_two("Core::BooleanOr", &yes, &no);
@@ -206,12 +211,13 @@ impl Operation for Wait {
             yes.clone()
         };
         let done = net.of_two("Core::BooleanOr", &end, &requests.stop);
-        Ports {
+        Ok(Ports {
             done,
             progress: None,
             failures: Vec::<(Failure, Port)>::new(),
             results: vec![("yes", yes), ("no", no)],
-        }
+            fault: None,
+        })
     }
 }
 
@@ -336,7 +342,7 @@ impl Composite {
         let Some(session) = self.session.clone() else {
             return Err(Error::Invalid("there is no activity to begin".to_owned()));
         };
-        let (kept, parts) = self.compile()?;
+        let (kept, parts, goals) = self.compile(&session)?;
         let replaced: Vec<_> = kept
             .iter()
             .filter_map(|number| self.parts.get(*number))
@@ -345,21 +351,41 @@ impl Composite {
                 part.replaces.iter().filter_map(at).collect::<Vec<_>>()
             })
             .collect();
-        let begun = session.begin_all(parts)?;
+        let begun = session.begin_all(parts, goals)?;
         let parts = begun.into_iter().zip(replaced);
         let parts = parts.map(|(ids, replaces)| handle::Part { ids, replaces });
         Ok(Handle::new(session, parts.collect()))
     }
 
     /// The parts that are valid, with their numbers: an alternative that is not valid is left out, except the last.
-    fn compile(&self) -> Result<(Vec<usize>, Vec<engine::Part>), Error> {
+    /// Also where each activity leaves its arms, as far as known.
+    fn compile(&self, session: &Session) -> Result<Compiled, Error> {
+        let mut before = Before::new();
+        let mut goals: Vec<Vec<Goals>> = Vec::new();
         let mut kept: Vec<usize> = Vec::new();
         let mut parts: Vec<engine::Part> = Vec::new();
         for (number, part) in self.parts.iter().enumerate() {
             let has_alternative = self.parts.iter().any(|p| p.instead_of == Some(number));
-            let starts: Result<Vec<_>, _> = part.orders.iter().map(Order::compile).collect();
-            let starts = match starts {
-                Ok(starts) => starts,
+            // Where a part that may be skipped begins, and what follows it, is decided on the controller.
+            let is_certain =
+                part.trigger.is_none() && part.instead_of.is_none() && !has_alternative;
+            if !is_certain {
+                before.values_mut().for_each(|known| *known = None);
+            }
+            let orders = part.orders.iter();
+            let prepared = orders.map(|order| session.prepare(order, part.when, &before));
+            let starts: Vec<_> = match prepared.collect::<Result<Vec<_>, _>>() {
+                Ok(prepared) => {
+                    let (starts, ends): (Vec<_>, Vec<_>) = prepared.into_iter().unzip();
+                    for (order, ends) in part.orders.iter().zip(&ends) {
+                        for device in order.operation.devices() {
+                            let end = ends.get(&device).filter(|_| is_certain).cloned();
+                            before.insert(device, end);
+                        }
+                    }
+                    goals.push(ends);
+                    starts
+                }
                 Err(_) if has_alternative || self.has_kept_alternative(number, &kept) => continue,
                 Err(error) => return Err(error),
             };
@@ -394,7 +420,7 @@ impl Composite {
             });
             kept.push(number);
         }
-        Ok((kept, parts))
+        Ok((kept, parts, goals))
     }
 
     /// Whether an earlier alternative of a part is valid.

@@ -48,13 +48,42 @@ pub enum Error {
         /// The device.
         device: String,
     },
-    /// The path leaves the reach of the arm.
-    #[error("{device}: the path leaves the reach of the arm at {progress:.0} % of the motion")]
+    /// The path leaves the reach of the arm, or the range of a joint.
+    #[error("{device}: the arm cannot follow the path at {progress:.0} % of the motion: {cause}")]
     Unreachable {
         /// The arm.
         device: String,
         /// Part of the path, in percent.
         progress: f64,
+        /// What is wrong there.
+        cause: String,
+    },
+    /// A joint would be too fast on the path; nothing was begun.
+    #[error(
+        "{device}: joint {joint} would move at {velocity:.3} rad/s at {progress:.0} % of the motion, its limit is \
+         {limit:.3} rad/s\nhint: the path fits at the speed {speed:.3}"
+    )]
+    TooFast {
+        /// The arm.
+        device: String,
+        /// Number of the joint, from 0.
+        joint: usize,
+        /// Part of the path, in percent.
+        progress: f64,
+        /// Its velocity there, rad/s.
+        velocity: f64,
+        /// Its limit, rad/s.
+        limit: f64,
+        /// Largest speed of the activity, as part of the limits, at which all joints keep their limits.
+        speed: f64,
+    },
+    /// A motion cannot be planned by the program.
+    #[error("{device}: the motion cannot be planned: {cause}")]
+    Unplanned {
+        /// The device.
+        device: String,
+        /// The cause.
+        cause: String,
     },
     /// The device does not follow its commands.
     #[error("{device}: {cause}")]

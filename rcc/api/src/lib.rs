@@ -5,6 +5,7 @@ pub mod activity;
 pub mod arm;
 pub mod cell;
 pub mod compose;
+pub mod coupled;
 #[cfg(feature = "embedded")]
 mod embedded;
 pub mod engine;
@@ -15,15 +16,19 @@ pub mod motion;
 mod net;
 mod order;
 pub mod outcome;
+pub mod plan;
 pub mod pose;
+mod preparation;
 mod session;
 
 pub use activity::Activity;
 pub use arm::Arm;
 pub use cell::Cell;
 pub use compose::{Composite, Event, either, together, when};
+pub use coupled::{Coupled, coupled};
 pub use error::Error;
 pub use expression::{Condition, Number};
 pub use handle::Handle;
 pub use outcome::Outcome;
+pub use plan::Plan;
 pub use pose::{Pose, deg};

@@ -3,13 +3,25 @@
 //!
 //! The speed of a motion scales its time: at 0.5 velocities are halved, accelerations quartered, jerks divided by eight.
 
+mod coupled;
+mod frame;
 mod path;
+#[cfg(test)]
+mod tests;
 
+use std::sync::Arc;
 use std::time::Duration;
+
+use takt_motion::plan::FrameBounds;
+use takt_net::device::Kinematics;
 
 use crate::engine::Failure;
 use crate::error::Error;
-use crate::net::{Net, Port};
+use crate::net::{Argument, Net, Port, array};
+use crate::plan::bounds;
+use crate::pose::Pose;
+pub(crate) use coupled::{CoupledMotion, Holder};
+pub(crate) use frame::Route;
 pub(crate) use path::{ArmMotion, Path};
 
 /// Limits of a joint.
@@ -58,6 +70,63 @@ impl Default for CartesianLimits {
     }
 }
 
+impl CartesianLimits {
+    /// The longest time that braking takes at a part of the speed, s.
+    pub(crate) fn braking_s(&self, speed: f64) -> f64 {
+        let FrameBounds {
+            translation,
+            rotation,
+        } = self.bounds(speed);
+        let time = |it: takt_motion::plan::Bounds| {
+            it.velocity / it.acceleration + it.acceleration / it.jerk
+        };
+        f64::max(time(translation), time(rotation))
+    }
+
+    /// Limits at a part of the speed, which scales time.
+    pub(crate) fn bounds(&self, speed: f64) -> FrameBounds {
+        let rotation = [self.rot_velocity, self.rot_acceleration, self.rot_jerk];
+        FrameBounds {
+            translation: bounds([self.velocity, self.acceleration, self.jerk], speed),
+            rotation: bounds(rotation, speed),
+        }
+    }
+
+    /// Parameters of the primitives that move frames.
+    fn arguments(&self, speed: f64) -> [(&'static str, Argument); 6] {
+        let FrameBounds {
+            translation,
+            rotation,
+        } = self.bounds(speed);
+        [
+            ("Velocity", translation.velocity.into()),
+            ("Acceleration", translation.acceleration.into()),
+            ("Jerk", translation.jerk.into()),
+            ("RotVelocity", rotation.velocity.into()),
+            ("RotAcceleration", rotation.acceleration.into()),
+            ("RotJerk", rotation.jerk.into()),
+        ]
+    }
+
+    fn check(&self, name: &str) -> Result<(), Error> {
+        let limits = [
+            ("velocity", self.velocity),
+            ("acceleration", self.acceleration),
+            ("jerk", self.jerk),
+            ("rot_velocity", self.rot_velocity),
+            ("rot_acceleration", self.rot_acceleration),
+            ("rot_jerk", self.rot_jerk),
+        ];
+        let wrong = limits
+            .iter()
+            .find(|(_, limit)| !(*limit > 0.0 && limit.is_finite()));
+        wrong.map_or(Ok(()), |(limit, value)| {
+            let text = format!("{name}: the limit `{limit}` is {value}; it is above 0");
+            Err(Error::Invalid(text))
+        })
+    }
+}
+
 /// An arm as its controller describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmDescription {
@@ -65,6 +134,8 @@ pub struct ArmDescription {
     pub name: String,
     /// Its type, such as `kuka_lwr_fri`.
     pub kind: String,
+    /// Model of its kinematics, such as `kuka_lwr4`; empty if it is not described.
+    pub model: String,
     /// Its joints, from the base.
     pub joints: Vec<JointLimits>,
     /// Period of the nets that command it.
@@ -122,6 +193,69 @@ impl ArmDescription {
         })
     }
 
+    /// Its kinematics, if the program knows their model.
+    pub(crate) fn kinematics(&self) -> Option<Arc<dyn Kinematics>> {
+        takt_motion::kinematics::limited(&self.model, &self.limits())
+    }
+
+    /// The pose of its flange in its base at joint positions, rad.
+    pub(crate) fn pose(&self, joints: &[f64]) -> Option<Pose> {
+        Some(self.kinematics()?.forward(joints).into())
+    }
+
+    /// Limits of its joints for checks of plans.
+    pub(crate) fn limits(&self) -> Vec<takt_net::JointLimits> {
+        let limits = |joint: &JointLimits| takt_net::JointLimits {
+            position_min: joint.position_min,
+            position_max: joint.position_max,
+            velocity_max: joint.velocity,
+            acceleration_max: joint.acceleration,
+        };
+        self.joints.iter().map(limits).collect()
+    }
+
+    /// Velocity, acceleration and jerk of each joint at a part of the speed, as arrays.
+    pub(crate) fn limit_texts(&self, speed: f64) -> [String; 3] {
+        let bounds =
+            |joint: &JointLimits| bounds([joint.velocity, joint.acceleration, joint.jerk], speed);
+        let bounds: Vec<_> = self.joints.iter().map(bounds).collect();
+        let of = |limit: &dyn Fn(&takt_motion::plan::Bounds) -> f64| {
+            let limits: Vec<_> = bounds.iter().map(limit).collect();
+            array(&limits)
+        };
+        [
+            of(&|joint| joint.velocity),
+            of(&|joint| joint.acceleration),
+            of(&|joint| joint.jerk),
+        ]
+    }
+
+    /// Nothing is known about where the arm begins.
+    pub(crate) fn no_start(&self) -> Error {
+        let cause = "it is not known where the arm begins: its positions are not known, or the activity before it ends \
+                     anywhere\nhint: begin it when the arm is at rest";
+        Error::Unplanned {
+            device: self.name.clone(),
+            cause: cause.to_owned(),
+        }
+    }
+
+    /// The program does not know the kinematics of the arm.
+    pub(crate) fn no_model(&self) -> Error {
+        let cause = if self.model.is_empty() {
+            "the controller describes no kinematics of this arm".to_owned()
+        } else {
+            format!(
+                "the model `{}` of its kinematics is not known here",
+                self.model
+            )
+        };
+        Error::Unplanned {
+            device: self.name.clone(),
+            cause,
+        }
+    }
+
     /// Checks joint positions, rad.
     pub(crate) fn check_joints(&self, to: &[f64]) -> Result<(), Error> {
         let (name, joints) = (&self.name, &self.joints);
@@ -143,6 +277,36 @@ impl ArmDescription {
         Ok(())
     }
 
+    /// Whether a joint is further from another position than it moves in a time, s, at a part of its velocity limit;
+    /// `None` without joints.
+    pub(crate) fn any_further(
+        &self,
+        net: &mut Net,
+        [from, to]: [&Port; 2],
+        (time_s, part): (f64, f64),
+    ) -> Option<Port> {
+        let mut further = Vec::new();
+        for (axis, limits) in self.joints.iter().enumerate() {
+            let [from, to] = [from, to].map(|joints| self.joint_of(net, joints, axis));
+            let distance = net.of_two("Core::DoubleSubtract", &to, &from);
+            let distance = net.of("Core::DoubleAbs", &distance);
+            let limit = limits.velocity * part * time_s;
+            let greater = [("inFirst", (&distance).into()), ("Second", limit.into())];
+            further.push(net.add("Core::DoubleGreater", greater).out("outValue"));
+        }
+        net.any(&further)
+    }
+
+    /// A joint of an array.
+    fn joint_of(&self, net: &mut Net, joints: &Port, axis: usize) -> Port {
+        let element = [
+            ("inArray", joints.into()),
+            ("Size", self.joints.len().into()),
+            ("Index", axis.into()),
+        ];
+        net.add("Core::DoubleArrayGet", element).out("outValue")
+    }
+
     /// Commands the joints; returns what makes the motion fail.
     pub(crate) fn command(&self, net: &mut Net, joints: &Port) -> Vec<(Failure, Port)> {
         let size = self.joints.len();
@@ -153,12 +317,7 @@ impl ArmDescription {
         ];
         let mut axes = Vec::new();
         for axis in 0..size {
-            let element = [
-                ("inArray", joints.into()),
-                ("Size", size.into()),
-                ("Index", axis.into()),
-            ];
-            let position = net.add("Core::DoubleArrayGet", element).out("outValue");
+            let position = self.joint_of(net, joints, axis);
             let command = [
                 ("inPosition", (&position).into()),
                 ("Robot", self.name.as_str().into()),

@@ -4,6 +4,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use crate::pose::Pose;
+
 /// An out port of a primitive in the net, such as `p3.outValue`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Port(String);
@@ -18,6 +20,11 @@ impl Primitive {
         Port(format!("{}.{port}", self.0))
     }
 }
+
+/// A feedback whose source is written later.
+#[derive(Debug)]
+#[must_use = "a feedback without source is no net"]
+pub(crate) struct Later(usize);
 
 /// An argument of a primitive: what is at a port, or the text of a parameter.
 #[derive(Clone, Debug)]
@@ -71,6 +78,11 @@ impl Net {
         kind: &str,
         arguments: [(&str, Argument); N],
     ) -> Primitive {
+        self.add_with(kind, &arguments)
+    }
+
+    /// The same with any number of arguments.
+    pub(crate) fn add_with(&mut self, kind: &str, arguments: &[(&str, Argument)]) -> Primitive {
         let text = arguments
             .iter()
             .fold(format!("{kind}("), |mut text, (name, argument)| {
@@ -109,6 +121,45 @@ impl Net {
         Some(rest.iter().fold(first.clone(), |all, port| {
             self.of_two("Core::BooleanOr", &all, port)
         }))
+    }
+
+    /// The pose `second`, which is given in `first`, in the reference of `first`.
+    pub(crate) fn transform(&mut self, first: &Port, second: &Pose) -> Port {
+        if *second == Pose::IDENTITY {
+            return first.clone();
+        }
+        let value = self.frame(second);
+        self.of_two("World::FrameTransform", first, &value)
+    }
+
+    /// A pose as a value.
+    pub(crate) fn frame(&mut self, pose: &Pose) -> Port {
+        let value = [("Value", pose.text().into())];
+        self.add("World::FrameValue", value).out("outValue")
+    }
+
+    /// Whether `stop` is true, or a port that is written later was true in the previous cycle: [`Self::close`] names it.
+    pub(crate) fn feedback(&mut self, stop: &Port) -> (Later, Port) {
+        let later = Later(self.lines.len());
+        let before = Primitive(format!("p{}", later.0)).out("outValue");
+        self.lines.push(String::new());
+        // The value of the previous cycle is null in the first one.
+        let never = self.of("Core::BooleanIsNull", &before);
+        let known = [
+            ("inCondition", (&never).into()),
+            ("inFalse", (&before).into()),
+        ];
+        let known = self.add("Core::BooleanConditional", known).out("outValue");
+        let stop = self.of_two("Core::BooleanOr", stop, &known);
+        (later, stop)
+    }
+
+    /// Connects a feedback with its source.
+    pub(crate) fn close(&mut self, later: &Later, source: &Port) {
+        let text = format!("  p{}=Core::BooleanPre(inValue={})", later.0, source.0);
+        if let Some(line) = self.lines.get_mut(later.0) {
+            *line = text;
+        }
     }
 
     /// The override of the net: a factor of the speed of its motions, 0 to 1, which a client may set while it runs.

@@ -8,7 +8,10 @@ use std::sync::Arc;
 use crate::engine::{Failure, Start};
 use crate::error::Error;
 use crate::expression::Condition;
+use crate::motion::ArmDescription;
 use crate::net::{Net, Port};
+use crate::plan::Plan;
+use crate::preparation::{Begins, Goals};
 
 /// Most conditions that stop one activity.
 const UNTIL_MAX: usize = 32;
@@ -21,17 +24,42 @@ pub(crate) trait Operation: Debug + Send + Sync {
     /// Checks all that can be checked without the controller.
     fn check(&self) -> Result<(), Error>;
 
+    /// The arms that it moves.
+    fn arms(&self) -> Vec<&ArmDescription> {
+        Vec::new()
+    }
+
+    /// Whether its net depends on where the arms are when it begins.
+    fn needs_begins(&self) -> bool {
+        true
+    }
+
+    /// Checks that its arms can follow, from where they begin; returns where it leaves them, as far as known.
+    fn follow(&self, _begins: &Begins, _speed: f64) -> Result<Goals, Error> {
+        Ok(Goals::new())
+    }
+
+    /// Plans it.
+    fn plan(&self, _begins: &Begins, _speed: f64) -> Result<Plan, Error> {
+        Err(Error::Unplanned {
+            device: self.devices().into_iter().next().unwrap_or_default(),
+            cause: "it has no path that is known before it runs".to_owned(),
+        })
+    }
+
     /// Writes what it does into a net.
-    fn write(&self, net: &mut Net, requests: &Requests) -> Ports;
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error>;
 }
 
 /// What an operation is requested to do in each cycle.
 #[derive(Debug)]
-pub(crate) struct Requests {
+pub(crate) struct Requests<'a> {
     /// Whether it is to brake and end: it is cancelled, or a condition has held.
     pub(crate) stop: Port,
     /// Speed as part of the limits, above 0 to 1.
     pub(crate) speed: f64,
+    /// Where the arms are when it begins, as far as known.
+    pub(crate) begins: &'a Begins,
 }
 
 /// Where an operation is in each cycle.
@@ -46,6 +74,8 @@ pub(crate) struct Ports {
     /// Further results from which a successor may take over, with their keys. `maintaining`: it reached its goal and
     /// keeps it up.
     pub(crate) results: Vec<(&'static str, Port)>,
+    /// Whether it fails and still brakes: no successor takes over any more, and its end is no completion.
+    pub(crate) fault: Option<Port>,
 }
 
 /// An operation with what every activity can have.
@@ -60,6 +90,8 @@ pub(crate) struct Order {
     pub(crate) until: Vec<(String, Condition)>,
     /// Progress from which on a result is true that may start another activity, 0 to below 1.
     pub(crate) marks: Vec<f64>,
+    /// Whether its path is checked before its net is loaded.
+    pub(crate) is_checked: bool,
 }
 
 /// The key of the result of a mark.
@@ -68,12 +100,8 @@ pub(crate) fn mark_key(number: usize) -> String {
 }
 
 impl Order {
-    /// What the engine begins.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] and [`Error::Limit`], which name the argument, its value and its bounds.
-    pub(crate) fn compile(&self) -> Result<Start, Error> {
-        self.check()?;
+    /// What the engine begins; the order is checked.
+    pub(crate) fn compile(&self, begins: &Begins) -> Result<Start, Error> {
         let mut net = Net::default();
         let cancel = net.add("Cancel", []).out("outCancel");
         let until = self.until.iter();
@@ -83,14 +111,18 @@ impl Order {
         let requests = Requests {
             stop: stop.clone(),
             speed: self.speed,
+            begins,
         };
-        let ports = self.operation.write(&mut net, &requests);
+        let ports = self.operation.write(&mut net, &requests)?;
         let failing: Vec<_> = ports
             .failures
             .iter()
             .map(|(_, port)| port.clone())
             .collect();
-        let halted: Vec<_> = std::iter::once(stop).chain(failing).collect();
+        let halted: Vec<_> = std::iter::once(stop)
+            .chain(failing)
+            .chain(ports.fault.clone())
+            .collect();
         let halted = net.any(&halted).unwrap_or_else(|| cancel.clone());
         // No successor takes over in the cycle in which the activity fails.
         let going = net.of("Core::BooleanNot", &halted);
@@ -180,7 +212,10 @@ impl Order {
     }
 
     /// Checks all that can be checked without the controller.
-    fn check(&self) -> Result<(), Error> {
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] and [`Error::Limit`], which name the argument, its value and its bounds.
+    pub(crate) fn check(&self) -> Result<(), Error> {
         self.operation.check()?;
         if !(self.speed > 0.0 && self.speed <= 1.0) {
             let text = format!("the speed is {}; it is above 0, at most 1", self.speed);

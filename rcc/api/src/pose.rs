@@ -12,6 +12,22 @@ pub fn deg(angle: f64) -> f64 {
 pub struct Pose(Isometry3<f64>);
 
 impl Pose {
+    /// The pose of the reference frame itself.
+    pub const IDENTITY: Self = Self(Isometry3 {
+        rotation: UnitQuaternion::new_unchecked(Quaternion {
+            coords: nalgebra::Vector4::new(0.0, 0.0, 0.0, 1.0),
+        }),
+        translation: Translation3 {
+            vector: nalgebra::Vector3::new(0.0, 0.0, 0.0),
+        },
+    });
+
+    /// The pose of the reference frame in this one.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        Self(self.0.inverse())
+    }
+
     /// A position, m, with the orientation of the reference frame.
     pub fn xyz(x: f64, y: f64, z: f64) -> Self {
         Self(Isometry3::translation(x, y, z))

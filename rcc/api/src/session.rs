@@ -10,6 +10,7 @@ use takt_client::{Client, Message, Value};
 
 use crate::engine::{Action, ActivityId, Engine, GroupId, Part};
 use crate::error::Error;
+use crate::preparation::{Goals, KnownGoals};
 
 /// Least time between two reports of one value of a net. Results are reported with the end of the net in any case.
 const REFRESH: f64 = 0.05;
@@ -30,6 +31,7 @@ pub(crate) struct Session {
     wakers: Mutex<Vec<Waker>>,
     /// Speed of all activities as part of their own, 0 to 1.
     speed: Mutex<f64>,
+    goals: Mutex<KnownGoals>,
     /// Notified after each change of the engine.
     changed: Condvar,
     /// A controller in this program, which ends with the session.
@@ -87,6 +89,7 @@ impl Session {
             subjects: Mutex::default(),
             wakers: Mutex::default(),
             speed: Mutex::new(1.0),
+            goals: Mutex::default(),
             changed: Condvar::new(),
             #[cfg(feature = "embedded")]
             embedded,
@@ -131,11 +134,30 @@ impl Session {
         lock(&self.engine)
     }
 
-    /// Begins parts in one call.
-    pub(crate) fn begin_all(&self, parts: Vec<Part>) -> Result<Vec<Vec<ActivityId>>, Error> {
+    /// Begins parts in one call; `goals` are where each activity leaves its arms, as far as known.
+    pub(crate) fn begin_all(
+        &self,
+        parts: Vec<Part>,
+        goals: Vec<Vec<Goals>>,
+    ) -> Result<Vec<Vec<ActivityId>>, Error> {
+        let devices = |part: &Part| -> Vec<_> {
+            let starts = part.starts.iter();
+            starts.map(|start| start.devices.clone()).collect()
+        };
+        let devices: Vec<_> = parts.iter().map(devices).collect();
         let begun = self.engine().begin_all(parts);
+        let ids = begun.iter().flatten().flatten();
+        let known = devices.iter().flatten().zip(goals.into_iter().flatten());
+        for (id, (devices, goals)) in ids.zip(known) {
+            self.goals().record(*id, devices, goals);
+        }
         self.perform();
         begun
+    }
+
+    /// Where activities leave the arms.
+    pub(crate) fn goals(&self) -> MutexGuard<'_, KnownGoals> {
+        lock(&self.goals)
     }
 
     /// Waits until a device has no activity.

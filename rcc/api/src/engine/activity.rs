@@ -71,11 +71,22 @@ impl Failure {
 
     /// The path of an arm leaves its reach.
     pub fn unreachable(device: &str) -> Self {
+        Self::off_path("unreachable", device, "the frame is out of reach")
+    }
+
+    /// A joint of an arm becomes too fast on its path.
+    pub fn too_fast(device: &str) -> Self {
+        let cause = "a joint becomes too fast: the path leads near a singularity";
+        Self::off_path("fast", device, cause)
+    }
+
+    fn off_path(key: &str, device: &str, cause: &str) -> Self {
         let error = Error::Unreachable {
             device: device.to_owned(),
             progress: 0.0,
+            cause: cause.to_owned(),
         };
-        Self::with("unreachable", device, error)
+        Self::with(key, device, error)
     }
 
     /// The error with what is known at the end of the net.

@@ -1,26 +1,25 @@
-//! The motions of one arm as nets: joints together, or the flange along a path.
+//! The motions of one arm to a goal: joints together, or a frame at the flange along a path.
 
+use super::frame::{self, Course, Route};
 use super::{ArmDescription, CartesianLimits, JointLimits};
 use crate::engine::Failure;
 use crate::error::Error;
-use crate::net::{Net, Port, Primitive, array};
+use crate::net::{Net, array};
 use crate::order::{Operation, Ports, Requests};
+use crate::plan::{Plan, bounds, unfit, unplanned};
 use crate::pose::Pose;
+use crate::preparation::{Begins, Goals};
+use takt_motion::plan::{State, plan};
 
-/// Where an arm is to move, and on which path.
+/// Where an arm is to move, and on which path. Poses are those of the motion centre in the base of the arm.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Path {
     /// To joint positions (rad), all joints together; the path of the flange follows from that.
     Ptp(Vec<f64>),
-    /// The flange along a straight line to a pose in the base of the arm.
-    Lin(Pose),
-    /// The flange along the arc through `via` to `to`.
-    Circ {
-        /// A point on the arc; its orientation is not used.
-        via: Pose,
-        /// The end.
-        to: Pose,
-    },
+    /// The same to the joint positions of a pose: those next to the hint (rad), or to where the arm begins.
+    Pose { to: Pose, hint: Option<Vec<f64>> },
+    /// The motion centre along a path.
+    Frame(Route),
 }
 
 /// A motion of an arm with everything that is needed to write its net.
@@ -28,8 +27,10 @@ pub(crate) enum Path {
 pub(crate) struct ArmMotion {
     pub(crate) arm: ArmDescription,
     pub(crate) path: Path,
-    /// Limits of the frame on lines and arcs.
+    /// Limits of the motion centre on paths.
     pub(crate) limits: CartesianLimits,
+    /// The motion centre in the flange.
+    pub(crate) tool: Pose,
 }
 
 impl Operation for ArmMotion {
@@ -40,159 +41,153 @@ impl Operation for ArmMotion {
     fn check(&self) -> Result<(), Error> {
         let name = &self.arm.name;
         let invalid = |what: &str| Err(Error::Invalid(format!("{name}: {what}")));
+        if !self.tool.is_finite() {
+            return invalid("the motion centre is not finite");
+        }
+        self.limits.check(name)?;
         match &self.path {
             Path::Ptp(to) => self.arm.check_joints(to),
-            Path::Lin(to) if !to.is_finite() => invalid("the pose is not finite"),
-            Path::Circ { via, to } if !(via.is_finite() && to.is_finite()) => {
-                invalid("a pose of the arc is not finite")
-            }
-            Path::Lin(_) | Path::Circ { .. } => Ok(()),
+            Path::Pose { to, .. } if !to.is_finite() => invalid("the pose is not finite"),
+            Path::Pose { hint, .. } => match hint {
+                Some(hint) => self.arm.check_joints(hint),
+                None => Ok(()),
+            },
+            Path::Frame(route) => route.check(name),
         }
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests) -> Ports {
-        let course = self.course(net, requests);
-        let mut failures = Vec::new();
-        if let Some(unreachable) = course.unreachable {
-            failures.push((Failure::unreachable(&self.arm.name), unreachable));
+    fn arms(&self) -> Vec<&ArmDescription> {
+        vec![&self.arm]
+    }
+
+    fn needs_begins(&self) -> bool {
+        match &self.path {
+            Path::Ptp(_) => false,
+            Path::Pose { hint, .. } => hint.is_none(),
+            Path::Frame(_) => true,
         }
-        failures.extend(self.arm.command(net, &course.joints));
-        Ports {
+    }
+
+    fn follow(&self, begins: &Begins, speed: f64) -> Result<Goals, Error> {
+        let name = &self.arm.name;
+        if !matches!(self.path, Path::Frame(_)) {
+            return Ok(Goals::from([(name.clone(), self.goal(begins)?)]));
+        }
+        // Without a known start, or a known model, the controller checks the path while it runs.
+        let (Some(begin), Some(_)) = (begins.get(name), self.arm.kinematics()) else {
+            return Ok(Goals::new());
+        };
+        let plan = self.plan(begins, speed);
+        match plan.and_then(|plan| plan.check(speed, 1.0).map(|()| plan)) {
+            Ok(plan) => Ok(Goals::from([(name.clone(), plan.end())])),
+            Err(_) if !begin.is_at_rest => Ok(Goals::new()),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn plan(&self, begins: &Begins, speed: f64) -> Result<Plan, Error> {
+        let arm = &self.arm;
+        let begin = begins.get(&arm.name).ok_or_else(|| arm.no_start())?;
+        let Path::Frame(route) = &self.path else {
+            let from: Vec<_> = begin.joints.iter().map(|q| State::at_rest(*q)).collect();
+            let limit = |joint: &JointLimits| {
+                bounds([joint.velocity, joint.acceleration, joint.jerk], speed)
+            };
+            let bounds: Vec<_> = arm.joints.iter().map(limit).collect();
+            let joints = plan(&from, &self.goal(begins)?, &bounds, arm.period);
+            let joints = joints.map_err(|error| unplanned(arm, error))?;
+            return Ok(Plan::new(arm, joints));
+        };
+        let kinematics = arm.kinematics().ok_or_else(|| arm.no_model())?;
+        let start = Pose::from(kinematics.forward(&begin.joints)) * self.tool;
+        let frames = route.plan(&start, self.limits.bounds(speed), arm.period);
+        let frames = frames.map_err(|error| unplanned(arm, error))?;
+        let flange = self.tool.isometry().inverse();
+        let limits = arm.limits();
+        let joints = frames.joints(&*kinematics, &limits, &begin.joints, &flange);
+        let joints = joints.map_err(|found| unfit(arm, &found))?;
+        Ok(Plan::new(arm, joints))
+    }
+
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+        let arm = &self.arm;
+        let mut failures = Vec::new();
+        let course = match &self.path {
+            Path::Ptp(_) | Path::Pose { .. } => self.joint_motion(net, requests)?,
+            Path::Frame(route) => {
+                let start = requests.begins.get(&arm.name);
+                let start = start.and_then(|begin| arm.pose(&begin.joints));
+                let start = start.map(|start| start * self.tool);
+                let from = frame::commanded(net, arm, &self.tool);
+                let limits = (&self.limits, requests.speed);
+                let stop = &requests.stop;
+                let moved = route.write(net, (stop, limits), Some(&from), start.as_ref());
+                let moved = moved.ok_or_else(|| arm.no_start())?;
+                let flange = net.transform(&moved.position, &self.tool.inverse());
+                let (joints, unreachable) = frame::inverse(net, arm, &flange);
+                failures.push((Failure::unreachable(&arm.name), unreachable));
+                moved.course(joints)
+            }
+        };
+        failures.extend(arm.command(net, &course.joints));
+        Ok(Ports {
             done: course.done,
             progress: Some(course.progress),
             failures,
             results: Vec::new(),
-        }
+            fault: None,
+        })
     }
-}
-
-/// Ports of a motion along its path.
-struct Course {
-    joints: Port,
-    progress: Port,
-    done: Port,
-    /// Whether the frame is out of reach; joint motions have none.
-    unreachable: Option<Port>,
 }
 
 impl ArmMotion {
-    fn course(&self, net: &mut Net, requests: &Requests) -> Course {
-        let stop = &requests.stop;
+    /// The joint positions that it ends at, rad, if its goal is one of the joints.
+    fn goal(&self, begins: &Begins) -> Result<Vec<f64>, Error> {
+        let (arm, name) = (&self.arm, &self.arm.name);
+        let (to, hint) = match &self.path {
+            Path::Ptp(to) => return Ok(to.clone()),
+            Path::Pose { to, hint } => (to, hint),
+            Path::Frame(_) => return Err(arm.no_start()),
+        };
+        let begin = begins.get(name).map(|begin| begin.joints.clone());
+        let hint = hint.clone().or(begin).ok_or_else(|| arm.no_start())?;
+        let kinematics = arm.kinematics().ok_or_else(|| arm.no_model())?;
+        let mut joints = vec![0.0; arm.joints.len()];
+        let flange = *to * self.tool.inverse();
+        let found = kinematics.inverse(flange.isometry(), &hint, &mut joints);
+        found.map_err(|cause| Error::Unreachable {
+            device: name.clone(),
+            progress: 100.0,
+            cause: cause.to_string(),
+        })?;
+        Ok(joints)
+    }
+
+    fn joint_motion(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Course, Error> {
         let arm = &self.arm;
         let positions = arm.joint_array(net, "outCommandedPosition");
         let velocities = arm.joint_array(net, "outCommandedVelocity");
+        let accelerations = arm.joint_array(net, "outCommandedAcceleration");
         let over = net.override_in();
-        if let Path::Ptp(to) = &self.path {
-            let accelerations = arm.joint_array(net, "outCommandedAcceleration");
-            let [velocity, acceleration, jerk] = self.joint_limits(requests.speed);
-            let ptp = net.add(
-                "Motion::Ptp",
-                [
-                    ("inStop", stop.into()),
-                    ("inOverride", (&over).into()),
-                    ("inFrom", (&positions).into()),
-                    ("inFromVelocity", (&velocities).into()),
-                    ("inFromAcceleration", (&accelerations).into()),
-                    ("To", array(to).into()),
-                    ("Velocity", velocity.into()),
-                    ("Acceleration", acceleration.into()),
-                    ("Jerk", jerk.into()),
-                ],
-            );
-            return Course {
-                joints: ptp.out("outPosition"),
-                progress: ptp.out("outProgress"),
-                done: ptp.out("outDone"),
-                unreachable: None,
-            };
-        }
-        let robot = || ("Robot", arm.name.as_str().into());
-        let from = net.add(
-            "ArmKinematics::Kin",
-            [("inJoints", (&positions).into()), robot()],
-        );
-        let twist = [
-            ("inJoints", (&positions).into()),
-            ("inVelocities", (&velocities).into()),
-            robot(),
-        ];
-        let twist = net.add("ArmKinematics::VelKin", twist).out("outTwist");
-        let motion = self.frame_motion(
-            net,
-            ([stop, &over], requests.speed),
-            &from.out("outFrame"),
-            &twist,
-        );
-        let inverse = net.add(
-            "ArmKinematics::InvKin",
+        let [velocity, acceleration, jerk] = arm.limit_texts(requests.speed);
+        let ptp = net.add(
+            "Motion::Ptp",
             [
-                ("inFrame", (&motion.out("outPosition")).into()),
-                ("inHintJoints", (&positions).into()),
-                robot(),
+                ("inStop", (&requests.stop).into()),
+                ("inOverride", (&over).into()),
+                ("inFrom", (&positions).into()),
+                ("inFromVelocity", (&velocities).into()),
+                ("inFromAcceleration", (&accelerations).into()),
+                ("To", array(&self.goal(requests.begins)?).into()),
+                ("Velocity", velocity.into()),
+                ("Acceleration", acceleration.into()),
+                ("Jerk", jerk.into()),
             ],
         );
-        let joints = inverse.out("outJoints");
-        let none = net.of("Core::DoubleArrayIsNull", &joints);
-        let moves = net.of("World::FrameIsNull", &motion.out("outPosition"));
-        let moves = net.of("Core::BooleanNot", &moves);
-        Course {
-            unreachable: Some(net.of_two("Core::BooleanAnd", &none, &moves)),
-            joints,
-            progress: motion.out("outProgress"),
-            done: motion.out("outDone"),
-        }
-    }
-
-    /// The primitive that moves the frame.
-    fn frame_motion(
-        &self,
-        net: &mut Net,
-        ([stop, over], speed): ([&Port; 2], f64),
-        from: &Port,
-        twist: &Port,
-    ) -> Primitive {
-        let f = speed;
-        let limits = &self.limits;
-        let (kind, via, to) = match &self.path {
-            Path::Circ { via, to } => ("Motion::Circ", ("Via", via.text().into()), to),
-            // Without its own start, a line begins where the frame is.
-            Path::Lin(to) => ("Motion::Lin", ("Join", "0".into()), to),
-            Path::Ptp(_) => (
-                "Motion::Lin",
-                ("Join", "0".into()),
-                &Pose::xyz(0.0, 0.0, 0.0),
-            ),
-        };
-        net.add(
-            kind,
-            [
-                ("inStop", stop.into()),
-                ("inOverride", over.into()),
-                ("inFrom", from.into()),
-                ("inFromVelocity", twist.into()),
-                via,
-                ("To", to.text().into()),
-                ("Velocity", (limits.velocity * f).into()),
-                ("Acceleration", (limits.acceleration * f * f).into()),
-                ("Jerk", (limits.jerk * f * f * f).into()),
-                ("RotVelocity", (limits.rot_velocity * f).into()),
-                ("RotAcceleration", (limits.rot_acceleration * f * f).into()),
-                ("RotJerk", (limits.rot_jerk * f * f * f).into()),
-            ],
-        )
-    }
-
-    /// Velocity, acceleration and jerk of each joint at the speed of this motion, as arrays.
-    fn joint_limits(&self, speed: f64) -> [String; 3] {
-        let f = speed;
-        let of = |limit: &dyn Fn(&JointLimits) -> f64| {
-            let limits: Vec<_> = self.arm.joints.iter().map(limit).collect();
-            array(&limits)
-        };
-        [
-            of(&|joint| joint.velocity * f),
-            of(&|joint| joint.acceleration * f * f),
-            of(&|joint| joint.jerk * f * f * f),
-        ]
+        Ok(Course {
+            joints: ptp.out("outPosition"),
+            progress: ptp.out("outProgress"),
+            done: ptp.out("outDone"),
+        })
     }
 }

@@ -120,6 +120,7 @@ impl Controller {
             let thread = registry.threads.serving_thread(&info.name);
             DeviceDetails {
                 joints: registry.devices.joints(&info.name),
+                model: registry.devices.model(&info.name),
                 period: registry.threads.period(thread).unwrap_or_default(),
                 info,
             }

@@ -30,6 +30,8 @@ pub struct DeviceDetails {
     pub info: DeviceInfo,
     /// Limits of each joint; none if it is no arm.
     pub joints: Arc<[JointLimits]>,
+    /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
+    pub model: String,
     /// Period of the nets that command it.
     pub period: Duration,
 }
@@ -108,6 +110,12 @@ impl DeviceSet {
     pub(super) fn joints(&self, name: &str) -> Arc<[JointLimits]> {
         let device = self.table.all().find(|(_, device)| device.name == name);
         device.map_or_else(Arc::default, |(_, device)| Arc::clone(&device.limits))
+    }
+
+    /// Model of the kinematics of a device.
+    pub(super) fn model(&self, name: &str) -> String {
+        let device = self.table.all().find(|(_, device)| device.name == name);
+        device.map_or_else(String::new, |(_, device)| device.model.to_string())
     }
 
     /// Ends all drivers and waits for that.

@@ -1,5 +1,6 @@
 //! The devices of a controller and the locations of their interfaces in the image. It starts no driver.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -35,6 +36,8 @@ pub struct Device {
     pub place: Place,
     /// Limits by joint; empty if it is no arm.
     pub limits: Arc<[JointLimits]>,
+    /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
+    pub model: Cow<'static, str>,
     /// Kinematics of its flange.
     pub kinematics: Option<Arc<dyn Kinematics>>,
     /// Its interfaces besides joints.
@@ -222,6 +225,7 @@ impl DeviceTable {
             kind: device.kind,
             place,
             limits: device.limits.into(),
+            model: device.model,
             kinematics,
             interfaces,
             own: parts::lay(&device.parts, joints, &mut Layout::default()),

@@ -194,7 +194,11 @@ impl<S: Sample> Plan<S> {
             reason = "saturates, and is then the end"
         )]
         let cycle = (cycles + 1e-9) as usize;
-        match (self.samples.get(cycle), self.samples.get(cycle + 1)) {
+        // Saturated: a time after the end, however long.
+        match (
+            self.samples.get(cycle),
+            self.samples.get(cycle.saturating_add(1)),
+        ) {
             (Some(now), Some(next)) => {
                 let part = (cycles - cycles.floor()).clamp(0.0, 1.0);
                 let part = if part > 1.0 - 1e-9 { 0.0 } else { part };

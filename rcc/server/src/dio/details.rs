@@ -21,6 +21,7 @@ pub(super) fn value(device: DeviceDetails) -> (String, Value) {
         ("state", device.info.status.word().into()),
         ("interfaces", Value::list_of(interfaces.map(String::as_str))),
         ("period", number(device.period.as_secs_f64())),
+        ("kinematics", device.model.into()),
         ("joints", Value::List(joints.collect())),
     ]);
     (device.info.name, value)

@@ -94,7 +94,13 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     (
         "takt-api",
-        &["takt-client", "takt-devices", "takt-embedded"],
+        &[
+            "takt-client",
+            "takt-devices",
+            "takt-embedded",
+            "takt-motion",
+            "takt-net",
+        ],
     ),
     ("takt-deploy", &[]),
     ("takt-tools", ALL),

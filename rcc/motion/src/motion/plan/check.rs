@@ -6,10 +6,13 @@ use std::time::Duration;
 use takt_net::device::{Kinematics, Unreachable};
 use takt_net::{Frame, JointLimits};
 
-use super::{FrameSample, JointSample, Plan, Sample};
+use super::{FrameSample, JointSample, Plan, Sample, State};
 
 /// Tolerance for rounding: how far a joint may exceed a limit, relative to it.
 const ROUNDING: f64 = 1e-6;
+
+/// A joint that moves further in one cycle changes its configuration, rad.
+const JUMP: f64 = 0.2;
 
 /// Where and why an arm cannot follow a plan.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -51,6 +54,18 @@ pub enum Cause {
         velocity: f64,
         /// Its limit, rad/s.
         limit: f64,
+    },
+    /// A joint would be elsewhere in the next cycle: the path leads through a singularity, or out of the ranges of one
+    /// configuration of the arm.
+    #[error(
+        "joint {joint} would jump by {angle} rad, to another configuration of the arm: the path leads through a \
+         singularity or to the end of a joint range"
+    )]
+    Jump {
+        /// Number of the joint, from 0.
+        joint: usize,
+        /// How far, rad.
+        angle: f64,
     },
     /// The number of limits or of hints is not the number of joints.
     #[error("{found} values for {joints} joints")]
@@ -138,12 +153,10 @@ impl Plan<JointSample> {
 
 impl Plan<FrameSample> {
     /// Whether an arm whose flange is at `flange` (m) in the moved frame follows within its joint ranges and velocities,
-    /// from the joint positions `hint` (rad) on: inverse kinematics of each cycle, with the joints of the previous one as
-    /// hint, as a net computes it. Returns the joint positions at the end, rad. The way from the hint to the first cycle
-    /// does not count.
+    /// from the joint positions `hint` (rad) on. Returns the joint positions at the end, rad.
     ///
     /// # Errors
-    /// The first place at which the arm cannot follow.
+    /// The first place that the arm cannot reach, else the first one where a joint is too fast.
     pub fn check(
         &self,
         arm: &dyn Kinematics,
@@ -151,31 +164,73 @@ impl Plan<FrameSample> {
         hint: &[f64],
         flange: &Frame,
     ) -> Result<Vec<f64>, Unfit> {
-        let mut before = hint.to_vec();
-        let mut joints = vec![0.0; arm.joints()];
-        let mut is_first = true;
+        let joints = self.joints(arm, limits, hint, flange)?;
+        joints.check(limits)?;
+        let end = joints.samples.last();
+        Ok(end.map_or_else(Vec::new, positions))
+    }
+
+    /// The motion of the joints of an arm whose flange is at `flange` (m) in the moved frame: inverse kinematics of each
+    /// cycle, with the joints of the previous one as hint, as a net computes it, from the joint positions `hint` (rad) on.
+    /// Velocities and accelerations are those between neighbouring cycles; in the first one they are 0.
+    ///
+    /// # Errors
+    /// The first place that the arm cannot reach within the ranges of its joints, or only by a jump.
+    pub fn joints(
+        &self,
+        arm: &dyn Kinematics,
+        limits: &[JointLimits],
+        hint: &[f64],
+        flange: &Frame,
+    ) -> Result<Plan<JointSample>, Unfit> {
+        let mut at = vec![0.0; arm.joints()];
         let period_s = self.period.as_secs_f64();
-        all(
-            self,
-            |sample| sample.progress,
-            |sample| {
-                count(limits.len(), arm.joints())?;
-                count(before.len(), arm.joints())?;
-                let target = sample.frame * flange;
-                arm.inverse(&target, &before, &mut joints)
-                    .map_err(Cause::Unreachable)?;
-                for (joint, limits) in limits.iter().enumerate() {
-                    position(joint, joints[joint], limits)?;
-                    let speed = (joints[joint] - before[joint]) / period_s;
-                    if !is_first {
-                        velocity(joint, speed, limits)?;
+        let mut samples: Vec<JointSample> = Vec::with_capacity(self.samples.len());
+        let progress = |sample: &FrameSample| sample.progress;
+        all(self, progress, |sample| {
+            count(limits.len(), arm.joints())?;
+            count(hint.len(), arm.joints())?;
+            let before = samples.last();
+            let near = before.map(positions);
+            let near = near.as_deref().unwrap_or(hint);
+            let target = sample.frame * flange;
+            arm.inverse(&target, near, &mut at)
+                .map_err(Cause::Unreachable)?;
+            for (joint, limits) in limits.iter().enumerate() {
+                position(joint, at[joint], limits)?;
+                let angle = at[joint] - near[joint];
+                if before.is_some() && angle.abs() > JUMP {
+                    return Err(Cause::Jump { joint, angle });
+                }
+            }
+            let rate = |from: f64, to: f64| (to - from) / period_s;
+            let state = |(joint, position): (usize, &f64)| match before {
+                None => State::at_rest(*position),
+                Some(before) => {
+                    let before = before.joints[joint];
+                    let velocity = rate(before.position, *position);
+                    State {
+                        position: *position,
+                        velocity,
+                        acceleration: rate(before.velocity, velocity),
                     }
                 }
-                is_first = false;
-                before.copy_from_slice(&joints);
-                Ok(())
-            },
-        )?;
-        Ok(before)
+            };
+            let joints = at.iter().enumerate().map(state).collect();
+            samples.push(JointSample {
+                progress: sample.progress,
+                joints,
+            });
+            Ok(())
+        })?;
+        Ok(Plan {
+            period: self.period,
+            samples: samples.into(),
+        })
     }
+}
+
+/// Positions of the joints, rad.
+fn positions(sample: &JointSample) -> Vec<f64> {
+    sample.joints.iter().map(|joint| joint.position).collect()
 }

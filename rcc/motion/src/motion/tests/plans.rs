@@ -268,3 +268,19 @@ fn plan_of_invalid_motion_is_error() {
         PlanError::Endless
     );
 }
+
+#[test]
+fn plan_after_its_end_is_at_rest() {
+    let bounds = Bounds {
+        velocity: 1.0,
+        acceleration: 1.0,
+        jerk: 10.0,
+    };
+    let from = [State::at_rest(0.0)];
+    let planned = plan(&from, &[0.3], &[bounds], Duration::from_millis(4)).expect("a plan");
+    for time in [planned.duration(), Duration::from_secs(3600), Duration::MAX] {
+        let end = planned.at(time);
+        assert!((end.joints[0].position - 0.3).abs() < 1e-12, "{time:?}");
+        assert!(end.joints[0].velocity.abs() < 1e-12, "{time:?}");
+    }
+}

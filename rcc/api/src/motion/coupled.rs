@@ -1,0 +1,209 @@
+//! Several arms that hold one object: one motion of the object in one net, and every arm follows by its own kinematics.
+//! Where one of them cannot follow, all brake on the common path, so that the object is not torn: a place out of reach
+//! is noticed while the object can still come to rest before it. Not here: what a driver does whose device fails.
+
+use takt_motion::plan::{FrameSample, Plan as MotionPlan};
+
+use super::frame::{self, Route};
+use super::{ArmDescription, CartesianLimits};
+use crate::engine::Failure;
+use crate::error::Error;
+use crate::net::{Net, Port};
+use crate::order::{Operation, Ports, Requests};
+use crate::plan::{Plan, unfit, unplanned};
+use crate::pose::Pose;
+use crate::preparation::{Begin, Begins, Goals};
+
+/// Largest mean speed of a joint until the object would be at rest, as part of its limit: where a joint would be faster,
+/// the object brakes. Near a singularity joints become faster while the object already brakes; the rest is for that.
+const SPEED_MAX: f64 = 0.8;
+
+/// Largest speed of a joint on a path that is checked beforehand, as part of its limit. Less than the former, so that a
+/// path that fits does not brake: while the object accelerates, its braking distance is longer.
+const CHECKED_SPEED_MAX: f64 = 0.6;
+
+/// An arm that holds an object.
+#[derive(Clone, Debug)]
+pub(crate) struct Holder {
+    pub(crate) arm: ArmDescription,
+    /// Its base in the world.
+    pub(crate) base: Pose,
+    /// Its flange in the object.
+    pub(crate) grasp: Pose,
+}
+
+impl Holder {
+    /// Where the object is in the world.
+    fn object(&self, begin: &Begin) -> Option<Pose> {
+        Some(self.base * self.arm.pose(&begin.joints)? * self.grasp.inverse())
+    }
+}
+
+/// A motion of an object that several arms hold.
+#[derive(Clone, Debug)]
+pub(crate) struct CoupledMotion {
+    /// At least two arms, each once.
+    pub(crate) holders: Vec<Holder>,
+    /// Path of the object in the world.
+    pub(crate) route: Route,
+    pub(crate) limits: CartesianLimits,
+}
+
+impl CoupledMotion {
+    fn first(&self) -> Result<&Holder, Error> {
+        let few = || Error::Invalid("no arm holds the object".to_owned());
+        self.holders.first().ok_or_else(few)
+    }
+
+    /// Where the object begins in the world, by the first arm.
+    fn start(&self, begins: &Begins) -> Result<Pose, Error> {
+        let first = self.first()?;
+        let arm = &first.arm;
+        let begin = begins.get(&arm.name).ok_or_else(|| arm.no_start())?;
+        first.object(begin).ok_or_else(|| arm.no_model())
+    }
+
+    /// The motion of the object in the base of an arm, and that of the arm.
+    fn plan_of(&self, holder: &Holder, begins: &Begins, speed: f64) -> Result<Plan, Error> {
+        let arm = &holder.arm;
+        let begin = begins.get(&arm.name).ok_or_else(|| arm.no_start())?;
+        let kinematics = arm.kinematics().ok_or_else(|| arm.no_model())?;
+        let in_base = holder.base.inverse();
+        let start = in_base * self.start(begins)?;
+        let route = self.route.moved(&in_base);
+        let object: MotionPlan<FrameSample> = route
+            .plan(&start, self.limits.bounds(speed), arm.period)
+            .map_err(|error| unplanned(arm, error))?;
+        let grasp = holder.grasp.isometry();
+        let joints = object.joints(&*kinematics, &arm.limits(), &begin.joints, grasp);
+        Ok(Plan::new(arm, joints.map_err(|found| unfit(arm, &found))?))
+    }
+
+    /// Writes the arm of a holder; returns why it fails.
+    fn write_arm(
+        holder: &Holder,
+        net: &mut Net,
+        [position, rest]: [&Port; 2],
+        braking_s: f64,
+    ) -> Vec<(Failure, Port)> {
+        let arm = &holder.arm;
+        let mut flange = |object: &Port| {
+            let in_base = net.frame(&holder.base.inverse());
+            let object = net.of_two("World::FrameTransform", &in_base, object);
+            net.transform(&object, &holder.grasp)
+        };
+        let (now, at_rest) = (flange(position), flange(rest));
+        let (joints, beyond) = frame::inverse(net, arm, &now);
+        let (rest_joints, will_be_beyond) = frame::inverse(net, arm, &at_rest);
+        let beyond = net.of_two("Core::BooleanOr", &beyond, &will_be_beyond);
+        let mut failures = vec![(Failure::unreachable(&arm.name), beyond)];
+        let fast = arm.any_further(net, [&joints, &rest_joints], (braking_s / 2.0, SPEED_MAX));
+        failures.extend(fast.map(|fast| (Failure::too_fast(&arm.name), fast)));
+        failures.extend(arm.command(net, &joints));
+        failures
+    }
+}
+
+impl Operation for CoupledMotion {
+    fn devices(&self) -> Vec<String> {
+        let names = self.holders.iter().map(|holder| holder.arm.name.clone());
+        names.collect()
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        let name = &self.first()?.arm.name;
+        if self.holders.len() < 2 {
+            let text = format!("{name}: only one arm holds the object; two or more are coupled");
+            return Err(Error::Invalid(text));
+        }
+        for (number, holder) in self.holders.iter().enumerate() {
+            let name = &holder.arm.name;
+            let before = self.holders.get(..number).unwrap_or_default();
+            if before.iter().any(|other| other.arm.name == *name) {
+                let text = format!("{name}: the arm is coupled with itself");
+                return Err(Error::Invalid(text));
+            }
+            if !(holder.base.is_finite() && holder.grasp.is_finite()) {
+                return Err(Error::Invalid(format!(
+                    "{name}: its base or its grasp is not finite"
+                )));
+            }
+        }
+        self.limits.check(name)?;
+        self.route.check(name)
+    }
+
+    fn arms(&self) -> Vec<&ArmDescription> {
+        self.holders.iter().map(|holder| &holder.arm).collect()
+    }
+
+    fn follow(&self, begins: &Begins, speed: f64) -> Result<Goals, Error> {
+        let mut goals = Goals::new();
+        let arms = self.arms();
+        // Without known starts, or known models, the controller checks the path while it runs.
+        let is_known =
+            |arm: &&ArmDescription| arm.kinematics().is_some() && begins.contains_key(&arm.name);
+        if !arms.iter().all(is_known) {
+            return Ok(goals);
+        }
+        for holder in &self.holders {
+            let plan = self.plan_of(holder, begins, speed);
+            let is_at_rest = begins.values().all(|begin| begin.is_at_rest);
+            match plan.and_then(|plan| plan.check(speed, CHECKED_SPEED_MAX).map(|()| plan)) {
+                Ok(plan) => drop(goals.insert(holder.arm.name.clone(), plan.end())),
+                Err(_) if !is_at_rest => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(goals)
+    }
+
+    fn plan(&self, begins: &Begins, speed: f64) -> Result<Plan, Error> {
+        let plans = self
+            .holders
+            .iter()
+            .map(|holder| self.plan_of(holder, begins, speed));
+        let mut plans = plans.collect::<Result<Vec<_>, _>>()?.into_iter();
+        let first = plans
+            .next()
+            .ok_or_else(|| Error::Invalid("no arm".to_owned()))?;
+        Ok(first.with_partners(plans.collect()))
+    }
+
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+        let first = self.first()?;
+        let start = self.start(requests.begins).ok();
+        let from = frame::commanded_in(net, &first.arm, &first.base, &first.grasp.inverse());
+        // A fault of any arm stops the object from the next cycle on.
+        let (fault_in, stop) = net.feedback(&requests.stop);
+        let limits = (&self.limits, requests.speed);
+        let moved = self
+            .route
+            .write(net, (&stop, limits), Some(&from), start.as_ref());
+        let moved = moved.ok_or_else(|| first.arm.no_start())?;
+        let ends = [&moved.position, &moved.rest];
+        let braking_s = self.limits.braking_s(requests.speed);
+        let faults = self.holders.iter();
+        let faults = faults.flat_map(|holder| Self::write_arm(holder, net, ends, braking_s));
+        let faults: Vec<_> = faults.collect();
+        let mut failures = Vec::new();
+        let mut kept = Vec::new();
+        for (failure, port) in faults {
+            let latched = [("inOn", (&port).into())];
+            let latched = net.add("Core::Trigger", latched).out("outActive");
+            // The net ends when the object is at rest.
+            let ended = net.of_two("Core::BooleanAnd", &moved.done, &latched);
+            failures.push((failure, ended));
+            kept.push(latched);
+        }
+        let fault = net.any(&kept).unwrap_or_else(|| moved.done.clone());
+        net.close(&fault_in, &fault);
+        Ok(Ports {
+            done: moved.done,
+            progress: Some(moved.progress),
+            failures,
+            results: Vec::new(),
+            fault: Some(fault),
+        })
+    }
+}

@@ -1,0 +1,233 @@
+//! Paths of frames: lines, arcs and curves, as plans and as primitives; and the kinematics between frames and joints.
+
+use std::time::Duration;
+
+use takt_motion::plan::{self, FrameBounds, FrameSample, FrameState, PlanError, plan_frame};
+
+use super::{ArmDescription, CartesianLimits};
+use crate::error::Error;
+use crate::net::{Argument, Net, Port};
+use crate::pose::Pose;
+
+/// Most points of a curve.
+const POINTS_MAX: usize = 63;
+
+/// A path of a frame, from where it is.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Route {
+    /// Straight.
+    Line(Pose),
+    /// Along the arc through `via` to `to`; the orientation of `via` is not used.
+    Arc { via: Pose, to: Pose },
+    /// Along a smooth curve through points.
+    Spline(Vec<Pose>),
+}
+
+/// Ports of a motion of joints.
+pub(crate) struct Course {
+    pub(crate) joints: Port,
+    pub(crate) progress: Port,
+    pub(crate) done: Port,
+}
+
+/// Ports of a motion of a frame.
+pub(crate) struct Moved {
+    pub(crate) position: Port,
+    /// Where it comes to rest if it stops now.
+    pub(crate) rest: Port,
+    pub(crate) progress: Port,
+    pub(crate) done: Port,
+}
+
+impl Moved {
+    pub(crate) fn course(self, joints: Port) -> Course {
+        Course {
+            joints,
+            progress: self.progress,
+            done: self.done,
+        }
+    }
+}
+
+/// A frame in motion: where it is, and its velocity.
+pub(crate) struct InMotion {
+    frame: Port,
+    velocity: Port,
+}
+
+impl Route {
+    pub(crate) fn check(&self, name: &str) -> Result<(), Error> {
+        let invalid = |what: &str| Err(Error::Invalid(format!("{name}: {what}")));
+        match self {
+            Self::Line(to) if !to.is_finite() => invalid("the pose is not finite"),
+            Self::Arc { via, to } if !(via.is_finite() && to.is_finite()) => {
+                invalid("a pose of the arc is not finite")
+            }
+            Self::Spline(points) if !points.iter().all(Pose::is_finite) => {
+                invalid("a point of the curve is not finite")
+            }
+            Self::Spline(points) if !(1..=POINTS_MAX).contains(&points.len()) => {
+                let count = points.len();
+                invalid(&format!("{count} points; a curve has 1 to {POINTS_MAX}"))
+            }
+            Self::Line(_) | Self::Arc { .. } | Self::Spline(_) => Ok(()),
+        }
+    }
+
+    /// The same path in a frame whose reference is at `by`.
+    pub(crate) fn moved(&self, by: &Pose) -> Self {
+        match self {
+            Self::Line(to) => Self::Line(*by * *to),
+            Self::Arc { via, to } => Self::Arc {
+                via: *by * *via,
+                to: *by * *to,
+            },
+            Self::Spline(points) => Self::Spline(points.iter().map(|p| *by * *p).collect()),
+        }
+    }
+
+    /// Plans it from rest at a start.
+    pub(crate) fn plan(
+        &self,
+        start: &Pose,
+        bounds: FrameBounds,
+        period: Duration,
+    ) -> Result<plan::Plan<FrameSample>, PlanError> {
+        let from = *start.isometry();
+        let route = match self {
+            Self::Line(to) => plan::Route::Line { to: *to.isometry() },
+            Self::Arc { via, to } => plan::Route::Arc {
+                from,
+                via: *via.isometry(),
+                to: *to.isometry(),
+            },
+            Self::Spline(points) => {
+                let points = points.iter().map(|point| *point.isometry());
+                plan::Route::Spline {
+                    points: std::iter::once(from).chain(points).collect(),
+                    tangents: Vec::new(),
+                }
+            }
+        };
+        plan_frame(&FrameState::at_rest(from), &route, bounds, period)
+    }
+
+    /// Writes the primitive that moves the frame, from where it is in motion, else from `start`; `None` if the path needs
+    /// to know its start and does not.
+    pub(crate) fn write(
+        &self,
+        net: &mut Net,
+        (stop, (limits, speed)): (&Port, (&CartesianLimits, f64)),
+        from: Option<&InMotion>,
+        start: Option<&Pose>,
+    ) -> Option<Moved> {
+        let over = net.override_in();
+        let mut arguments: Vec<(&str, Argument)> =
+            vec![("inStop", stop.into()), ("inOverride", (&over).into())];
+        if let Some(from) = from {
+            arguments.push(("inFrom", (&from.frame).into()));
+            arguments.push(("inFromVelocity", (&from.velocity).into()));
+        }
+        let kind = match self {
+            // Without its own start, a line begins where the frame is.
+            Self::Line(to) => {
+                match from {
+                    Some(_) => arguments.push(("Join", "0".into())),
+                    None => arguments.push(("From", start?.text().into())),
+                }
+                arguments.push(("To", to.text().into()));
+                "Motion::Lin"
+            }
+            Self::Arc { via, to } => {
+                arguments.push(("From", start?.text().into()));
+                arguments.push(("Via", via.text().into()));
+                arguments.push(("To", to.text().into()));
+                "Motion::Circ"
+            }
+            Self::Spline(points) => {
+                let points = std::iter::once(start?).chain(points);
+                let texts: Vec<_> = points.map(Pose::text).collect();
+                arguments.push(("Points", format!("[{}]", texts.join(",")).into()));
+                "Motion::Spline"
+            }
+        };
+        arguments.extend(limits.arguments(speed));
+        let motion = net.add_with(kind, &arguments);
+        Some(Moved {
+            position: motion.out("outPosition"),
+            rest: motion.out("outRest"),
+            progress: motion.out("outProgress"),
+            done: motion.out("outDone"),
+        })
+    }
+}
+
+/// The commanded state of a motion centre, which is at `tool` in the flange.
+pub(crate) fn commanded(net: &mut Net, arm: &ArmDescription, tool: &Pose) -> InMotion {
+    let positions = arm.joint_array(net, "outCommandedPosition");
+    let velocities = arm.joint_array(net, "outCommandedVelocity");
+    let robot = || ("Robot", Argument::from(arm.name.as_str()));
+    let flange = [("inJoints", (&positions).into()), robot()];
+    let flange = net.add("ArmKinematics::Kin", flange).out("outFrame");
+    let twist = [
+        ("inJoints", (&positions).into()),
+        ("inVelocities", (&velocities).into()),
+        robot(),
+    ];
+    let twist = net.add("ArmKinematics::VelKin", twist).out("outTwist");
+    if *tool == Pose::IDENTITY {
+        return InMotion {
+            frame: flange,
+            velocity: twist,
+        };
+    }
+    let frame = net.transform(&flange, tool);
+    let mut position = |frame: &Port| {
+        let parts = net.add("World::FrameToPosRot", [("inValue", frame.into())]);
+        parts.out("outPosition")
+    };
+    let (centre, flange) = (position(&frame), position(&flange));
+    let lever = net.of_two("World::VectorSubtract", &centre, &flange);
+    let moved = [("inValue", (&twist).into()), ("inVector", (&lever).into())];
+    let velocity = net.add("World::TwistChangeCenter", moved).out("outValue");
+    InMotion { frame, velocity }
+}
+
+/// The same for a motion centre of an arm whose base is at `base`, in the reference of the base's pose.
+pub(crate) fn commanded_in(
+    net: &mut Net,
+    arm: &ArmDescription,
+    base: &Pose,
+    tool: &Pose,
+) -> InMotion {
+    let InMotion { frame, velocity } = commanded(net, arm, tool);
+    if *base == Pose::IDENTITY {
+        return InMotion { frame, velocity };
+    }
+    let base = net.frame(base);
+    let frame = net.of_two("World::FrameTransform", &base, &frame);
+    let rotation = [("inValue", (&base).into())];
+    let rotation = net.add("World::FrameToPosRot", rotation).out("outRotation");
+    let turned = [
+        ("inValue", (&velocity).into()),
+        ("inRot", (&rotation).into()),
+    ];
+    let velocity = net.add("World::TwistRotate", turned).out("outValue");
+    InMotion { frame, velocity }
+}
+
+/// The joints that bring the flange to a frame, next to those that are commanded; and whether there are none.
+pub(crate) fn inverse(net: &mut Net, arm: &ArmDescription, flange: &Port) -> (Port, Port) {
+    let positions = arm.joint_array(net, "outCommandedPosition");
+    let arguments = [
+        ("inFrame", flange.into()),
+        ("inHintJoints", (&positions).into()),
+        ("Robot", arm.name.as_str().into()),
+    ];
+    let joints = net.add("ArmKinematics::InvKin", arguments).out("outJoints");
+    let none = net.of("Core::DoubleArrayIsNull", &joints);
+    let moves = net.of("World::FrameIsNull", flange);
+    let moves = net.of("Core::BooleanNot", &moves);
+    let unreachable = net.of_two("Core::BooleanAnd", &none, &moves);
+    (joints, unreachable)
+}

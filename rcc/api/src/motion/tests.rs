@@ -1,0 +1,169 @@
+//! Nets and plans of motions, without controller.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::*;
+use crate::order::{Operation, Order};
+use crate::preparation::{Begin, Begins};
+
+const BENT: [f64; 7] = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
+
+fn arm(name: &str) -> ArmDescription {
+    let joint = JointLimits {
+        position_min: -2.9,
+        position_max: 2.9,
+        velocity: 2.0,
+        acceleration: 8.0,
+        jerk: 80.0,
+    };
+    ArmDescription {
+        name: name.to_owned(),
+        kind: "kuka_lwr_sim".to_owned(),
+        model: "kuka_lwr4".to_owned(),
+        joints: vec![joint; 7],
+        period: Duration::from_millis(2),
+    }
+}
+
+fn begins(names: &[&str]) -> Begins {
+    let begin = Begin {
+        joints: BENT.to_vec(),
+        is_at_rest: true,
+    };
+    let pairs = names.iter().map(|name| ((*name).to_owned(), begin.clone()));
+    pairs.collect()
+}
+
+fn along(route: Route) -> ArmMotion {
+    ArmMotion {
+        arm: arm("left"),
+        path: Path::Frame(route),
+        limits: CartesianLimits::default(),
+        tool: Pose::IDENTITY,
+    }
+}
+
+fn flange() -> Pose {
+    arm("left").pose(&BENT).unwrap()
+}
+
+fn net(operation: impl Operation + 'static, begins: &Begins) -> Result<String, Error> {
+    let order = Order {
+        operation: Arc::new(operation),
+        speed: 0.5,
+        blend: Some(0.5),
+        until: Vec::new(),
+        marks: Vec::new(),
+        is_checked: true,
+    };
+    order.check()?;
+    Ok(order.compile(begins)?.net)
+}
+
+#[test]
+fn arc_begins_where_the_arm_is() {
+    let (via, to) = (Pose::xyz(0.1, 0.1, 0.0), Pose::xyz(0.0, 0.2, 0.0));
+    let route = Route::Arc {
+        via: via * flange(),
+        to: to * flange(),
+    };
+    let text = net(along(route.clone()), &begins(&["left"])).unwrap();
+    assert!(
+        text.contains(&format!("From='{}'", flange().text())),
+        "{text}"
+    );
+    let unknown = net(along(route), &Begins::new()).unwrap_err();
+    assert!(matches!(unknown, Error::Unplanned { .. }), "{unknown}");
+}
+
+#[test]
+fn line_needs_no_known_start() {
+    let text = net(along(Route::Line(flange())), &Begins::new()).unwrap();
+    assert!(
+        text.contains("Join='0'") && text.contains("Velocity='0.125'"),
+        "{text}"
+    );
+}
+
+#[test]
+fn motion_of_unknown_model_cannot_be_planned() {
+    let mut motion = along(Route::Line(flange()));
+    motion.arm.model = "other".to_owned();
+    let error = motion
+        .plan(&begins(&["left"]), 1.0)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("the model `other` of its kinematics is not known"),
+        "{error}"
+    );
+    assert_eq!(motion.follow(&begins(&["left"]), 1.0), Ok([].into()));
+}
+
+#[test]
+fn limits_that_are_not_positive_are_refused() {
+    let mut motion = along(Route::Line(flange()));
+    motion.limits.jerk = f64::NAN;
+    let error = motion.check().unwrap_err().to_string();
+    assert_eq!(error, "left: the limit `jerk` is NaN; it is above 0");
+    let error = along(Route::Spline(Vec::new())).check().unwrap_err();
+    assert_eq!(error.to_string(), "left: 0 points; a curve has 1 to 63");
+}
+
+fn coupled() -> CoupledMotion {
+    let holder = |name: &str| Holder {
+        arm: arm(name),
+        base: Pose::xyz(0.0, 0.3, 0.0),
+        grasp: Pose::xyz(0.0, 0.1, 0.0),
+    };
+    CoupledMotion {
+        holders: vec![holder("left"), holder("right")],
+        route: Route::Line(Pose::xyz(0.0, 0.3, 0.1) * flange() * Pose::xyz(0.0, -0.1, 0.0)),
+        limits: CartesianLimits::default(),
+    }
+}
+
+#[test]
+fn coupled_arms_have_one_motion_and_one_stop() {
+    let text = net(coupled(), &begins(&["left", "right"])).unwrap();
+    assert_eq!(text.matches("Motion::Lin(").count(), 1, "{text}");
+    assert_eq!(
+        text.matches("ArmKinematics::InvKin(").count(),
+        4,
+        "now and at rest: {text}"
+    );
+    assert_eq!(
+        text.matches("RobotArm::JointPosition(").count(),
+        14,
+        "{text}"
+    );
+    assert_eq!(
+        text.matches("Core::BooleanPre(inValue=p").count(),
+        1,
+        "{text}"
+    );
+    for key in [
+        "unreachable_left",
+        "fast_right",
+        "failed_left",
+        "concurrent_right",
+    ] {
+        assert!(
+            text.contains(&format!("Key='{key}'")),
+            "{key} is missing in {text}"
+        );
+    }
+}
+
+#[test]
+fn coupled_arms_have_plans_of_one_duration() {
+    let begins = begins(&["left", "right"]);
+    let plan = coupled().plan(&begins, 1.0).unwrap();
+    let [partner] = plan.partners() else {
+        panic!("{plan:?}");
+    };
+    assert_eq!((plan.device(), partner.device()), ("left", "right"));
+    assert_eq!(plan.duration(), partner.duration());
+    assert_eq!(plan.end(), partner.end());
+}

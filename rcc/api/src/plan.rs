@@ -1,0 +1,157 @@
+//! Plans of activities before anything is loaded: how long a motion takes, where the arm is at a time, and whether it can
+//! follow. A plan runs the same course as the net, cycle by cycle. Not here: forces, and conditions over sensors.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use takt_motion::plan::{Bounds, JointSample, PlanError, Unfit};
+use takt_net::device::Kinematics;
+
+use crate::error::Error;
+use crate::motion::ArmDescription;
+use crate::pose::Pose;
+
+/// Part by which a joint may exceed its velocity limit, for rounding.
+const ROUNDING: f64 = 1e-6;
+
+/// The motion of an arm, from rest to rest.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    arm: ArmDescription,
+    kinematics: Option<Arc<dyn Kinematics>>,
+    joints: takt_motion::plan::Plan<JointSample>,
+    partners: Vec<Self>,
+}
+
+impl Plan {
+    pub(crate) fn new(arm: &ArmDescription, joints: takt_motion::plan::Plan<JointSample>) -> Self {
+        Self {
+            arm: arm.clone(),
+            kinematics: arm.kinematics(),
+            joints,
+            partners: Vec::new(),
+        }
+    }
+
+    pub(crate) fn with_partners(mut self, partners: Vec<Self>) -> Self {
+        self.partners = partners;
+        self
+    }
+
+    /// Name of the arm.
+    pub fn device(&self) -> &str {
+        &self.arm.name
+    }
+
+    /// The plans of the other arms that move with this one.
+    pub fn partners(&self) -> &[Self] {
+        &self.partners
+    }
+
+    /// Time from the start to rest at the goal.
+    pub fn duration(&self) -> Duration {
+        self.joints.duration()
+    }
+
+    /// Completed part of the path at a time after the start, 0 to 1.
+    pub fn progress(&self, time: Duration) -> f64 {
+        self.joints.at(time).progress
+    }
+
+    /// Positions of the joints at a time after the start, rad; after the end, those of the goal.
+    pub fn positions(&self, time: Duration) -> Vec<f64> {
+        positions(&self.joints.at(time))
+    }
+
+    /// Velocities of the joints at a time after the start, rad/s.
+    pub fn velocities(&self, time: Duration) -> Vec<f64> {
+        let sample = self.joints.at(time);
+        sample.joints.iter().map(|joint| joint.velocity).collect()
+    }
+
+    /// The pose of the flange in the base of the arm at a time after the start; `None` if the model of the kinematics is
+    /// not known to the program.
+    pub fn pose(&self, time: Duration) -> Option<Pose> {
+        let kinematics = self.kinematics.as_ref()?;
+        Some(kinematics.forward(&self.positions(time)).into())
+    }
+
+    /// The first time at which a condition over progress (0 to 1) and joint positions (rad) holds.
+    pub fn first(&self, condition: impl Fn(f64, &[f64]) -> bool) -> Option<Duration> {
+        let holds = |sample: &JointSample| condition(sample.progress, &positions(sample));
+        self.joints.first(holds)
+    }
+
+    /// The joint positions at the goal, rad.
+    pub fn end(&self) -> Vec<f64> {
+        self.positions(Duration::MAX)
+    }
+
+    /// The motion by cycles of the net: time, progress (0 to 1), joint positions (rad).
+    pub fn cycles(&self) -> impl Iterator<Item = (Duration, f64, Vec<f64>)> {
+        let cycles = self.joints.cycles();
+        cycles.map(|(time, sample)| (time, sample.progress, positions(sample)))
+    }
+
+    /// Checks that no joint exceeds a part of its velocity limit; `speed` is that of the plan.
+    pub(crate) fn check(&self, speed: f64, part: f64) -> Result<(), Error> {
+        let mut found = None;
+        let mut most = 1.0 + ROUNDING;
+        let mut worst = most;
+        for (_, sample) in self.joints.cycles() {
+            let joints = sample.joints.iter().zip(&self.arm.joints).enumerate();
+            for (joint, (state, limits)) in joints {
+                let ratio = state.velocity.abs() / (limits.velocity * part);
+                worst = f64::max(worst, ratio);
+                if ratio > most && found.is_none() {
+                    most = ratio;
+                    found = Some((
+                        joint,
+                        sample.progress,
+                        state.velocity,
+                        limits.velocity * part,
+                    ));
+                }
+            }
+        }
+        let Some((joint, progress, velocity, limit)) = found else {
+            return Ok(());
+        };
+        Err(Error::TooFast {
+            device: self.arm.name.clone(),
+            joint,
+            progress: progress * 100.0,
+            velocity,
+            limit,
+            // Rounded down, so that the number that is shown fits.
+            speed: ((speed / worst) * 1000.0).floor() / 1000.0,
+        })
+    }
+}
+
+fn positions(sample: &JointSample) -> Vec<f64> {
+    sample.joints.iter().map(|joint| joint.position).collect()
+}
+
+/// Limits at a part of the speed, which scales time.
+pub(crate) fn bounds([velocity, acceleration, jerk]: [f64; 3], speed: f64) -> Bounds {
+    Bounds {
+        velocity: velocity * speed,
+        acceleration: acceleration * speed * speed,
+        jerk: jerk * speed * speed * speed,
+    }
+}
+
+/// Why there is no plan for an arm.
+pub(crate) fn unplanned(arm: &ArmDescription, error: PlanError) -> Error {
+    Error::Invalid(format!("{}: {error}", arm.name))
+}
+
+/// Why an arm cannot follow a plan.
+pub(crate) fn unfit(arm: &ArmDescription, unfit: &Unfit) -> Error {
+    Error::Unreachable {
+        device: arm.name.clone(),
+        progress: unfit.progress * 100.0,
+        cause: unfit.cause.to_string(),
+    }
+}

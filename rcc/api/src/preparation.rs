@@ -1,0 +1,115 @@
+//! What precedes the net of an activity: where its arms will be when it begins, and whether they can follow from there.
+//! An activity begins where the one before it ends, or at the joint positions that are commanded.
+
+use std::collections::BTreeMap;
+
+use crate::engine::{ActivityId, Start, When};
+use crate::error::Error;
+use crate::motion::ArmDescription;
+use crate::order::Order;
+use crate::session::Session;
+
+/// Where an arm is when an activity begins.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Begin {
+    /// Positions of its joints, rad.
+    pub(crate) joints: Vec<f64>,
+    /// Whether it is at rest there; else it moves on until the activity takes over.
+    pub(crate) is_at_rest: bool,
+}
+
+/// Where arms are when an activity begins, by their names, as far as known.
+pub(crate) type Begins = BTreeMap<String, Begin>;
+
+/// Where activities leave arms, by their names, as far as known: joint positions, rad.
+pub(crate) type Goals = BTreeMap<String, Vec<f64>>;
+
+/// Where earlier parts of a call leave arms, by their names: joint positions, rad, or not known.
+pub(crate) type Before = BTreeMap<String, Option<Vec<f64>>>;
+
+/// Where the latest activity of each arm leaves it.
+#[derive(Debug, Default)]
+pub(crate) struct KnownGoals(BTreeMap<String, (ActivityId, Vec<f64>)>);
+
+impl KnownGoals {
+    /// Records where an activity leaves its devices. What is known of other activities of these devices expires.
+    pub(crate) fn record(&mut self, id: ActivityId, devices: &[String], mut goals: Goals) {
+        for device in devices {
+            match goals.remove(device) {
+                Some(goal) => drop(self.0.insert(device.clone(), (id, goal))),
+                None => drop(self.0.remove(device)),
+            }
+        }
+    }
+
+    fn of(&self, device: &str, id: ActivityId) -> Option<Vec<f64>> {
+        let (known, goal) = self.0.get(device)?;
+        (*known == id).then(|| goal.clone())
+    }
+}
+
+impl Session {
+    /// Checks an order, plans it as far as needed, and writes its net.
+    ///
+    /// `before`: where earlier parts of the same call leave arms; `None` where that is not known.
+    pub(crate) fn prepare(
+        &self,
+        order: &Order,
+        when: When,
+        before: &Before,
+    ) -> Result<(Start, Goals), Error> {
+        order.check()?;
+        let begins = if order.operation.needs_begins() {
+            self.begins(order, when, before)?
+        } else {
+            Begins::new()
+        };
+        let goals = order.operation.follow(&begins, order.speed);
+        let goals = match goals {
+            Err(_) if !order.is_checked => Goals::new(),
+            goals => goals?,
+        };
+        Ok((order.compile(&begins)?, goals))
+    }
+
+    /// Where the arms of an order are when it begins.
+    pub(crate) fn begins(
+        &self,
+        order: &Order,
+        when: When,
+        before: &Before,
+    ) -> Result<Begins, Error> {
+        let mut begins = Begins::new();
+        for arm in order.operation.arms() {
+            if let Some(joints) = before.get(&arm.name) {
+                let begin = joints.clone().map(|joints| Begin {
+                    joints,
+                    is_at_rest: true,
+                });
+                begins.extend(begin.map(|begin| (arm.name.clone(), begin)));
+                continue;
+            }
+            let latest = self.engine().latest(&arm.name);
+            let joints = match latest.filter(|_| when == When::Follow) {
+                Some(id) => self.goals().of(&arm.name, id),
+                None => self.joints(arm, "outCommandedPosition")?,
+            };
+            let is_at_rest = latest.is_none() || when == When::Follow;
+            if let Some(joints) = joints {
+                begins.insert(arm.name.clone(), Begin { joints, is_at_rest });
+            }
+        }
+        Ok(begins)
+    }
+
+    /// Reads a port of all joints of an arm, rad; `None` if they are not known.
+    pub(crate) fn joints(
+        &self,
+        arm: &ArmDescription,
+        port: &str,
+    ) -> Result<Option<Vec<f64>>, Error> {
+        let values = self.evaluate(&arm.reader(port))?;
+        let joint = |axis: usize| values.get(&format!("outq{axis}"))?.parse().ok();
+        Ok((0..arm.joints.len()).map(joint).collect())
+    }
+}
