@@ -14,6 +14,7 @@ pub mod serve;
 mod start;
 pub mod stop;
 pub mod thread;
+mod view;
 mod withdraw;
 
 use std::ops::Range;
@@ -22,12 +23,13 @@ use takt_net::device::Layout;
 use takt_net::{Image, Moment};
 use takt_rt::Nanos;
 
-use crate::device::DeviceStatus;
+use crate::device::Place;
 use life::{Cancel, Change, StartReport};
 
 pub use life::End;
 pub use resources::ResourceSet;
 pub use running::Running;
+pub use view::DeviceView;
 
 /// Maximum number of running nets of one thread.
 pub const RUNNING_MAX: usize = 256;
@@ -35,25 +37,6 @@ pub const RUNNING_MAX: usize = 256;
 const BUCKETS: usize = 2 * RUNNING_MAX;
 /// Maximum number of devices of one thread.
 pub const DEVICES_MAX: usize = 64;
-
-/// The state of a device on which the life of nets depends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct DeviceView {
-    /// Whether it follows commands.
-    pub status: DeviceStatus,
-    /// How often it stopped following commands.
-    pub faults: u64,
-    /// Number of position jumps while it followed: running nets continue, waiting ones do not start.
-    pub jumps: u64,
-}
-
-impl DeviceView {
-    /// Whether nets can command it.
-    #[must_use]
-    pub fn is_ready(&self) -> bool {
-        self.status == DeviceStatus::Operational
-    }
-}
 
 /// Why a net could not be started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,6 +84,8 @@ pub struct Executor {
     pub image: Image,
     /// Device states on which the life of nets depends.
     pub devices: Vec<DeviceView>,
+    /// Where the slots of each device are.
+    places: Vec<Place>,
     running: Vec<Box<Running>>,
     rules: rules::Rules,
     /// Epoch of each device: advances with faults, jumps, and each enable.
@@ -123,6 +108,7 @@ impl Default for Executor {
         Self {
             image: Image::default(),
             devices: Vec::with_capacity(DEVICES_MAX),
+            places: Vec::with_capacity(DEVICES_MAX),
             running: Vec::with_capacity(BUCKETS),
             rules: rules::Rules::new(),
             epochs: vec![0; DEVICES_MAX],
@@ -229,16 +215,9 @@ impl Executor {
         self.fresh.clear();
         let mut before = clock();
         for net in &mut self.running {
-            let failed = net.devices.iter().find(|(number, faults)| {
-                self.devices
-                    .get(*number)
-                    .is_none_or(|view| view.faults != *faults)
-            });
-            if let Some((number, _)) = failed {
-                let end = End::DeviceFault(*number);
-                net.change(Change::End(end));
-            }
+            net.check_devices(&self.devices, moment.cycle);
             net.cycle(&self.image, moment, &mut before, &mut clock);
+            net.withhold(&self.image, &self.devices, &self.places);
         }
         self.withdraw_ended();
     }

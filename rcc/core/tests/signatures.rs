@@ -5,7 +5,12 @@
 mod signatures;
 
 /// Families of primitives of Takt alone.
-const OWN: &[&str] = &["Motion::", "Takeover", "ArmKinematics::VelKin"];
+const OWN: &[&str] = &[
+    "Motion::",
+    "Takeover",
+    "DeviceFailure",
+    "ArmKinematics::VelKin",
+];
 
 /// Out ports that Takt adds to primitives that clients know.
 const ADDED: &[(&str, &str)] = &[

@@ -19,7 +19,12 @@ const ELSEWHERE: &[&str] = &[
 ];
 
 /// Primitive families of Takt alone.
-const OWN: &[&str] = &["Motion::", "Takeover", "ArmKinematics::VelKin"];
+const OWN: &[&str] = &[
+    "Motion::",
+    "Takeover",
+    "DeviceFailure",
+    "ArmKinematics::VelKin",
+];
 
 /// Out ports that Takt adds to known primitives.
 const ADDED: &[(&str, &str)] = &[

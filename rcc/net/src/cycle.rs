@@ -22,6 +22,8 @@ pub struct Moment {
     pub cancel: bool,
     /// Whether a successor is scheduled.
     pub takeover: bool,
+    /// Whether a device that the net commands has failed since the net started.
+    pub device_failed: bool,
     /// The number of the evaluated net: it owns its commands, which end with it.
     pub net: u32,
 }

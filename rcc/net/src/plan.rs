@@ -74,6 +74,7 @@ pub struct Plan {
     pub(crate) taps: Taps,
     pub(crate) resources: Box<[String]>,
     pub(crate) commands: Box<[Target]>,
+    pub(crate) outlives_failure: Option<Duration>,
     pub(crate) period: Duration,
     pub(crate) primitives: usize,
     /// Cycles evaluated so far.
@@ -177,6 +178,11 @@ impl Plan {
     /// Commands that the net may give.
     pub fn commands(&self) -> &[Target] {
         &self.commands
+    }
+
+    /// How long the net goes on after a device that it commands failed; `None` if it ends at once.
+    pub const fn outlives_failure(&self) -> Option<Duration> {
+        self.outlives_failure
     }
 
     /// Devices that the net commands.

@@ -16,7 +16,8 @@ impl Executor {
     }
 
     /// Puts the slots of a device into use and clears values of another device there.
-    pub fn use_place(&mut self, place: &Place) {
+    pub fn use_place(&mut self, number: usize, place: &Place) {
+        self.set_place(number, place);
         self.use_joints(place.first_joint + place.joints);
         let joints = self.image.joints.iter().skip(place.first_joint);
         for joint in joints.take(place.joints) {
@@ -26,6 +27,17 @@ impl Executor {
         let signals = self.image.signals.get(place.signals.clone());
         signals.into_iter().flatten().for_each(|word| word.set(0));
         self.use_commands(place.commands.clone());
+    }
+
+    /// Sets where the slots of a device are.
+    pub(crate) fn set_place(&mut self, number: usize, place: &Place) {
+        // Its capacity is that of all devices.
+        while self.places.len() <= number && self.places.len() < DEVICES_MAX {
+            self.places.push(Place::default());
+        }
+        if let Some(known) = self.places.get_mut(number) {
+            known.clone_from(place);
+        }
     }
 
     /// Puts the first words of the image into use.

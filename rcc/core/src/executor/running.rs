@@ -11,6 +11,8 @@ use super::figures::{self, NetCounters, RUNAWAY_AFTER};
 use super::life::{Cancel, Change, End, Life, StartReport};
 use super::links;
 use super::resources::ResourceSet;
+use super::view::DeviceView;
+use crate::device::Place;
 use crate::stop_channel::Generation;
 
 /// A net in the thread that evaluates it.
@@ -24,6 +26,8 @@ pub struct Running {
     pub resources: ResourceSet,
     /// Devices it commands, with the faults they had when it started; until then, with their epoch when it was scheduled.
     pub devices: Vec<(usize, u64)>,
+    /// The cycle in which it was found that a device had failed.
+    failed_in: Option<u64>,
     /// Its period in cycles of its thread.
     every: u64,
     /// Cost bound of one of its cycles, as declared by its primitives.
@@ -51,6 +55,11 @@ pub struct Running {
     pub links: links::Links,
 }
 
+/// Whether a device, with the faults it had when a net started, has failed since.
+fn has_failed((number, faults): &(usize, u64), views: &[DeviceView]) -> bool {
+    views.get(*number).is_none_or(|view| view.faults != *faults)
+}
+
 impl Running {
     /// A net that was never evaluated.
     #[must_use]
@@ -73,6 +82,7 @@ impl Running {
             too_long: 0,
             resources: ResourceSet::default(),
             devices: Vec::new(),
+            failed_in: None,
             every: 1,
             cost,
             requested: Generation::default(),
@@ -130,6 +140,45 @@ impl Running {
         }
     }
 
+    /// Ends it if a device that it commands has failed, or, if it handles that, when its time for it is over or none of
+    /// its devices follows commands.
+    pub(super) fn check_devices(&mut self, views: &[DeviceView], cycle: u64) {
+        let mut failed = self
+            .devices
+            .iter()
+            .filter(|device| has_failed(device, views));
+        let Some((number, _)) = failed.next() else {
+            return;
+        };
+        let end = End::DeviceFault(*number);
+        let all = failed.count() + 1 == self.devices.len();
+        let since = *self.failed_in.get_or_insert(cycle);
+        let thread = self.plan.period() / u32::try_from(self.every).unwrap_or(u32::MAX);
+        let cycles = u32::try_from(cycle.saturating_sub(since)).unwrap_or(u32::MAX);
+        let goes_on = self
+            .plan
+            .outlives_failure()
+            .is_some_and(|time| thread.saturating_mul(cycles) < time);
+        if all || !goes_on {
+            self.change(Change::End(end));
+        }
+    }
+
+    /// Withdraws what it commands to devices that have failed: a device that returns does not follow it.
+    pub(super) fn withhold(&self, image: &Image, views: &[DeviceView], places: &[Place]) {
+        if self.failed_in.is_none() {
+            return;
+        }
+        let failed = self
+            .devices
+            .iter()
+            .filter(|device| has_failed(device, views));
+        for place in failed.filter_map(|(number, _)| places.get(*number)) {
+            let joints = place.first_joint..place.first_joint + place.joints;
+            image.withdraw_from(joints, place.commands.clone(), self.id);
+        }
+    }
+
     /// Evaluates it in this cycle, if it is due and has not ended. `clock` is read at its end.
     pub(super) fn cycle(
         &mut self,
@@ -148,6 +197,7 @@ impl Running {
             every: self.every,
             cancel: self.cancel != Cancel::None,
             takeover: self.takeover,
+            device_failed: self.failed_in.is_some(),
             net: self.id,
             ..moment
         };

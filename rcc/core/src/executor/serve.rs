@@ -126,7 +126,7 @@ impl Served {
     /// Serves a device from now on.
     pub fn add(&mut self, end: Box<DeviceEnd>, executor: &mut Executor) {
         if let Some(slot) = self.ends.get_mut(end.number) {
-            executor.use_place(&end.place);
+            executor.use_place(end.number, &end.place);
             *slot = Some(end);
             // A net may start in this very cycle.
             self.read(executor);

@@ -9,6 +9,7 @@ use takt_net::{Limits, LoadContext, Nanos, NoDevices, Registry, load};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
 use super::*;
+use crate::device::DeviceStatus;
 
 /// Counts its evaluations in out value `n` and ends when asked to cancel.
 const COUNTER: &str = "{clock=Core::Clock(Increment='1000'),
@@ -335,6 +336,40 @@ fn device_fault_ends_only_commanding_nets() {
         [(1, End::DeviceFault(1)), (4, End::DeviceFault(0))]
     );
     assert_eq!(bench.ids(), [3]);
+}
+
+/// Ends only by itself; shows whether a device failed.
+const ENDURING: &str = "{failure=DeviceFailure(Time='0.005'),
+    failed=Core::BooleanNetcommOut(inValue=failure.outFailed,Key='failed'),
+    never=Core::BooleanValue(),outTerminate=never.outValue}";
+
+#[test]
+fn device_fault_leaves_declared_time_to_net() {
+    let mut bench = Bench::with_devices(&[READY, READY]);
+    let mut net = net(0, ENDURING);
+    net.devices = vec![(0, 0), (1, 0)];
+    bench.start(net).unwrap();
+    assert_eq!(bench.run(), []);
+    bench.executor.devices[1].faults += 1;
+    for _ in 0..5 {
+        assert_eq!(bench.run(), []);
+    }
+    assert_eq!(bench.run(), [(0, End::DeviceFault(1))]);
+}
+
+#[test]
+fn device_fault_of_last_device_ends_net() {
+    let mut bench = Bench::with_devices(&[READY, READY]);
+    let mut both = net(0, ENDURING);
+    both.devices = vec![(0, 0), (1, 0)];
+    let mut one = net(1, ENDURING);
+    one.devices = vec![(0, 0)];
+    bench.start(both).unwrap();
+    bench.start(one).unwrap();
+    bench.executor.devices[0].faults += 1;
+    assert_eq!(bench.run(), [(1, End::DeviceFault(0))]);
+    bench.executor.devices[1].faults += 1;
+    assert_eq!(bench.run(), [(0, End::DeviceFault(0))]);
 }
 
 #[test]

@@ -100,10 +100,12 @@ impl<'r> Stage<'r> {
         let mut devices = DeviceTable::default();
         let registry = crate::registry();
         let mut nets = HashMap::new();
+        let mut executor = Executor::default();
         for note in &recording.notes {
             match note {
                 RecordedNote::Device(DeviceEvent::Came(device)) => {
                     let (number, place) = (device.number, device.place());
+                    executor.set_place(number, &place);
                     devices.add_at(number, place, device.description())?;
                 }
                 RecordedNote::Device(DeviceEvent::Went { name }) => {
@@ -117,7 +119,7 @@ impl<'r> Stage<'r> {
             }
         }
         Ok(Self {
-            executor: Executor::default(),
+            executor,
             nets,
             path,
         })

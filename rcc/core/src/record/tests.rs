@@ -114,6 +114,7 @@ fn moment(cycle: u64) -> Moment {
         every: 1,
         cancel: false,
         takeover: false,
+        device_failed: false,
         net: 0,
     }
 }

@@ -308,6 +308,7 @@ impl<'w> Reader<'w> {
             every: 1,
             cancel: false,
             takeover: false,
+            device_failed: false,
             net: 0,
         };
         let devices = self.body(devices.checked_mul(2)?)?;

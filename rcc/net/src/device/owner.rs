@@ -73,6 +73,16 @@ impl Image {
         any
     }
 
+    /// Withdraws the commands that a net gave to a device, by its joints and command words.
+    pub fn withdraw_from(&self, joints: Range<usize>, commands: Range<usize>, net: u32) {
+        let targets = joints.map(Target::Joint).chain(commands.map(Target::Words));
+        for target in targets {
+            if self.owner(target) == Some(net) {
+                self.withdraw_one(target);
+            }
+        }
+    }
+
     /// Transfers a command of a net for which `ended` is true to the net `successor`: it is in force as
     /// long as it would have been.
     pub fn transfer(&self, target: Target, successor: u32, ended: impl Fn(u32) -> bool) {

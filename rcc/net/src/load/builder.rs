@@ -134,6 +134,13 @@ impl Build<'_, '_> {
         effects.acts = true;
     }
 
+    /// Declares that the net handles failures of its devices: it goes on for that time, the shortest of all declared, and
+    /// is then ended. Without it, it ends at once.
+    pub fn outlives_failure(&mut self, time: Duration) {
+        let known = self.parts.outlives_failure.get_or_insert(time);
+        *known = time.min(*known);
+    }
+
     /// Counters of the set-points that the primitive gives to a part of a device, such as `joint 3`, in that unit and
     /// within that range.
     pub fn set_points(

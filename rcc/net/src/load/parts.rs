@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 use std::ops::RangeInclusive;
+use std::time::Duration;
 
 use super::origin::Origin;
 use crate::device::Target;
@@ -40,6 +41,8 @@ pub(super) struct Parts {
     pub(super) resources: Vec<String>,
     pub(super) commands: Vec<Target>,
     pub(super) devices: Vec<String>,
+    /// How long the net goes on after a device failed.
+    pub(super) outlives_failure: Option<Duration>,
     pub(super) set_points: Vec<SetPoints>,
     /// Devices that the net reads or commands.
     pub(super) uses: Vec<String>,

@@ -1,10 +1,16 @@
 //! Primitives for requests: from outside into a net, and from a net to the executor, which forwards
 //! them.
 
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
 use crate::definition::{Build, Definition, NullRule, Primitive, port};
 use crate::fault::Fault;
 use crate::plan::Cycle;
 use crate::slots::{In, Out};
+
+/// How long a net may go on after a device failed, s.
+const FAILURE_S: RangeInclusive<f64> = 0.001..=10.0;
 
 /// Writes one Boolean of the moment.
 struct Request {
@@ -50,6 +56,13 @@ pub(super) fn table() -> Vec<Definition> {
             stop: b.input("inEStop")?,
         })
     };
+    let failure = |b: &mut Build<'_, '_>| -> Result<Request, Fault> {
+        b.outlives_failure(Duration::from_secs_f64(b.double("Time", FAILURE_S)?));
+        Ok(Request {
+            value: b.output("outFailed"),
+            read: |c| c.moment.device_failed,
+        })
+    };
     vec![
         Definition::new("EStop", "Stops all devices of the controller while its input is true: nets that command them end, and drivers brake. It is not a safety function. The last state remains in effect until an EStop of any net changes it.", estop)
             .input::<bool>(port("inEStop", "true to stop").required())
@@ -59,6 +72,10 @@ pub(super) fn table() -> Vec<Definition> {
             .null(NullRule::Own("Never null.")),
         Definition::new("Takeover", "Whether a successor is scheduled after this net. The net may then end early.", takeover)
             .output::<bool>("outTakeover", "true once a successor is scheduled")
+            .null(NullRule::Own("Never null.")),
+        Definition::new("DeviceFailure", "Whether a device that the net commands has failed. Without this primitive the net ends in that cycle, and each driver brakes its own device. With it the net goes on for `Time`, to bring its other devices to rest on their common path, and must then end itself; what it commands to the failed device has no effect, also if that returns. The net ends at once when none of its devices follows commands, as in an emergency stop.", failure)
+            .parameter::<f64>("Time", "1", "how long the net goes on, s, 0.001 to 10; the least one of several applies")
+            .output::<bool>("outFailed", "true from the cycle on in which the first device failed")
             .null(NullRule::Own("Never null.")),
     ]
 }
