@@ -49,6 +49,22 @@ fn present_values_are_evaluated_once() {
         let value = cell.value(&(elbow.clone() * 2.0)).unwrap().unwrap();
         assert!((value + 2.4).abs() < 1e-6, "{value}");
         assert!(cell.holds(&elbow.clone().under(-1.0)).unwrap());
+        let near = |number: &takt_api::Number, expected: f64| {
+            let value = cell.value(number).unwrap().unwrap();
+            assert!((value - expected).abs() < 1e-6, "{value} is not {expected}");
+        };
+        near(&elbow.clone().abs().sqrt(), 1.2_f64.sqrt());
+        near(&elbow.clone().sin().asin(), -1.2);
+        near(&elbow.clone().cos().acos(), 1.2);
+        near(&elbow.clone().tan(), (-1.2_f64).tan());
+        near(&elbow.clone().average(Duration::from_secs(1)), -1.2);
+        near(&elbow.clone().max(0.5).min(0.4), 0.4);
+        // A root that does not exist is neither more nor less than anything.
+        let root = elbow.clone().sqrt();
+        assert!(!cell.holds(&root.clone().over(-9.0)).unwrap());
+        assert!(!cell.holds(&root.under(9.0)).unwrap());
+        assert!(cell.holds(&elbow.clone().under(-1.0).rises()).unwrap());
+        assert!(!cell.holds(&elbow.clone().under(-1.0).falls()).unwrap());
         assert!(!cell.holds(&elbow.over(-1.0)).unwrap());
         let error = cell.holds(&left.input(4000)).unwrap_err();
         assert!(matches!(error, Error::Refused(_)), "{error}");

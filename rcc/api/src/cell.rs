@@ -30,7 +30,7 @@ impl Cell {
     /// Connects to a controller: `host:port`, or the path of its Unix socket.
     ///
     /// # Errors
-    /// If no controller listens there, or it requires a token.
+    /// If no controller listens there, it requires a token, or it is of another version ([`Error::Version`]).
     pub fn connect(address: &str) -> Result<Self, Error> {
         Self::connect_with(address, None)
     }
@@ -40,7 +40,15 @@ impl Cell {
     /// # Errors
     /// As [`Self::connect`].
     pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, Error> {
-        Self::begin(Client::connect_with(address, token)?)
+        let client = Client::connect_with(address, token);
+        let client = client.map_err(|error| match error {
+            takt_client::Error::Refused { command, text } if command == "ver" => Error::Version {
+                address: address.to_owned(),
+                reason: text,
+            },
+            error => error.into(),
+        })?;
+        Self::begin(client)
     }
 
     /// Connects to the controller of this host.
@@ -217,4 +225,33 @@ fn describe(name: String, device: &Value) -> Option<ArmDescription> {
         joints: joints.filter(|joints| !joints.is_empty())?,
         period: Duration::from_secs_f64(text("period")?.parse().ok()?),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{BufRead as _, BufReader, Write as _};
+    use std::net::TcpListener;
+
+    use super::*;
+
+    #[test]
+    fn controller_of_another_version_is_refused() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap().to_string();
+        let other = std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let mut line = String::new();
+            BufReader::new(stream.try_clone().unwrap())
+                .read_line(&mut line)
+                .unwrap();
+            let tag = line.split('=').next().unwrap();
+            writeln!(stream, "{tag}=err(\"bad handshake\")").unwrap();
+        });
+        let error = Cell::connect(&address).unwrap_err();
+        other.join().unwrap();
+        let Error::Version { reason, .. } = &error else {
+            panic!("{error}");
+        };
+        assert_eq!(reason, "bad handshake");
+    }
 }

@@ -8,6 +8,16 @@ pub enum Error {
     /// The controller cannot be reached.
     #[error("{0}")]
     Connection(String),
+    /// The controller does not speak this version of the line protocol.
+    #[error(
+        "the controller at {address} is of another version: {reason}\nhint: use a program and a controller of one version"
+    )]
+    Version {
+        /// Where it is.
+        address: String,
+        /// Its reply.
+        reason: String,
+    },
     /// The connection ended; the controller cancels what this program began.
     #[error("the connection to the controller is lost: {0}")]
     Lost(String),

@@ -23,6 +23,7 @@ enum NumberKind {
     },
     Of(&'static str, Number),
     OfTwo(&'static str, Number, Number),
+    Average(Number, Duration),
 }
 
 impl Number {
@@ -46,6 +47,48 @@ impl Number {
     #[must_use]
     pub fn abs(self) -> Self {
         Self(Arc::new(NumberKind::Of("Core::DoubleAbs", self)))
+    }
+
+    /// Its square root; a negative number has none, and nothing holds of it.
+    #[must_use]
+    pub fn sqrt(self) -> Self {
+        Self(Arc::new(NumberKind::Of("Core::DoubleSquareRoot", self)))
+    }
+
+    /// Sine of an angle, rad.
+    #[must_use]
+    pub fn sin(self) -> Self {
+        Self(Arc::new(NumberKind::Of("Core::DoubleSin", self)))
+    }
+
+    /// Cosine of an angle, rad.
+    #[must_use]
+    pub fn cos(self) -> Self {
+        Self(Arc::new(NumberKind::Of("Core::DoubleCos", self)))
+    }
+
+    /// Tangent of an angle, rad.
+    #[must_use]
+    pub fn tan(self) -> Self {
+        Self(Arc::new(NumberKind::Of("Core::DoubleTan", self)))
+    }
+
+    /// Arc sine, rad.
+    #[must_use]
+    pub fn asin(self) -> Self {
+        Self(Arc::new(NumberKind::Of("Core::DoubleAsin", self)))
+    }
+
+    /// Arc cosine, rad.
+    #[must_use]
+    pub fn acos(self) -> Self {
+        Self(Arc::new(NumberKind::Of("Core::DoubleAcos", self)))
+    }
+
+    /// Its mean over the last `duration`, or since the start if that is less.
+    #[must_use]
+    pub fn average(self, duration: Duration) -> Self {
+        Self(Arc::new(NumberKind::Average(self, duration)))
     }
 
     /// The smaller of both.
@@ -94,6 +137,12 @@ impl Number {
             NumberKind::Of(kind, value) => {
                 let value = value.write(net);
                 net.of(kind, &value)
+            }
+            NumberKind::Average(value, duration) => {
+                let value = value.write(net);
+                let seconds = duration.as_secs_f64();
+                let arguments = [("inValue", (&value).into()), ("Duration", seconds.into())];
+                net.add("Core::DoubleAverage", arguments).out("outValue")
             }
             NumberKind::OfTwo(kind, first, second) => {
                 let (first, second) = (first.write(net), second.write(net));
@@ -155,6 +204,7 @@ enum ConditionKind {
     And(Condition, Condition),
     Or(Condition, Condition),
     Lasting(Condition, Duration),
+    Edge(Condition, bool),
 }
 
 impl Condition {
@@ -162,6 +212,18 @@ impl Condition {
     pub(crate) fn input(device: &str, port: u32) -> Self {
         let device = device.to_owned();
         Self(Arc::new(ConditionKind::Input { device, port }))
+    }
+
+    /// Whether it has just become true; also if it is true from the start.
+    #[must_use]
+    pub fn rises(self) -> Self {
+        Self(Arc::new(ConditionKind::Edge(self, true)))
+    }
+
+    /// Whether it has just become false; also if it is false from the start.
+    #[must_use]
+    pub fn falls(self) -> Self {
+        Self(Arc::new(ConditionKind::Edge(self, false)))
     }
 
     /// Whether it has been true for `duration` without a break.
@@ -210,6 +272,15 @@ impl Condition {
             ConditionKind::Or(first, second) => {
                 let (first, second) = (first.write(net), second.write(net));
                 net.of_two("Core::BooleanOr", &first, &second)
+            }
+            ConditionKind::Edge(condition, is_rising) => {
+                let value = condition.write(net);
+                let direction = is_rising.to_string();
+                let arguments = [
+                    ("inValue", (&value).into()),
+                    ("Direction", direction.into()),
+                ];
+                net.add("Core::EdgeDetection", arguments).out("outValue")
             }
             ConditionKind::Lasting(condition, duration) => {
                 let value = condition.write(net);
