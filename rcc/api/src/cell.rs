@@ -41,12 +41,14 @@ impl Cell {
     /// As [`Self::connect`].
     pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, Error> {
         let client = Client::connect_with(address, token);
-        let client = client.map_err(|error| match error {
-            takt_client::Error::Refused { command, text } if command == "ver" => Error::Version {
-                address: address.to_owned(),
-                reason: text,
-            },
-            error => error.into(),
+        let client = client.map_err(|error| {
+            if let takt_client::Error::Refused { command, text } = &error
+                && command == "ver"
+            {
+                let (address, reason) = (address.to_owned(), text.clone());
+                return Error::Version { address, reason };
+            }
+            error.into()
         })?;
         Self::begin(client)
     }
