@@ -1,6 +1,7 @@
 //! Robot arms: what a program reads of them, and the motions that it requests.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use crate::activity::Activity;
 use crate::error::Error;
@@ -190,6 +191,13 @@ impl Arm {
     /// If the connection is lost. How the activities ended is in their handles.
     pub fn finish(&self) -> Result<(), Error> {
         self.session.wait_for_rest(&self.description.name)
+    }
+
+    /// The same, at most for `timeout`; `None` if the arm still has something to do.
+    pub fn finish_for(&self, timeout: Duration) -> Option<Result<(), Error>> {
+        let until = Instant::now() + timeout;
+        let name = &self.description.name;
+        self.session.wait_for_rest_until(name, until)
     }
 }
 

@@ -325,9 +325,8 @@ impl Composite {
     /// If an activity is invalid or rejected, two that begin together have the same device, they belong to different
     /// cells, or what their devices do before fails. Nothing was begun then.
     pub fn begin(self) -> Result<Handle, Error> {
-        let firsts: Vec<_> = self.parts.iter().map(|part| part.is_first()).collect();
         let handle = self.queue()?;
-        handle.wait_for_begin(&firsts)?;
+        handle.wait_for_begin(handle::FOR_EVER).unwrap_or(Ok(()))?;
         Ok(handle)
     }
 
@@ -348,12 +347,17 @@ impl Composite {
             .filter_map(|number| self.parts.get(*number))
             .map(|part| {
                 let at = |number: &usize| kept.iter().position(|kept| kept == number);
-                part.replaces.iter().filter_map(at).collect::<Vec<_>>()
+                let replaces = part.replaces.iter().filter_map(at).collect::<Vec<_>>();
+                (part.is_first(), replaces)
             })
             .collect();
         let begun = session.begin_all(parts, goals)?;
         let parts = begun.into_iter().zip(replaced);
-        let parts = parts.map(|(ids, replaces)| handle::Part { ids, replaces });
+        let parts = parts.map(|(ids, (is_first, replaces))| handle::Part {
+            ids,
+            is_first,
+            replaces,
+        });
         Ok(Handle::new(session, parts.collect()))
     }
 

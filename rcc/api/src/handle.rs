@@ -21,12 +21,14 @@ pub struct Handle {
 }
 
 /// Longer than any activity.
-const FOR_EVER: Duration = Duration::from_secs(u32::MAX as u64);
+pub(crate) const FOR_EVER: Duration = Duration::from_secs(u32::MAX as u64);
 
 /// Activities that begin together.
 #[derive(Debug)]
 pub(crate) struct Part {
     pub(crate) ids: Vec<ActivityId>,
+    /// Whether it follows no other part.
+    pub(crate) is_first: bool,
     /// Number of the part whose place it takes: that one's outcome does not count then.
     pub(crate) replaces: Vec<usize>,
 }
@@ -39,31 +41,6 @@ impl Handle {
     pub(crate) fn ids(&self) -> Vec<ActivityId> {
         let ids = self.parts.iter().flat_map(|part| &part.ids);
         ids.copied().collect()
-    }
-
-    /// Waits until the first parts run, or it has ended.
-    pub(crate) fn wait_for_begin(&self, is_first: &[bool]) -> Result<(), Error> {
-        let firsts = self.parts.iter().zip(is_first).filter(|(_, is)| **is);
-        let firsts: Vec<_> = firsts.flat_map(|(part, _)| part.ids.clone()).collect();
-        let until = Instant::now() + FOR_EVER;
-        let begun = self.session.wait_until(until, |session| {
-            let engine = session.engine();
-            let begun = |id: &ActivityId| {
-                let state = engine.state(*id);
-                state.is_none_or(|state| matches!(state, State::Running | State::Ended(_)))
-            };
-            let failed = |id: &ActivityId| matches!(engine.state(*id), Some(State::Ended(Err(_))));
-            let all = firsts.iter().all(begun);
-            let is_failed = firsts.iter().any(failed);
-            drop(engine);
-            match self.outcome() {
-                Some(Err(error)) => Some(Err(error)),
-                Some(Ok(_)) => Some(Ok(())),
-                // An alternative of what failed may still begin.
-                None => (all && !(is_failed && firsts.len() == 1)).then_some(Ok(())),
-            }
-        });
-        begun.unwrap_or(Ok(()))
     }
 
     /// Waits until it has ended.
@@ -82,6 +59,40 @@ impl Handle {
     pub fn wait_for(&self, timeout: Duration) -> Option<Result<Outcome, Error>> {
         let until = Instant::now() + timeout;
         self.session.wait_until(until, |_| self.outcome())
+    }
+
+    /// Waits until its first activities run, at most for `timeout`; `None` if they still wait for what their devices do before.
+    ///
+    /// # Errors
+    /// If it ended with an error before.
+    pub fn wait_for_begin(&self, timeout: Duration) -> Option<Result<(), Error>> {
+        let firsts = self.parts.iter().filter(|part| part.is_first);
+        let firsts: Vec<_> = firsts.flat_map(|part| part.ids.clone()).collect();
+        let until = Instant::now() + timeout;
+        self.session.wait_until(until, |session| {
+            let engine = session.engine();
+            let begun = |id: &ActivityId| {
+                let state = engine.state(*id);
+                state.is_none_or(|state| matches!(state, State::Running | State::Ended(_)))
+            };
+            let failed = |id: &ActivityId| matches!(engine.state(*id), Some(State::Ended(Err(_))));
+            let all = firsts.iter().all(begun);
+            let is_failed = firsts.iter().any(failed);
+            drop(engine);
+            match self.outcome() {
+                Some(Err(error)) => Some(Err(error)),
+                Some(Ok(_)) => Some(Ok(())),
+                // An alternative of what failed may still begin.
+                None => (all && !(is_failed && firsts.len() == 1)).then_some(Ok(())),
+            }
+        })
+    }
+
+    /// The outcome, if it has ended; else the task is woken at the next change. For executors that keep the handle.
+    pub fn poll_outcome(&self, context: &Context<'_>) -> Poll<Result<Outcome, Error>> {
+        // The waker is known before the state is read, so that no change is missed.
+        self.session.wake_on_change(context.waker());
+        self.outcome().map_or(Poll::Pending, Poll::Ready)
     }
 
     /// Requests that it end: it brakes on its path. One that has not begun does not begin, nor do those that wait for it.
@@ -175,9 +186,7 @@ impl Future for Ending {
     type Output = Result<Outcome, Error>;
 
     fn poll(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
-        // The waker is known before the state is read, so that no change is missed.
-        self.0.session.wake_on_change(context.waker());
-        self.0.outcome().map_or(Poll::Pending, Poll::Ready)
+        self.0.poll_outcome(context)
     }
 }
 

@@ -32,3 +32,4 @@ pub use handle::Handle;
 pub use outcome::Outcome;
 pub use plan::Plan;
 pub use pose::{Pose, deg};
+pub use takt_client::{Token, TokenError};

@@ -58,6 +58,11 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// A deadline that no program reaches.
+fn distant() -> Instant {
+    Instant::now() + Duration::from_secs(u64::from(u32::MAX))
+}
+
 impl Session {
     /// Opens a session that ends with the connection, and starts the receiving thread.
     pub(crate) fn begin_with(client: Client) -> Result<Arc<Self>, Error> {
@@ -162,18 +167,26 @@ impl Session {
 
     /// Waits until a device has no activity.
     pub(crate) fn wait_for_rest(&self, device: &str) -> Result<(), Error> {
-        let until = Instant::now() + Duration::from_secs(u64::from(u32::MAX));
+        self.wait_for_rest_until(device, distant())
+            .unwrap_or(Ok(()))
+    }
+
+    /// Waits until a device has no activity; `None` at the deadline.
+    pub(crate) fn wait_for_rest_until(
+        &self,
+        device: &str,
+        until: Instant,
+    ) -> Option<Result<(), Error>> {
         self.wait_until(until, |session| {
             let Some(latest) = session.engine().latest(device) else {
-                return Some(());
+                return Some(session.engine().lost().map_or(Ok(()), Err));
             };
             // What it keeps up has no end of its own.
             if session.engine().is_maintaining(latest) {
                 session.cancel(&[latest]);
             }
             None
-        });
-        self.engine().lost().map_or(Ok(()), Err)
+        })
     }
 
     /// Polls after each change until there is a result, or the deadline.
@@ -274,9 +287,9 @@ impl Session {
 
     fn notify(&self) {
         self.changed.notify_all();
-        for waker in std::mem::take(&mut *lock(&self.wakers)) {
-            waker.wake();
-        }
+        // A waker is program code: the lock is not held while it runs.
+        let wakers = std::mem::take(&mut *lock(&self.wakers));
+        wakers.into_iter().for_each(Waker::wake);
     }
 
     fn perform_one(&self, action: Action) {

@@ -10,6 +10,7 @@ mod environments;
 mod fuzz;
 mod metadata;
 mod parts;
+mod python;
 mod shell;
 mod test;
 mod tidy;

@@ -66,6 +66,7 @@ const PARTS: &[Part] = &[
         "api",
         &["takt-client", "takt-embedded", "takt-api", "takt-tests"],
     ),
+    part("python", &["takt-python"]),
     part("tools", &["takt-tools", "xtask"]),
     part("deploy", &["takt-deploy"]),
     part("tests", &["takt-tests"]),

@@ -14,6 +14,7 @@ use crate::binaries::Built;
 use crate::cargo::{self, Cargo, note, say};
 use crate::environments;
 use crate::parts::{self, Part};
+use crate::python;
 use tally::{Reader, Tally};
 
 /// Handling of golden files that differ.
@@ -79,11 +80,22 @@ pub(crate) fn count(root: &Path, parts: &[String], golden: Golden) -> anyhow::Re
                 tally.failed += 1;
             }
         }
+        if is_wanted(&parts, "python") {
+            tally.add(python::test(root)?);
+        }
     }
     if fs::remove_file(&skips).is_err() {
         note(&format!("could not remove {}", skips.display()));
     }
     Ok(tally)
+}
+
+/// Whether a part is among those named; none named are all.
+fn is_wanted(parts: &[&Part], name: &str) -> bool {
+    parts.is_empty()
+        || parts
+            .iter()
+            .any(|part| part.name == name || part.name == "all")
 }
 
 /// The cargo lines that test these parts.

@@ -102,6 +102,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "takt-net",
         ],
     ),
+    ("takt-python", &["takt-api"]),
     ("takt-deploy", &[]),
     ("takt-tools", ALL),
     ("takt-tests", ALL),

@@ -44,8 +44,20 @@ fn wrong_name(span: &str, workspace: &Workspace, tree: &Tree) -> Option<String> 
             .then(|| format!("{span}: no package {head}"));
     };
     let name = rest.rsplit("::").next().unwrap_or(rest);
-    let exists = manifests::sources(package, workspace, tree).any(|text| has_test(text, name));
+    let exists = manifests::sources(package, workspace, tree).any(|text| has_test(text, name))
+        || has_python_test(&package.dir, name, tree);
     (!exists).then(|| format!("{head} has no test {name}"))
+}
+
+/// True for a function of that name in a Python test of the package.
+fn has_python_test(dir: &str, name: &str, tree: &Tree) -> bool {
+    let opening = format!("def {name}(");
+    let below = format!("{dir}/tests/");
+    let mut files = tree
+        .files
+        .iter()
+        .filter(|file| file.path.starts_with(&below) && file.path.ends_with(".py"));
+    name.starts_with("test_") && files.any(|file| file.text.contains(&opening))
 }
 
 /// True for a function of that name with a test attribute directly above it.

@@ -17,7 +17,7 @@ pub(super) const GUEST: &[&str] = &["busybox-static", "iproute2", "kmod"];
 pub(super) const SERVICE: &[&str] = &["debootstrap", "e2fsprogs"];
 
 /// Installs those packages that are missing.
-pub(super) fn packages(names: &[&str]) -> Availability<()> {
+pub(crate) fn packages(names: &[&str]) -> Availability<()> {
     let missing: Vec<&str> = names
         .iter()
         .copied()

@@ -1,0 +1,81 @@
+"""Robot programs without real-time knowledge.
+
+A program describes a motion and begins it; the controller executes it in its own real-time cycle, and the next motion
+takes over in the cycle in which the first one permits it. Lengths are m, angles rad, forces N, times s.
+
+    import takt
+
+    with takt.emulate("two_lwr") as cell:  # or takt.connect()
+        left = cell.arm("left")
+        left.ptp([0, 0.5, 0, -1.2, 0, 0.8, 0], speed=0.3).run()
+        down = left.pose() * takt.Pose.xyz(0, 0, 0.1)
+        print(left.lin(down, until={"touch": abs(left.force.z) > 5}).run())
+"""
+
+from ._errors import (
+    Conflict,
+    Connection,
+    DeviceFailed,
+    Ended,
+    Error,
+    Invalid,
+    Limit,
+    Lost,
+    NoDevice,
+    PredecessorFailed,
+    Refused,
+    Rejected,
+    Timeout,
+    Unreachable,
+)
+from ._takt import (
+    Activity,
+    Arm,
+    Cell,
+    Composite,
+    Condition,
+    Force,
+    Handle,
+    JointLimits,
+    Number,
+    Outcome,
+    Pose,
+    connect,
+    deg,
+    either,
+    emulate,
+    together,
+)
+
+__all__ = [
+    "Activity",
+    "Arm",
+    "Cell",
+    "Composite",
+    "Condition",
+    "Conflict",
+    "Connection",
+    "DeviceFailed",
+    "Ended",
+    "Error",
+    "Force",
+    "Handle",
+    "Invalid",
+    "JointLimits",
+    "Limit",
+    "Lost",
+    "NoDevice",
+    "Number",
+    "Outcome",
+    "Pose",
+    "PredecessorFailed",
+    "Refused",
+    "Rejected",
+    "Timeout",
+    "Unreachable",
+    "connect",
+    "deg",
+    "either",
+    "emulate",
+    "together",
+]

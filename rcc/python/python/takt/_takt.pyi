@@ -1,0 +1,397 @@
+"""Types of the native part. Lengths are m, angles rad, forces N, torques Nm, times s."""
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from types import TracebackType
+from typing import Any, ClassVar, Literal, Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+class _HasMatrix(Protocol):
+    def as_matrix(self) -> Any: ...
+
+class _HasQuaternion(Protocol):
+    def as_quat(self) -> Any: ...
+
+_Numbers = Sequence[float] | NDArray[Any]
+_Orientation = _Numbers | _HasQuaternion
+_PoseLike = Pose | NDArray[Any] | Sequence[Sequence[float]] | tuple[_Numbers, _Orientation] | _HasMatrix
+
+def connect(address: str | None = None, token: str | None = None) -> Cell:
+    """Connects to a controller.
+
+    `address`: `host:port`, or the path of its Unix socket; without it, the controller of this host. `token`: required
+    by controllers that listen beyond this host.
+
+    Raises `Connection` if no controller listens there, `Refused` if it requires another token.
+    """
+
+def emulate(name: str) -> Cell:
+    """Starts a controller with emulated robots inside of the program, and connects to it. It needs no hardware.
+
+    `name`: `two_lwr` (arms `left`, `right`), `iiwa` (`arm`), `factory` (`left`, `right`, `tx90`, youBot `arm`, `hand`,
+    `base`), or `lwr_wsg` (`arm`, `gripper`).
+
+    Raises `Invalid` for another name.
+    """
+
+def deg(angle: float) -> float:
+    """An angle in degrees as radians."""
+
+def together(*activities: Activity) -> Composite:
+    """Combines activities of different devices to one that begins when all of the devices are ready, in the same cycle.
+
+    Raises `TypeError` for anything else than activities.
+    """
+
+def either(*activities: Activity) -> Composite:
+    """The first of several activities that is possible: the next is tried if one is invalid, or the controller rejects it.
+
+    Raises `TypeError` for anything else than activities.
+    """
+
+@final
+class Cell:
+    """The controller of a cell, by `takt.connect`. As a context manager it is closed at the end, also after Ctrl-C.
+
+    When the program ends without closing it, the controller cancels what the program began, and aborts what does not end.
+    """
+
+    def arm(self, name: str) -> Arm:
+        """An arm by its name.
+
+        Raises `NoDevice` if the controller has no arm of that name; the text lists those that it has.
+        """
+    def arms(self) -> list[Arm]:
+        """All arms. Raises `Lost` if the connection is lost."""
+    def close(self) -> None:
+        """Cancels everything that this program began, waits until it is at rest, and ends the session.
+
+        Raises `Lost` if the connection is lost, `Ended` if something still moves after ten seconds; the session is
+        ended in any case. A second call does nothing.
+        """
+    def __enter__(self) -> Cell: ...
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        _value: BaseException | None,
+        _traceback: TracebackType | None,
+        /,
+    ) -> bool: ...
+
+@final
+class JointLimits:
+    """Limits of a joint."""
+
+    @property
+    def position_min(self) -> float:
+        """Smallest position, rad."""
+    @property
+    def position_max(self) -> float:
+        """Largest position, rad."""
+    @property
+    def velocity(self) -> float:
+        """Largest speed, rad/s."""
+    @property
+    def acceleration(self) -> float:
+        """Largest acceleration, rad/s²."""
+    @property
+    def jerk(self) -> float:
+        """Largest jerk of motions, rad/s³."""
+
+@final
+class Force:
+    """Force and torque at the tool of an arm, as its driver reports them."""
+
+    @property
+    def x(self) -> Number:
+        """Force along x, N."""
+    @property
+    def y(self) -> Number:
+        """Force along y, N."""
+    @property
+    def z(self) -> Number:
+        """Force along z, N."""
+    @property
+    def torque_x(self) -> Number:
+        """Torque about x, Nm."""
+    @property
+    def torque_y(self) -> Number:
+        """Torque about y, Nm."""
+    @property
+    def torque_z(self) -> Number:
+        """Torque about z, Nm."""
+
+@final
+class Arm:
+    """An arm of a cell, by `Cell.arm`.
+
+    All motions take: `speed`, a factor above 0 to 1 that multiplies with that of `with_speed`; `blend`, the part of the
+    path (0 to below 1) from which the next motion may take over; `until`, conditions by name that stop the motion on its
+    path, of which the first that holds decides; `now`, to begin in the next cycle in place of what the arm does.
+    """
+
+    @property
+    def name(self) -> str:
+        """Its name in the cell."""
+    @property
+    def kind(self) -> str:
+        """Its type, such as `kuka_lwr_fri`."""
+    @property
+    def period(self) -> float:
+        """Period of the nets that command it, s."""
+    @property
+    def joints(self) -> list[JointLimits]:
+        """Limits of its joints, from the base."""
+    @property
+    def force(self) -> Force:
+        """Force and torque at the tool, as expressions."""
+    def with_speed(self, factor: float) -> Arm:
+        """The same arm, slower: the speed of its motions is multiplied by `factor`, above 0 to 1."""
+    def with_limits(
+        self,
+        *,
+        velocity: float | None = None,
+        acceleration: float | None = None,
+        jerk: float | None = None,
+        rot_velocity: float | None = None,
+        rot_acceleration: float | None = None,
+        rot_jerk: float | None = None,
+    ) -> Arm:
+        """The same arm with these limits on lines and arcs, m/s, m/s², m/s³, rad/s, rad/s², rad/s³.
+
+        Those left out are 0.25, 1, 10, 0.5, 2.5 and 25. Raises `Invalid` for a limit that is not above 0.
+        """
+    def ptp(
+        self,
+        to: _Numbers,
+        *,
+        speed: float | None = None,
+        blend: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """A motion to joint positions, rad, one for each joint: all joints start and arrive together."""
+    def lin(
+        self,
+        to: _PoseLike,
+        *,
+        speed: float | None = None,
+        blend: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """A motion of the flange along a straight line to a pose in the base of the arm.
+
+        Raises `Invalid` if a matrix or quaternion is no pose.
+        """
+    def circ(
+        self,
+        via: _PoseLike,
+        to: _PoseLike,
+        *,
+        speed: float | None = None,
+        blend: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """A motion of the flange along the arc through `via` to `to`, both in the base of the arm.
+
+        Raises `Invalid` if a matrix or quaternion is no pose.
+        """
+    def positions(self) -> NDArray[np.float64]:
+        """Measured positions of the joints, rad, one for each joint. Raises `DeviceFailed` if the arm is offline."""
+    def commanded(self) -> NDArray[np.float64]:
+        """Commanded positions of the joints, rad, one for each joint. Raises `DeviceFailed` if the arm is offline."""
+    def pose(self) -> Pose:
+        """The measured pose of the flange in the base of the arm.
+
+        Raises `DeviceFailed` if the arm is offline or has no kinematics.
+        """
+    def joint(self, axis: int) -> Number:
+        """The measured position of a joint, rad, from 0, as an expression. Raises `Invalid` if there is none."""
+    def input(self, port: int) -> Condition:
+        """A digital input of the arm, as a condition."""
+    def cancel(self) -> None:
+        """Requests that what the arm does end, and everything that waits for it. Returns at once."""
+    def finish(self, timeout: float | None = None) -> None:
+        """Waits until the arm has done everything that was requested of it, at most for `timeout`, s.
+
+        How the activities ended is in their handles. Raises `Timeout`, or `Lost` if the connection is lost.
+        """
+
+@final
+class Activity:
+    """An activity that was described and not begun: nothing moves before `begin`, `queue`, `run` or `await`."""
+
+    def speed(self, factor: float) -> Activity:
+        """The same, with its speed multiplied by `factor`, above 0 to 1."""
+    def blend(self, progress: float) -> Activity:
+        """The same, but a successor may take over from this part of the path on, 0 to below 1."""
+    def until(self, name: str, condition: Condition) -> Activity:
+        """The same, stopped on its path when the condition holds; the outcome names it."""
+    def now(self) -> Activity:
+        """The same, to begin in the next cycle, in place of what the arm does, at rest or in motion."""
+    def then(self, next: Activity | Composite) -> Composite:
+        """Lets `next` follow: both are loaded and scheduled before the first one begins."""
+    def begin(self) -> Handle:
+        """Begins it, and returns when it runs: a program is at most one activity ahead.
+
+        Raises `Invalid`, `Limit` or `Rejected` if nothing was begun, `PredecessorFailed` if what the arm does before
+        fails. Ctrl-C while it waits cancels it.
+        """
+    def queue(self) -> Handle:
+        """Lets it begin after what the arm does, and returns at once. Raises as `begin`."""
+    def run(self) -> Outcome:
+        """Begins it and waits until it has ended. Raises as `begin` and `Handle.wait`; Ctrl-C cancels it."""
+    def explain(self) -> str:
+        """The text of the net that it becomes. Raises `Invalid` or `Limit`."""
+    def __await__(self) -> Generator[Any, None, Outcome]: ...
+
+@final
+class Composite:
+    """Several activities that are begun in one call, by `takt.together`, `takt.either` or `then`.
+
+    All are loaded and scheduled before the first one begins; the controller decides in its cycle which follows.
+    """
+
+    def then(self, next: Activity | Composite) -> Composite:
+        """The same, followed by `next`."""
+
+    def begin(self) -> Handle:
+        """Begins them, and returns when they run. Raises as `Activity.begin`."""
+    def queue(self) -> Handle:
+        """The same, but does not wait until they run."""
+    def run(self) -> Outcome:
+        """Begins them and waits until all have ended; the outcome is the one that is furthest from completion."""
+    def __await__(self) -> Generator[Any, None, Outcome]: ...
+
+@final
+class Handle:
+    """An activity that was begun, or several that began together. `await` gives its outcome in asyncio.
+
+    Dropping the handle does not end the activity. A task that is cancelled while it awaits one cancels the activity, and
+    ends when the robot is at rest.
+    """
+
+    def wait(self, timeout: float | None = None) -> Outcome:
+        """Waits until it has ended, at most for `timeout`, s.
+
+        Raises the error with which it ended (`Unreachable`, `DeviceFailed`, `Conflict`, `PredecessorFailed`, `Ended`,
+        `Lost`), with the line of the program that described it, or `Timeout`. Ctrl-C interrupts it; the activity goes on
+        until the cell is closed.
+        """
+    def cancel(self) -> None:
+        """Requests that it end: it brakes on its path. One that has not begun does not begin. Returns at once."""
+    def progress(self) -> float:
+        """Part of the path that it has completed, 0 to 1; of several activities the smallest."""
+    def outcome(self) -> Outcome | None:
+        """The outcome, or `None` if it has not ended. Raises as `wait`."""
+    def on_end(self, callback: Callable[[Handle], object]) -> None:
+        """Calls `callback` with this handle when it has ended, in a thread for all callbacks.
+
+        What it raises is reported by `sys.unraisablehook` and stops nothing.
+        """
+    def _wake(self, callback: Callable[[], object]) -> None: ...
+    def __await__(self) -> Generator[Any, None, Outcome]: ...
+
+@final
+class Outcome:
+    """How an activity ended; errors are exceptions. Outcomes compare by value, and match as `Outcome(kind, name)`."""
+
+    __match_args__: ClassVar[tuple[Literal["kind"], Literal["name"]]]
+    Completed: ClassVar[Outcome]
+    """It reached its goal."""
+    Cancelled: ClassVar[Outcome]
+    """It was cancelled and is at rest on its path, or was not begun."""
+    Maintaining: ClassVar[Outcome]
+    """It reached its goal and keeps it up until another activity takes over, or it is finished or cancelled."""
+    Skipped: ClassVar[Outcome]
+    """It did not begin: the result that was to start it did not occur, or an alternative began instead."""
+    TakenOver: ClassVar[Outcome]
+    """Another activity took over while it moved."""
+    @staticmethod
+    def Stopped(name: str) -> Outcome:
+        """The condition of this name stopped it; it is at rest on its path."""
+    @property
+    def kind(self) -> str:
+        """`completed`, `cancelled`, `maintaining`, `skipped`, `taken_over` or `stopped`."""
+    @property
+    def name(self) -> str | None:
+        """The name of the condition that stopped it, else `None`."""
+    def is_stopped_by(self, name: str) -> bool:
+        """Whether the condition of this name stopped the activity."""
+    def __eq__(self, other: object, /) -> bool: ...
+    def __hash__(self) -> int: ...
+
+@final
+class Pose:
+    """A position and an orientation in a reference frame, by default the base of the arm that moves there.
+
+    Wherever a pose is expected, a 4x4 matrix, a pair of position and quaternion (x, y, z, w), a pair of position and
+    `scipy.spatial.transform.Rotation`, or a scipy `RigidTransform` will do. `a * b` is the pose `b` in the frame of `a`.
+    """
+
+    def __new__(cls, pose: _PoseLike | _Numbers, orientation: _Orientation | None = None) -> Pose: ...
+    @staticmethod
+    def xyz(x: float, y: float, z: float) -> Pose:
+        """A position, m, with the orientation of the reference frame."""
+    def abc(self, a: float, b: float, c: float) -> Pose:
+        """The same position, turned by `a` about z, then by `b` about the new y, then by `c` about the new x, rad."""
+    @staticmethod
+    def quaternion(position: _Numbers, quaternion: _Numbers) -> Pose:
+        """A position, m, and a quaternion (x, y, z, w), which is normalised."""
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Position, m: array of 3."""
+    @property
+    def orientation(self) -> NDArray[np.float64]:
+        """Orientation as a quaternion (x, y, z, w): array of 4."""
+    def matrix(self) -> NDArray[np.float64]:
+        """The homogeneous matrix, 4x4."""
+    def inverse(self) -> Pose:
+        """The pose of the reference frame in this one."""
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
+    def __mul__(self, other: Pose, /) -> Pose: ...
+    def __matmul__(self, other: Pose, /) -> Pose: ...
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Number:
+    """A number that the controller evaluates in each cycle. A number that its device does not know is null.
+
+    Operators: + - * / abs, and > < to a `Condition`. Constants are finite, or `Invalid` is raised.
+    """
+
+    def abs(self) -> Number:
+        """Its magnitude."""
+    def min(self, other: Number | float) -> Number:
+        """The smaller of both."""
+    def max(self, other: Number | float) -> Number:
+        """The larger of both."""
+    def over(self, limit: Number | float) -> Condition:
+        """Whether it is greater than `limit`: the operator >."""
+    def under(self, limit: Number | float) -> Condition:
+        """Whether it is less than `limit`: the operator <."""
+    def __add__(self, other: Number | float, /) -> Number: ...
+    def __radd__(self, other: Number | float, /) -> Number: ...
+    def __sub__(self, other: Number | float, /) -> Number: ...
+    def __rsub__(self, other: Number | float, /) -> Number: ...
+    def __mul__(self, other: Number | float, /) -> Number: ...
+    def __rmul__(self, other: Number | float, /) -> Number: ...
+    def __truediv__(self, other: Number | float, /) -> Number: ...
+    def __rtruediv__(self, other: Number | float, /) -> Number: ...
+    def __neg__(self) -> Number: ...
+    def __abs__(self) -> Number: ...
+    def __gt__(self, other: Number | float, /) -> Condition: ...
+    def __lt__(self, other: Number | float, /) -> Condition: ...
+
+@final
+class Condition:
+    """A state that the controller evaluates in each cycle. Operators: & | ~. A condition over null is not true."""
+
+    def lasting(self, duration: float) -> Condition:
+        """Whether it has been true for `duration`, s, without a break."""
+    def __and__(self, other: Condition, /) -> Condition: ...
+    def __or__(self, other: Condition, /) -> Condition: ...
+    def __invert__(self) -> Condition: ...

@@ -1,0 +1,330 @@
+//! Robot arms.
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use takt_api as api;
+use takt_api::motion::CartesianLimits;
+
+use crate::activity::{Activity, Options};
+use crate::arrays::array;
+use crate::error;
+use crate::expression::{Condition, Number};
+use crate::owned::Owned;
+use crate::pose;
+use crate::wait::{seconds, wait};
+
+/// An arm of a cell.
+#[pyclass(frozen, module = "takt")]
+#[derive(Debug)]
+pub(crate) struct Arm(Owned<api::Arm>);
+
+impl Arm {
+    pub(crate) fn new(arm: api::Arm) -> Self {
+        Self(Owned::new(arm))
+    }
+}
+
+#[pymethods]
+impl Arm {
+    /// Its name in the cell.
+    #[getter]
+    fn name(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(self.0.get(py)?.description().name.clone())
+    }
+
+    /// Its type.
+    #[getter]
+    fn kind(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(self.0.get(py)?.description().kind.clone())
+    }
+
+    /// Period of the nets that command it, s.
+    #[getter]
+    fn period(&self, py: Python<'_>) -> PyResult<f64> {
+        Ok(self.0.get(py)?.description().period.as_secs_f64())
+    }
+
+    /// Limits of its joints, from the base.
+    #[getter]
+    fn joints(&self, py: Python<'_>) -> PyResult<Vec<JointLimits>> {
+        let joints = &self.0.get(py)?.description().joints;
+        Ok(joints.iter().map(JointLimits::of).collect())
+    }
+
+    /// Force and torque at the tool.
+    #[getter]
+    fn force(&self, py: Python<'_>) -> PyResult<Force> {
+        Ok(Force(self.0.get(py)?.force()))
+    }
+
+    /// The same arm, slower.
+    fn with_speed(&self, py: Python<'_>, factor: f64) -> PyResult<Self> {
+        Ok(Self::new(self.0.get(py)?.clone().with_speed(factor)))
+    }
+
+    /// The same arm with these limits on lines and arcs.
+    #[pyo3(signature = (*, velocity=None, acceleration=None, jerk=None, rot_velocity=None, rot_acceleration=None, rot_jerk=None))]
+    #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
+    fn with_limits(
+        &self,
+        py: Python<'_>,
+        velocity: Option<f64>,
+        acceleration: Option<f64>,
+        jerk: Option<f64>,
+        rot_velocity: Option<f64>,
+        rot_acceleration: Option<f64>,
+        rot_jerk: Option<f64>,
+    ) -> PyResult<Self> {
+        let given = [
+            velocity,
+            acceleration,
+            jerk,
+            rot_velocity,
+            rot_acceleration,
+            rot_jerk,
+        ];
+        if let Some(wrong) = given
+            .iter()
+            .flatten()
+            .find(|limit| !(**limit > 0.0 && limit.is_finite()))
+        {
+            return Err(error::invalid(
+                py,
+                format!("a limit is {wrong}; it is above 0 and finite"),
+            ));
+        }
+        let default = CartesianLimits::default();
+        let limits = CartesianLimits {
+            velocity: velocity.unwrap_or(default.velocity),
+            acceleration: acceleration.unwrap_or(default.acceleration),
+            jerk: jerk.unwrap_or(default.jerk),
+            rot_velocity: rot_velocity.unwrap_or(default.rot_velocity),
+            rot_acceleration: rot_acceleration.unwrap_or(default.rot_acceleration),
+            rot_jerk: rot_jerk.unwrap_or(default.rot_jerk),
+        };
+        Ok(Self::new(self.0.get(py)?.clone().with_limits(limits)))
+    }
+
+    /// A motion to joint positions, rad.
+    #[pyo3(signature = (to, *, speed=None, blend=None, until=None, now=false))]
+    fn ptp(
+        &self,
+        py: Python<'_>,
+        to: Vec<f64>,
+        speed: Option<f64>,
+        blend: Option<f64>,
+        until: Option<&Bound<'_, PyDict>>,
+        now: bool,
+    ) -> PyResult<Activity> {
+        let options = Options {
+            speed,
+            blend,
+            until,
+            now,
+        };
+        Activity::new(py, self.0.get(py)?.ptp(to), &options)
+    }
+
+    /// A motion of the flange along a straight line.
+    #[pyo3(signature = (to, *, speed=None, blend=None, until=None, now=false))]
+    fn lin(
+        &self,
+        to: &Bound<'_, PyAny>,
+        speed: Option<f64>,
+        blend: Option<f64>,
+        until: Option<&Bound<'_, PyDict>>,
+        now: bool,
+    ) -> PyResult<Activity> {
+        let py = to.py();
+        let options = Options {
+            speed,
+            blend,
+            until,
+            now,
+        };
+        Activity::new(py, self.0.get(py)?.lin(pose::read(to)?), &options)
+    }
+
+    /// A motion of the flange along the arc through `via` to `to`.
+    #[pyo3(signature = (via, to, *, speed=None, blend=None, until=None, now=false))]
+    fn circ(
+        &self,
+        via: &Bound<'_, PyAny>,
+        to: &Bound<'_, PyAny>,
+        speed: Option<f64>,
+        blend: Option<f64>,
+        until: Option<&Bound<'_, PyDict>>,
+        now: bool,
+    ) -> PyResult<Activity> {
+        let py = to.py();
+        let options = Options {
+            speed,
+            blend,
+            until,
+            now,
+        };
+        let arc = self.0.get(py)?.circ(pose::read(via)?, pose::read(to)?);
+        Activity::new(py, arc, &options)
+    }
+
+    /// Measured positions of the joints, rad.
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let arm = self.0.get(py)?;
+        let joints = py.detach(|| arm.positions());
+        array(py, joints.map_err(|error| error::raise_here(py, &error))?)
+    }
+
+    /// Commanded positions of the joints, rad.
+    fn commanded<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let arm = self.0.get(py)?;
+        let joints = py.detach(|| arm.commanded());
+        array(py, joints.map_err(|error| error::raise_here(py, &error))?)
+    }
+
+    /// The measured pose of the flange in the base of the arm.
+    fn pose(&self, py: Python<'_>) -> PyResult<pose::Pose> {
+        let arm = self.0.get(py)?;
+        let measured = py.detach(|| arm.pose());
+        measured
+            .map(pose::Pose)
+            .map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// The measured position of a joint, rad, as an expression.
+    fn joint(&self, py: Python<'_>, axis: usize) -> PyResult<Number> {
+        let arm = self.0.get(py)?;
+        let count = arm.description().joints.len();
+        if axis >= count {
+            let text = format!(
+                "joint {axis}; {} has joints 0 to {}",
+                arm.description().name,
+                count.saturating_sub(1)
+            );
+            return Err(error::invalid(py, text));
+        }
+        Ok(Number(arm.joint(axis)))
+    }
+
+    /// A digital input of the arm.
+    fn input(&self, py: Python<'_>, port: u32) -> PyResult<Condition> {
+        Ok(Condition(self.0.get(py)?.input(port)))
+    }
+
+    /// Requests that what the arm does end, and everything that waits for it.
+    fn cancel(&self, py: Python<'_>) -> PyResult<()> {
+        let arm = self.0.get(py)?;
+        py.detach(|| arm.cancel());
+        Ok(())
+    }
+
+    /// Waits until the arm has done everything that was requested of it.
+    #[pyo3(signature = (timeout=None))]
+    fn finish(&self, py: Python<'_>, timeout: Option<f64>) -> PyResult<()> {
+        let arm = self.0.get(py)?;
+        let limit = timeout
+            .map(|timeout| seconds(py, "timeout", timeout))
+            .transpose()?;
+        let done = wait(py, limit, |slice| arm.finish_for(slice))?;
+        let place = crate::place::Place::caller(py);
+        let late = || error::timeout(py, timeout.unwrap_or_default(), place.as_ref());
+        done.ok_or_else(late)?
+            .map_err(|error| error::raise(py, &error, place.as_ref()))
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let description = self.0.get(py)?.description();
+        let (name, kind) = (&description.name, &description.kind);
+        Ok(format!(
+            "Arm('{name}', {kind}, {} joints)",
+            description.joints.len()
+        ))
+    }
+}
+
+/// Limits of a joint.
+#[pyclass(frozen, get_all, eq, module = "takt")]
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct JointLimits {
+    /// Smallest position, rad.
+    position_min: f64,
+    /// Largest position, rad.
+    position_max: f64,
+    /// Largest speed, rad/s.
+    velocity: f64,
+    /// Largest acceleration, rad/s².
+    acceleration: f64,
+    /// Largest jerk of motions, rad/s³.
+    jerk: f64,
+}
+
+impl JointLimits {
+    const fn of(limits: &api::motion::JointLimits) -> Self {
+        Self {
+            position_min: limits.position_min,
+            position_max: limits.position_max,
+            velocity: limits.velocity,
+            acceleration: limits.acceleration,
+            jerk: limits.jerk,
+        }
+    }
+}
+
+#[pymethods]
+impl JointLimits {
+    fn __repr__(&self) -> String {
+        let Self {
+            position_min,
+            position_max,
+            velocity,
+            acceleration,
+            jerk,
+        } = self;
+        format!(
+            "JointLimits({position_min:.3} to {position_max:.3} rad, {velocity:.3} rad/s, {acceleration:.3} rad/s², {jerk:.3} rad/s³)"
+        )
+    }
+}
+
+/// Force and torque at the tool of an arm.
+#[pyclass(frozen, module = "takt")]
+#[derive(Debug)]
+pub(crate) struct Force(api::arm::Force);
+
+#[pymethods]
+impl Force {
+    /// Force along x, N.
+    #[getter]
+    fn x(&self) -> Number {
+        Number(self.0.x())
+    }
+
+    /// Force along y, N.
+    #[getter]
+    fn y(&self) -> Number {
+        Number(self.0.y())
+    }
+
+    /// Force along z, N.
+    #[getter]
+    fn z(&self) -> Number {
+        Number(self.0.z())
+    }
+
+    /// Torque about x, Nm.
+    #[getter]
+    fn torque_x(&self) -> Number {
+        Number(self.0.torque_x())
+    }
+
+    /// Torque about y, Nm.
+    #[getter]
+    fn torque_y(&self) -> Number {
+        Number(self.0.torque_y())
+    }
+
+    /// Torque about z, Nm.
+    #[getter]
+    fn torque_z(&self) -> Number {
+        Number(self.0.torque_z())
+    }
+}

@@ -1,0 +1,115 @@
+//! The cell of a controller.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use pyo3::prelude::*;
+use takt_api as api;
+
+use crate::arm::Arm;
+use crate::error;
+use crate::owned::Owned;
+use crate::wait::call;
+
+/// The controller of a cell.
+#[pyclass(frozen, module = "takt")]
+#[derive(Debug)]
+pub(crate) struct Cell {
+    cell: Owned<api::Cell>,
+    is_closed: AtomicBool,
+}
+
+/// Connects to a controller.
+#[pyfunction]
+#[pyo3(signature = (address=None, token=None))]
+pub(crate) fn connect(
+    py: Python<'_>,
+    address: Option<String>,
+    token: Option<&str>,
+) -> PyResult<Cell> {
+    let token = token.map(api::Token::new).transpose();
+    let token = token.map_err(|cause| error::invalid(py, cause.to_string()))?;
+    let connect = move || match address {
+        Some(address) => api::Cell::connect_with(&address, token.as_ref()),
+        None => api::Cell::connect_here(token.as_ref()),
+    };
+    Cell::opened(py, call(py, connect)?)
+}
+
+/// Starts a controller with emulated robots inside of the program.
+#[cfg(feature = "embedded")]
+#[pyfunction]
+pub(crate) fn emulate(py: Python<'_>, name: String) -> PyResult<Cell> {
+    Cell::opened(py, call(py, move || api::Cell::emulated(&name))?)
+}
+
+impl Cell {
+    fn opened(py: Python<'_>, cell: Result<api::Cell, api::Error>) -> PyResult<Self> {
+        let cell = cell.map_err(|error| error::raise_here(py, &error))?;
+        Ok(Self {
+            cell: Owned::new(cell),
+            is_closed: AtomicBool::new(false),
+        })
+    }
+
+    fn open(&self, py: Python<'_>) -> PyResult<&api::Cell> {
+        if self.is_closed.load(Ordering::Relaxed) {
+            return Err(error::invalid(py, "the cell is closed"));
+        }
+        self.cell.get(py)
+    }
+}
+
+#[pymethods]
+impl Cell {
+    /// An arm by its name.
+    fn arm(&self, py: Python<'_>, name: &str) -> PyResult<Arm> {
+        let cell = self.open(py)?;
+        let arm = py.detach(|| cell.arm(name));
+        arm.map(Arm::new)
+            .map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// All arms.
+    fn arms(&self, py: Python<'_>) -> PyResult<Vec<Arm>> {
+        let cell = self.open(py)?;
+        let arms = py.detach(|| cell.arms());
+        let arms = arms.map_err(|error| error::raise_here(py, &error))?;
+        Ok(arms.into_iter().map(Arm::new).collect())
+    }
+
+    /// Cancels everything that this program began, waits until it is at rest, and ends the session.
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        let cell = self.cell.get(py)?.clone();
+        if self.is_closed.swap(true, Ordering::Relaxed) {
+            return Ok(());
+        }
+        call(py, move || cell.close())?.map_err(|error| error::raise_here(py, &error))
+    }
+
+    const fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    /// Closes it. An exception of the program goes first; that closing failed too is then reported beside it.
+    fn __exit__(
+        &self,
+        py: Python<'_>,
+        kind: &Bound<'_, PyAny>,
+        _value: &Bound<'_, PyAny>,
+        _traceback: &Bound<'_, PyAny>,
+    ) -> PyResult<bool> {
+        match self.close(py) {
+            Err(error) if !kind.is_none() => error.write_unraisable(py, None),
+            closed => closed?,
+        }
+        Ok(false)
+    }
+
+    fn __repr__(&self) -> &'static str {
+        if self.is_closed.load(Ordering::Relaxed) {
+            "Cell(closed)"
+        } else {
+            "Cell()"
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! Errors of the API as exceptions of `takt.Error`'s tree. Texts are those of the API; the classes are Python, since the
+//! stable interface of the interpreter cannot derive from its exceptions before 3.12.
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use takt_api::Error;
+
+use crate::place::Place;
+
+/// The exception for an error, with the line of the program that began what failed.
+pub(crate) fn raise(py: Python<'_>, error: &Error, place: Option<&Place>) -> PyErr {
+    instance(py, error, place).map_or_else(|failed| failed, PyErr::from_value)
+}
+
+/// The same for an error that concerns the line that is being executed.
+pub(crate) fn raise_here(py: Python<'_>, error: &Error) -> PyErr {
+    raise(py, error, Place::caller(py).as_ref())
+}
+
+/// An argument that is out of its bounds.
+pub(crate) fn invalid(py: Python<'_>, text: impl Into<String>) -> PyErr {
+    raise_here(py, &Error::Invalid(text.into()))
+}
+
+/// The use of a connection in a process that does not have it.
+pub(crate) fn forked(py: Python<'_>) -> PyErr {
+    invalid(
+        py,
+        "the connection belongs to the process before the fork\nhint: connect in the process that moves robots",
+    )
+}
+
+/// The end of a timeout.
+pub(crate) fn timeout(py: Python<'_>, seconds: f64, place: Option<&Place>) -> PyErr {
+    let text = format!(
+        "the activity has not ended after {seconds} s and goes on\nhint: `cancel()` ends it"
+    );
+    let attributes = PyDict::new(py);
+    make(py, "Timeout", &text, &attributes, place).map_or_else(|failed| failed, PyErr::from_value)
+}
+
+fn instance<'py>(
+    py: Python<'py>,
+    error: &Error,
+    place: Option<&Place>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let attributes = PyDict::new(py);
+    let class = match error {
+        Error::Connection(_) => "Connection",
+        Error::Lost(_) => "Lost",
+        Error::Invalid(_) => "Invalid",
+        Error::Limit {
+            joint,
+            value,
+            min,
+            max,
+        } => {
+            attributes.set_item("joint", joint)?;
+            attributes.set_item("value", value)?;
+            attributes.set_item("min", min)?;
+            attributes.set_item("max", max)?;
+            "Limit"
+        }
+        Error::NoDevice { name, .. } => {
+            attributes.set_item("name", name)?;
+            "NoDevice"
+        }
+        Error::Rejected(faults) => {
+            attributes.set_item("faults", faults.clone())?;
+            "Rejected"
+        }
+        Error::Refused(_) => "Refused",
+        Error::Conflict { device, .. } => {
+            attributes.set_item("device", device)?;
+            "Conflict"
+        }
+        Error::Unreachable {
+            device, progress, ..
+        } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("progress", progress / 100.0)?;
+            "Unreachable"
+        }
+        Error::DeviceFailed { device, cause, .. } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("cause", cause)?;
+            "DeviceFailed"
+        }
+        Error::PredecessorFailed(before) => {
+            attributes.set_item("error", instance(py, before, None)?)?;
+            "PredecessorFailed"
+        }
+        Error::Ended { device, reason, .. } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("reason", reason)?;
+            "Ended"
+        }
+        // A kind that this package does not know yet keeps its text.
+        _ => "Error",
+    };
+    make(py, class, &error.to_string(), &attributes, place)
+}
+
+fn make<'py>(
+    py: Python<'py>,
+    class: &str,
+    text: &str,
+    attributes: &Bound<'py, PyDict>,
+    place: Option<&Place>,
+) -> PyResult<Bound<'py, PyAny>> {
+    if let Some(Place { file, line }) = place {
+        attributes.set_item("filename", file)?;
+        attributes.set_item("lineno", line)?;
+    }
+    let class = py.import("takt._errors")?.getattr(class)?;
+    class.call((text,), Some(attributes))
+}

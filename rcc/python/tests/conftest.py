@@ -1,0 +1,89 @@
+"""A controller with two simulated arms for the suite, and one of its own for tests that break connections."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+
+import takt
+
+BENT = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0]
+"""Joint positions of an arm from which lines are possible, rad."""
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+
+
+def program(name: str) -> str:
+    """The path of a helper program in the target directory."""
+    target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    path = ROOT / target / "debug" / "examples" / name
+    if not path.exists():
+        pytest.fail(f"there is no {path}\nhint: cargo xtask test python builds it")
+    return str(path)
+
+
+class Controller:
+    """A controller in a process of its own."""
+
+    def __init__(self) -> None:
+        command = [program("controller")]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.address = self.process.stdout.readline().strip()
+
+    def stop(self) -> None:
+        """Ends it at once, as if the host had failed."""
+        self.process.kill()
+        self.process.wait()
+
+
+@pytest.fixture(scope="session")
+def controller() -> Iterator[Controller]:
+    """The controller of the suite."""
+    controller = Controller()
+    yield controller
+    controller.stop()
+
+
+@pytest.fixture
+def address(controller: Controller) -> str:
+    """The address of the controller."""
+    return controller.address
+
+
+@pytest.fixture
+def cell(address: str) -> Iterator[takt.Cell]:
+    """A connection of its own."""
+    with takt.connect(address) as cell:
+        yield cell
+
+
+@pytest.fixture
+def left(cell: takt.Cell) -> takt.Arm:
+    """The left arm, bent."""
+    arm = cell.arm("left")
+    assert arm.ptp(BENT).run() == takt.Outcome.Completed
+    return arm
+
+
+def python(source: str, *arguments: str) -> None:
+    """Runs a program in an interpreter of its own, to its end of any kind."""
+    subprocess.run([sys.executable, "-c", source, *arguments], timeout=60, check=False)
+
+
+def wait_for_rest(arm: takt.Arm) -> None:
+    """Waits until the commanded positions stay equal."""
+    last = arm.commanded()
+    for _ in range(300):
+        time.sleep(0.02)
+        now = arm.commanded()
+        if abs(now - last).max() == 0.0:
+            return
+        last = now
+    raise AssertionError("the arm still moves")

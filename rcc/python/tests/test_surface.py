@@ -1,0 +1,98 @@
+"""Net texts equal to those of Rust, and stubs equal to the native part."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import pathlib
+import subprocess
+
+import pytest
+from conftest import program
+
+import takt
+from takt import Pose, _takt, deg
+
+
+def test_net_text_equals_that_of_rust(cell: takt.Cell, address: str) -> None:
+    left = cell.arm("left")
+    goal = [0.1, deg(30), 0, deg(-70), 1e-7, deg(45), 1 / 3]
+    pose = Pose.xyz(0.4, 0.1, 0.5).abc(0.1, -0.2, 3.0)
+    via = Pose.quaternion([0.5, 0.0, 0.6], [0, 0, 1, 2])
+    touch = abs(left.force.z) * 2 - 1 > 5
+    bent = (left.joint(3) < 0.5).lasting(0.02)
+    pushed = ~(touch & bent) | left.input(2)
+    activities = [
+        left.ptp(goal),
+        left.ptp(goal, speed=0.3, blend=0.8),
+        left.lin(pose, speed=0.1, until={"touch": touch}),
+        left.with_speed(0.7).circ(via, pose * via, until={"bent": bent, "pushed": pushed}),
+    ]
+    ours = "".join(activity.explain() + "\n\n" for activity in activities)
+    rust = subprocess.run([program("explain"), address], capture_output=True, check=True)
+    assert ours.encode() == rust.stdout
+
+
+def test_methods_equal_keywords(cell: takt.Cell) -> None:
+    left = cell.arm("left")
+    far = left.joint(0) > 1
+    by_keywords = left.ptp([0] * 7, speed=0.5, blend=0.2, until={"far": far}).explain()
+    assert left.ptp([0] * 7).speed(0.5).blend(0.2).until("far", far).explain() == by_keywords
+
+
+STUB = ast.parse(pathlib.Path(str(_takt.__file__)).with_name("_takt.pyi").read_text())
+CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
+NATIVE = [name for name, value in vars(_takt).items() if isinstance(value, type)]
+
+
+def parameters(function: ast.FunctionDef) -> list[str]:
+    """The names of a stub's parameters, in order."""
+    given = function.args
+    every = [*given.posonlyargs, *given.args, *([given.vararg] if given.vararg else []), *given.kwonlyargs]
+    return [argument.arg for argument in every]
+
+
+def is_public(name: str) -> bool:
+    """Whether a stub has to describe it."""
+    return not name.startswith("_") or name in {"__await__", "__enter__", "__exit__", "__match_args__"}
+
+
+def test_stub_functions_equal_native_ones() -> None:
+    stubs = [node for node in STUB.body if isinstance(node, ast.FunctionDef)]
+    for stub in stubs:
+        native = inspect.signature(getattr(_takt, stub.name))
+        assert list(native.parameters) == parameters(stub), stub.name
+        assert ast.get_docstring(stub), f"{stub.name} has no documentation"
+    natives = {name for name, value in vars(_takt).items() if is_public(name) and not isinstance(value, type)}
+    assert natives <= {stub.name for stub in stubs}
+
+
+@pytest.mark.parametrize("name", NATIVE)
+def test_stub_class_equals_native_one(name: str) -> None:
+    native: type = getattr(_takt, name)
+    described: set[str] = set()
+    for member in CLASSES[name].body:
+        if isinstance(member, ast.AnnAssign) and isinstance(member.target, ast.Name):
+            described.add(member.target.id)
+            assert hasattr(native, member.target.id)
+        if not isinstance(member, ast.FunctionDef):
+            continue
+        described.add(member.name)
+        found = inspect.getattr_static(native, member.name)
+        if member.name.startswith("_"):
+            continue
+        assert ast.get_docstring(member), f"{name}.{member.name} has no documentation"
+        assert found.__doc__, f"{name}.{member.name} has no documentation at run time"
+        if callable(getattr(native, member.name)):
+            signature = inspect.signature(getattr(native, member.name))
+            assert list(signature.parameters) == parameters(member), f"{name}.{member.name}"
+    natives = {member for member in vars(native) if is_public(member)}
+    assert natives <= described, natives - described
+
+
+def test_package_exports_every_class() -> None:
+    assert set(CLASSES) - {"_HasMatrix", "_HasQuaternion"} <= set(takt.__all__)
+    for name in takt.__all__:
+        value = getattr(takt, name)
+        assert value.__doc__, f"{name} has no documentation"
+        assert not isinstance(value, type) or value.__module__ == "takt"

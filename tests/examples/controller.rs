@@ -1,0 +1,54 @@
+//! A controller with the simulated arms `left` and `right` for programs in other languages: it prints the address of its
+//! line protocol, and ends with its standard input. It accepts connections of this host only.
+//!
+//! ```console
+//! $ cargo run -p takt-tests --example controller
+//! ```
+
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::io::{Read as _, Write as _};
+use std::net::SocketAddr;
+
+use takt_core::{CellConfig, Controller};
+use takt_server::{Server, ServerConfig};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let controller = Controller::start(&CellConfig::default())?;
+    for arm in ["left", "right"] {
+        let list = |value: f64| format!("{:?}", [value; 7]);
+        let parameters = [
+            ("min_joint", list(-2.9)),
+            ("max_joint", list(2.9)),
+            ("max_vel", list(2.0)),
+            ("max_acc", list(8.0)),
+        ];
+        let parameters: BTreeMap<_, _> = parameters
+            .map(|(key, value)| (key.to_owned(), value))
+            .into();
+        controller.add_device(arm, "kuka_lwr_sim", &parameters)?;
+    }
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build()?;
+    let config = ServerConfig {
+        tcp: Some(SocketAddr::from(([127, 0, 0, 1], 0))),
+        ..ServerConfig::default()
+    };
+    let server = runtime.block_on(Server::bind(config))?;
+    let address = server.tcp_address().ok_or("the server has no address")?;
+    let mut out = std::io::stdout();
+    writeln!(out, "{address}")?;
+    out.flush()?;
+    let (stop, stopped) = tokio::sync::oneshot::channel();
+    std::thread::spawn(move || {
+        // The end of the input, or of its reading, is the request to stop.
+        let _ = std::io::stdin().read_to_end(&mut Vec::new());
+        let _ = stop.send(());
+    });
+    runtime.block_on(server.run(controller, async {
+        let _ = stopped.await;
+    }));
+    Ok(())
+}
