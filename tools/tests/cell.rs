@@ -302,6 +302,25 @@ fn watch_names_rejected_set_points_and_fails() {
 }
 
 #[test]
+fn taken_socket_names_its_owner() {
+    let folder = Folder::new();
+    let (taken, free, path) = ("taken.sock", "free.sock", folder.file("cell.toml"));
+    let [taken, free] = [taken, free].map(|name| folder.file(name));
+    let _listener = std::os::unix::net::UnixListener::bind(&taken).unwrap();
+    let ports = "websocket = '127.0.0.1:0'\ntcp = '127.0.0.1:0'\nstop = '127.0.0.1:0'\n";
+    for [socket, stop] in [[&taken, &free], [&free, &taken]] {
+        let text = format!("[controller]\n{ports}socket = '{socket}'\nstop_socket = '{stop}'\n");
+        std::fs::write(&path, text).unwrap();
+        let output = run(&["run", "--config", &path]);
+        expect_status(&output, 2);
+        let owner = format!("(process {})", std::process::id());
+        let why = complaint(&output);
+        assert!(why.contains("taken by `") && why.contains(&owner), "{why}");
+        assert!(why.contains(&taken), "{why}");
+    }
+}
+
+#[test]
 fn taken_port_of_server_names_its_owner() {
     let folder = Folder::new();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

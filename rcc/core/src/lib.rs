@@ -12,6 +12,7 @@ pub mod error;
 pub mod executor;
 pub mod files;
 pub mod ids;
+pub mod local_socket;
 pub mod memory;
 mod primitives;
 pub mod record;

@@ -104,6 +104,29 @@ mod tests {
     }
 
     #[test]
+    fn sim_lightweight_arm_without_parameters_has_data_sheet() {
+        for (kind, range, velocity) in [
+            ("kuka_lwr_sim", 170.0_f64, 100.0_f64),
+            ("kuka_iiwa_sim", 175.0, 98.0),
+        ] {
+            let (description, _) = make("a", kind, &BTreeMap::new()).unwrap();
+            let (first, last) = (description.limits[0], description.limits[6]);
+            for (found, degrees) in [
+                (last.position_min, -range),
+                (first.velocity_max, velocity),
+                (first.acceleration_max, 4.0 * velocity),
+            ] {
+                assert!(
+                    (found.to_degrees() - degrees).abs() < 1e-9,
+                    "{kind}: {found}"
+                );
+            }
+        }
+        let error = make("a", "kuka_youbot_arm_sim", &BTreeMap::new());
+        assert!(error.is_err_and(|error| error.to_string().contains("min_joint is missing")));
+    }
+
+    #[test]
     fn sim_limits_too_small_are_rejected() {
         for key in ["max_vel", "max_acc"] {
             for value in ["0", "1e-320", "-1"] {

@@ -172,8 +172,8 @@ fn listen_tcp(address: SocketAddr) -> Result<TcpListener, Error> {
 /// Listens at a path. Removes the stale socket of a controller that has ended.
 fn listen_unix(path: &Path) -> Result<UnixListener, Error> {
     let failed = |source| channel(&path.display().to_string(), source);
-    if UnixStream::connect(path).is_ok() {
-        return Err(failed(io::ErrorKind::AddrInUse.into()));
+    if let Ok(owner) = UnixStream::connect(path) {
+        return Err(failed(crate::local_socket::taken(&owner)));
     }
     let _ = std::fs::remove_file(path);
     let listener = UnixListener::bind(path).map_err(failed)?;

@@ -138,10 +138,7 @@ async fn remove_stale_socket(path: &Path) -> io::Result<()> {
         return Err(io::Error::new(io::ErrorKind::AlreadyExists, text));
     }
     match UnixStream::connect(path).await {
-        Ok(_) => Err(io::Error::new(
-            io::ErrorKind::AddrInUse,
-            "another controller listens at this socket",
-        )),
+        Ok(owner) => Err(takt_core::local_socket::taken(&owner)),
         Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {
             std::fs::remove_file(path)
         }
@@ -189,7 +186,7 @@ mod tests {
         let (client, accepted) = tokio::join!(UnixStream::connect(&socket.path), local.accept());
         assert!(client.is_ok() && local.admits(&accepted.unwrap()));
         let error = Local::bind(&socket).await.unwrap_err().to_string();
-        assert!(error.contains("another controller listens"), "{error}");
+        assert!(error.contains("taken by this process"), "{error}");
         drop(local);
         assert!(!socket.path.exists());
         std::fs::remove_dir(socket.path.parent().unwrap()).unwrap();

@@ -3,7 +3,8 @@
 //! parameters, but hold their joints stiff.
 //!
 //! Parameters: `min_joint`, `max_joint` (rad), `max_vel` (rad/s), `max_acc` (rad/s²), and if wanted
-//! `home_joint` (rad), lists with a number for each joint. The load from outside: `external_torque`
+//! `home_joint` (rad), lists with a number for each joint. An LWR and an iiwa have the ranges and velocities of their data
+//! sheets where they are not given, and reach a velocity within 0.25 s. The load from outside: `external_torque`
 //! (Nm), a list by joint, and `external_wrench`, [Fx, Fy, Fz, Tx, Ty, Tz] (N, Nm) at the flange
 //! along the axes of the arm's base. `limits` is `strict`, or `range` for an arm that is wherever its set-points
 //! are within its range, and only reports speeds beyond `max_vel`.
@@ -55,7 +56,20 @@ struct Model {
     kinematics: &'static str,
     parts: &'static [Part],
     strategies: Strategies,
+    /// Range to either side and velocity of each joint by its data sheet, degrees and degrees/s; `None` if they are to be given.
+    sheet: Option<[[f64; 7]; 2]>,
 }
+
+const LWR_SHEET: [[f64; 7]; 2] = [
+    [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 170.0],
+    [100.0, 110.0, 100.0, 130.0, 130.0, 180.0, 180.0],
+];
+const IIWA_SHEET: [[f64; 7]; 2] = [
+    [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0],
+    [98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0],
+];
+/// Acceleration to velocity of a joint without a given acceleration, 1/s.
+const SHEET_ACCELERATION: f64 = 4.0;
 
 /// Numbers of control strategies.
 #[derive(Clone, Copy, Debug)]
@@ -96,6 +110,7 @@ pub(super) fn lwr(parameters: &Parameters<'_>, kind: &'static str) -> Result<Mad
         kinematics: "kuka_lwr4",
         parts: PARTS,
         strategies: LIGHTWEIGHT_STRATEGIES,
+        sheet: Some(LWR_SHEET),
     };
     make(parameters, kind, &model)
 }
@@ -111,6 +126,7 @@ pub(super) fn iiwa(parameters: &Parameters<'_>, kind: &'static str) -> Result<Ma
         kinematics: "kuka_iiwa7",
         parts: PARTS,
         strategies: LIGHTWEIGHT_STRATEGIES,
+        sheet: Some(IIWA_SHEET),
     };
     make(parameters, kind, &model)
 }
@@ -135,12 +151,13 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
             joint_impedance: 1,
             cartesian_impedance: None,
         },
+        sheet: None,
     };
     make(parameters, kind, &model)
 }
 
 fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Result<Made, Error> {
-    let limits = limits(parameters, model.joints)?;
+    let limits = limits(parameters, model)?;
     let home = parameters.list("home_joint", model.joints)?;
     let home = home.unwrap_or_else(|| vec![0.0; model.joints]);
     let torque = parameters.list("external_torque", model.joints)?;
@@ -195,10 +212,19 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Resul
     Ok((description, Box::new(arm)))
 }
 
-fn limits(parameters: &Parameters<'_>, joints: usize) -> Result<Vec<JointLimits>, Error> {
-    let needed = |key| parameters.needed(key, joints);
-    let (min, max) = (needed("min_joint")?, needed("max_joint")?);
-    let (velocity, acceleration) = (needed("max_vel")?, needed("max_acc")?);
+fn limits(parameters: &Parameters<'_>, model: &Model) -> Result<Vec<JointLimits>, Error> {
+    let joints = model.joints;
+    let given = |key, row: usize, factor: f64| match model.sheet {
+        Some(sheet) => {
+            let default = sheet[row].map(|degrees| factor * degrees.to_radians());
+            let list = parameters.list(key, joints)?;
+            Ok(list.unwrap_or_else(|| default.to_vec()))
+        }
+        None => parameters.needed(key, joints),
+    };
+    let (min, max) = (given("min_joint", 0, -1.0)?, given("max_joint", 0, 1.0)?);
+    let velocity = given("max_vel", 1, 1.0)?;
+    let acceleration = given("max_acc", 1, SHEET_ACCELERATION)?;
     let mut limits = Vec::with_capacity(joints);
     for i in 0..joints {
         let moves = velocity[i] >= LEAST && acceleration[i] >= LEAST;
