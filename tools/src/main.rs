@@ -21,6 +21,7 @@ mod ecat;
 mod emulate;
 #[cfg(feature = "fri")]
 mod fri;
+mod irl;
 mod jitter;
 #[cfg(any(feature = "can", feature = "ethercat"))]
 mod jog;
@@ -79,6 +80,8 @@ enum Command {
     #[cfg(feature = "fri")]
     #[command(subcommand)]
     Fri(fri::Fri),
+    #[command(subcommand)]
+    Irl(irl::Irl),
     /// Measure how late cycles begin on this host.
     Jitter(jitter::Jitter),
     /// Check, load and control primitive nets.
@@ -104,6 +107,7 @@ fn main() -> ExitCode {
         Command::Emulate(emulate) => emulate.run(),
         #[cfg(feature = "fri")]
         Command::Fri(fri) => fri.run(),
+        Command::Irl(irl) => irl.run(),
         Command::Jitter(jitter) => jitter.run(),
         Command::Net(net) => net.run(),
         Command::Page(page) => page.run(),

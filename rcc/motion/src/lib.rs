@@ -13,7 +13,7 @@ mod shape;
 
 use takt_net::Definition;
 
-pub use motion::plan;
+pub use motion::{live, plan};
 
 /// All definitions of this crate.
 pub fn all() -> Vec<Definition> {

@@ -8,6 +8,7 @@ mod course;
 mod frame_path;
 mod lead;
 mod limits;
+pub mod live;
 mod path;
 pub mod plan;
 mod planner;

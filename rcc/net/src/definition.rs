@@ -264,6 +264,17 @@ impl Definition {
         self.any_parameter(name, doc, ParameterType::Text, "")
     }
 
+    /// Adds a text parameter with a default.
+    #[must_use]
+    pub fn text_with_default(
+        self,
+        name: &'static str,
+        default: &'static str,
+        doc: &'static str,
+    ) -> Self {
+        self.any_parameter(name, doc, ParameterType::Text, default)
+    }
+
     fn any_parameter(
         mut self,
         name: &'static str,

@@ -60,6 +60,7 @@ const PARTS: &[Part] = &[
     part("net", &["takt-net", "takt-motion", "takt-core"]),
     part("motion", &["takt-motion"]),
     part("machine", &["takt-machine"]),
+    part("irl", &["takt-irl"]),
     part("core", &["takt-core"]),
     part("server", &["takt-client", "takt-server"]),
     part(

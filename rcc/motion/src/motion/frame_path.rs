@@ -179,6 +179,27 @@ impl FramePath {
             velocity,
         )
     }
+
+    /// The acceleration of the frame; while it comes onto its path, without the coupling of its rotations.
+    pub(super) fn acceleration(&self, progress: Progress, lead: Option<&Lead>) -> Twist {
+        let Progress {
+            part,
+            rate,
+            acceleration,
+            ..
+        } = progress;
+        let mut whole = self.path.acceleration(part, rate, acceleration);
+        if let Some(lead) = lead.filter(|lead| !lead.is_over()) {
+            let off = |first: usize, value: fn(State) -> f64| {
+                Vector3::from_fn(|axis, _| value(lead.now(first + axis)))
+            };
+            let turn = off(3, |s| s.position);
+            whole.vel += off(0, |s| s.acceleration);
+            whole.rot = UnitQuaternion::from_scaled_axis(turn) * whole.rot
+                + turned(&turn, &off(3, |s| s.acceleration));
+        }
+        whole
+    }
 }
 
 impl Geometry for FramePath {

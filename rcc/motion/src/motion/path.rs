@@ -115,12 +115,17 @@ impl Path {
     }
 
     /// Length of the path of the position, m.
-    fn translation_length(&self) -> f64 {
+    pub(super) fn translation_length(&self) -> f64 {
         match &self.curve {
             Curve::Line { displacement } => displacement.norm(),
             Curve::Arc { x, angle, .. } => x.norm() * angle,
             Curve::Spline(spline) => spline.length(),
         }
+    }
+
+    /// Angle of the whole rotation of a line or an arc, rad.
+    pub(super) fn angle(&self) -> f64 {
+        self.turn.norm()
     }
 
     /// The length by which progress is measured (m or rad, the larger one), and the bounds along it

@@ -73,7 +73,7 @@ pub struct FrameBounds {
 }
 
 impl Bounds {
-    fn check(self) -> Result<(), PlanError> {
+    pub(super) fn check(self) -> Result<(), PlanError> {
         let limits = [self.velocity, self.acceleration, self.jerk];
         let invalid = limits
             .into_iter()

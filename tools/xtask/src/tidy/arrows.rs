@@ -19,6 +19,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("takt-net", &[]),
     ("takt-motion", &["takt-net"]),
     ("takt-machine", &["takt-net"]),
+    ("takt-irl", &["takt-net", "takt-motion"]),
     ("takt-core", &["takt-net", "takt-motion", "takt-rt"]),
     (
         "takt-device-drives",

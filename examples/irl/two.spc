@@ -1,0 +1,54 @@
+# Two arms with signals, for the examples and tests.
+
+[[robot]]
+name = "tx90"
+model = "staubli_tx90"
+home = [0, 0, 90, 0, 60, 0]
+tool = [0, 0, 100, 0, 0, 0]
+joints = [
+  { min = -180, max = 180, speed = 400, acceleration = 1200, jerk = 12000 },
+  { min = -130, max = 147.5, speed = 400, acceleration = 1200, jerk = 12000 },
+  { min = -145, max = 145, speed = 430, acceleration = 1200, jerk = 12000 },
+  { min = -270, max = 270, speed = 540, acceleration = 1600, jerk = 16000 },
+  { min = -115, max = 140, speed = 475, acceleration = 1600, jerk = 16000 },
+  { min = -270, max = 270, speed = 760, acceleration = 2000, jerk = 20000 },
+]
+
+[[robot]]
+name = "lwr"
+model = "kuka_lwr4"
+home = [0, 30, 0, -60, 0, 60, 0]
+base = [1500, 0, 0, 180, 0, 0]
+joints = [
+  { min = -170, max = 170, speed = 110, acceleration = 400, jerk = 4000 },
+  { min = -120, max = 120, speed = 110, acceleration = 400, jerk = 4000 },
+  { min = -170, max = 170, speed = 128, acceleration = 400, jerk = 4000 },
+  { min = -120, max = 120, speed = 128, acceleration = 400, jerk = 4000 },
+  { min = -170, max = 170, speed = 204, acceleration = 600, jerk = 6000 },
+  { min = -120, max = 120, speed = 184, acceleration = 600, jerk = 6000 },
+  { min = -170, max = 170, speed = 184, acceleration = 600, jerk = 6000 },
+]
+
+[[signal]]
+name = "part_present"
+direction = "in"
+kind = "digital"
+channel = 0
+
+[[signal]]
+name = "pressure"
+direction = "in"
+kind = "analog"
+channel = 0
+
+[[signal]]
+name = "grip"
+direction = "out"
+kind = "digital"
+channel = 0
+
+[[signal]]
+name = "count"
+direction = "out"
+kind = "binary"
+channel = 0

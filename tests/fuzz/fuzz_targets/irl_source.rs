@@ -1,0 +1,4 @@
+//! Source texts of L-IRL. The properties are defined with the function.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_irl::fuzz::source(data));

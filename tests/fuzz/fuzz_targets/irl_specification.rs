@@ -1,0 +1,4 @@
+//! System specifications of L-IRL. The properties are defined with the function.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_irl::fuzz::specification(data));

@@ -1,0 +1,194 @@
+//! `takt irl`: compile L-IRL programs, and try them without a controller: robots follow exactly, inputs are constant.
+
+mod simulate;
+mod write;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::{Args, Subcommand};
+use takt_irl::{Diagnostic, Program, System, compile, specification_of};
+
+use crate::Verdict;
+use crate::output::{complain, say};
+
+/// Largest file that is read, bytes.
+const FILE_MAX: u64 = 64 << 20;
+
+/// Check, compile and try robot programs in L-IRL.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Irl {
+    /// Check a program: all errors, with their locations.
+    Check(Check),
+    /// Compile a program to object code.
+    Compile(write::Compile),
+    /// Print the listing of a program or of object code.
+    Explain(write::Explain),
+    /// Run a program or object code here, with robots that follow exactly.
+    Run(simulate::Simulate),
+}
+
+impl Irl {
+    pub(crate) fn run(self) -> anyhow::Result<Verdict> {
+        match self {
+            Self::Check(check) => check.run(),
+            Self::Compile(compile) => compile.run(),
+            Self::Explain(explain) => explain.run(),
+            Self::Run(simulate) => simulate.run(),
+        }
+    }
+}
+
+/// A program.
+#[derive(Debug, Args)]
+pub(crate) struct Source {
+    /// The program, or its object code.
+    file: PathBuf,
+    /// The system specification; else the file that the program names, beside it.
+    #[arg(long, value_name = "FILE")]
+    spc: Option<PathBuf>,
+}
+
+/// Check a program.
+#[derive(Debug, Args)]
+pub(crate) struct Check {
+    #[command(flatten)]
+    source: Source,
+    /// Exit with 1 if there are warnings.
+    #[arg(long)]
+    deny_warnings: bool,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// A program with its warnings, or the diagnostics of one with errors.
+struct Checked {
+    text: String,
+    program: Option<Program>,
+    diagnostics: Vec<Diagnostic>,
+}
+
+fn read_bytes(path: &Path) -> anyhow::Result<Vec<u8>> {
+    let reading = || format!("cannot read {}", path.display());
+    let size = std::fs::metadata(path).with_context(reading)?.len();
+    anyhow::ensure!(
+        size <= FILE_MAX,
+        "{} is larger than {FILE_MAX} bytes",
+        path.display()
+    );
+    std::fs::read(path).with_context(reading)
+}
+
+impl Source {
+    fn name(&self) -> String {
+        self.file.display().to_string()
+    }
+
+    fn check(&self) -> anyhow::Result<Checked> {
+        let text = takt_core::files::read_text(&self.file, FILE_MAX)
+            .with_context(|| format!("cannot read {}", self.file.display()))?;
+        let beside = || {
+            let name = specification_of(&text)?;
+            Some(self.file.parent().unwrap_or(Path::new("")).join(name))
+        };
+        let mut system = (System::default(), String::new());
+        if let Some(path) = self.spc.clone().or_else(beside) {
+            let spec = takt_core::files::read_text(&path, FILE_MAX)
+                .with_context(|| format!("cannot read {}", path.display()))?;
+            let parsed = System::parse(&spec);
+            system.0 = parsed.with_context(|| format!("{} is invalid", path.display()))?;
+            system.1 = spec;
+        }
+        let compiled = compile(&text, &system.0, &system.1);
+        Ok(match compiled {
+            Ok(compiled) => Checked {
+                text,
+                program: Some(compiled.program),
+                diagnostics: compiled.warnings,
+            },
+            Err(rejection) => Checked {
+                text,
+                program: None,
+                diagnostics: rejection.diagnostics,
+            },
+        })
+    }
+
+    /// The program; its errors have been printed if there is none.
+    fn program(&self) -> anyhow::Result<Option<Program>> {
+        let bytes = read_bytes(&self.file)?;
+        if bytes.starts_with(b"TIRL") {
+            let program = Program::decode(&bytes);
+            return Ok(Some(program.with_context(|| self.name())?));
+        }
+        let checked = self.check()?;
+        print(&checked, &self.name());
+        Ok(checked.program)
+    }
+}
+
+fn print(checked: &Checked, name: &str) {
+    for diagnostic in &checked.diagnostics {
+        complain(diagnostic.render(name, &checked.text).trim_end());
+    }
+    if checked.program.is_none() {
+        let mut errors = checked.diagnostics.len();
+        errors -= checked
+            .diagnostics
+            .iter()
+            .filter(|d| d.code.is_warning())
+            .count();
+        let plural = if errors == 1 { "" } else { "s" };
+        complain(&format!("{name}: {errors} error{plural}"));
+    }
+}
+
+impl Check {
+    fn run(self) -> anyhow::Result<Verdict> {
+        let checked = self.source.check()?;
+        let name = self.source.name();
+        if self.json {
+            say(&json(&checked, &name).to_string())?;
+        } else {
+            print(&checked, &name);
+            if let Some(program) = &checked.program {
+                say(&summary(&name, program))?;
+            }
+        }
+        let is_good = checked.diagnostics.is_empty() || !self.deny_warnings;
+        Ok(if checked.program.is_some() && is_good {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        })
+    }
+}
+
+fn summary(name: &str, program: &Program) -> String {
+    format!(
+        "{name}: good, {} instructions, {} thread{}, {} bytes of memory",
+        program.instructions(),
+        program.threads(),
+        if program.threads() == 1 { "" } else { "s" },
+        program.memory_bytes()
+    )
+}
+
+fn json(checked: &Checked, name: &str) -> serde_json::Value {
+    let diagnostic = |d: &Diagnostic| {
+        let (line, column) = d.location(&checked.text);
+        serde_json::json!({
+            "code": d.code.text(), "severity": if d.code.is_warning() { "warning" } else { "error" },
+            "line": line, "column": column, "start": d.at.start, "end": d.at.end,
+            "text": d.text, "hint": d.hint,
+        })
+    };
+    let diagnostics: Vec<_> = checked.diagnostics.iter().map(diagnostic).collect();
+    serde_json::json!({
+        "ok": checked.program.is_some(), "file": name, "diagnostics": diagnostics,
+        "instructions": checked.program.as_ref().map(Program::instructions),
+        "threads": checked.program.as_ref().map(Program::threads),
+        "bytes": checked.program.as_ref().map(Program::memory_bytes),
+    })
+}

@@ -1,0 +1,180 @@
+//! `takt irl run`: a program in virtual time, with robots that follow exactly. No device is known here.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use clap::Args;
+use takt_irl::{Control, Machine, Phase, SignalKind};
+
+use super::Source;
+use crate::Verdict;
+use crate::output::{complain, positive_span, say};
+
+/// Run a program.
+#[derive(Debug, Args)]
+pub(crate) struct Simulate {
+    #[command(flatten)]
+    source: Source,
+    /// Time from one cycle to the next.
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = positive_span)]
+    period: Duration,
+    /// Longest time that the program may take, in its own time.
+    #[arg(long, value_name = "TIME", default_value = "600s", value_parser = positive_span)]
+    duration: Duration,
+    /// Most steps of the program in a cycle.
+    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(16..=100_000))]
+    steps: u32,
+    /// Value of an input, such as part_present=1; others have none. May be given several times.
+    #[arg(long, value_name = "SIGNAL=VALUE")]
+    input: Vec<String>,
+    /// Write time (s) and joint positions (deg) of each cycle to this file.
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Simulate {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let Some(program) = self.source.program()? else {
+            return Ok(Verdict::Failed);
+        };
+        let mut machine = Machine::new(Arc::new(program), &[], self.period, self.steps)?;
+        let homes: Vec<Vec<f64>> = machine.program().system.robots.iter().map(home).collect();
+        for (robot, home) in homes.iter().enumerate() {
+            machine.place(robot, home);
+        }
+        for input in &self.input {
+            set(&mut machine, input)?;
+        }
+        let mut csv = head(&machine);
+        let cycles = self.duration.as_nanos() / self.period.as_nanos().max(1);
+        let mut cycle = 0_u128;
+        loop {
+            let phase = machine.cycle(Control {
+                resume: true,
+                ..Control::default()
+            });
+            cycle += 1;
+            if self.csv.is_some() {
+                row(&mut csv, cycle as f64 * self.period.as_secs_f64(), &machine);
+            }
+            let has_ended = matches!(phase, Phase::Ended | Phase::Failed);
+            if (has_ended && machine.is_at_rest()) || cycle >= cycles {
+                break;
+            }
+        }
+        if let Some(path) = &self.csv {
+            std::fs::write(path, &csv)
+                .with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        self.report(&machine, cycle as f64 * self.period.as_secs_f64())
+    }
+
+    fn report(&self, machine: &Machine, time_s: f64) -> anyhow::Result<Verdict> {
+        let name = self.source.name();
+        let phase = machine.phase();
+        let program = machine.program();
+        let ends: Vec<(String, Vec<f64>)> = program
+            .system
+            .robots
+            .iter()
+            .enumerate()
+            .map(|(i, robot)| {
+                (
+                    robot.name.clone(),
+                    machine.positions(i).iter().map(|q| rounded(*q)).collect(),
+                )
+            })
+            .collect();
+        if self.json {
+            let robots: serde_json::Map<_, _> =
+                ends.into_iter().map(|(name, q)| (name, q.into())).collect();
+            let fault = machine.fault().map(|f| {
+                serde_json::json!({"code": f.kind as i32, "line": f.at.line, "column": f.at.column, "text": f.kind.to_string()})
+            });
+            let json = serde_json::json!({
+                "ok": phase == Phase::Ended, "file": name, "time_s": time_s, "fault": fault, "robots_deg": robots,
+            });
+            say(&json.to_string())?;
+        } else {
+            for (robot, positions) in &ends {
+                let positions: Vec<String> = positions.iter().map(|q| format!("{q:.3}")).collect();
+                say(&format!("{robot}: at {} deg", positions.join(" ")))?;
+            }
+            match (phase, machine.fault()) {
+                (Phase::Ended, _) => say(&format!("{name}: ended after {time_s:.3} s"))?,
+                (_, Some(fault)) => complain(&format!("{name}:{fault}")),
+                _ => complain(&format!(
+                    "{name}:{}: did not end within {time_s:.3} s\nhint: a longer --duration, or an --input that it waits for",
+                    machine.location().line
+                )),
+            }
+        }
+        Ok(if phase == Phase::Ended {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        })
+    }
+}
+
+/// Millionths of a degree, without a negative zero.
+fn rounded(radians: f64) -> f64 {
+    (radians.to_degrees() * 1e6).round() / 1e6 + 0.0
+}
+
+fn home(robot: &takt_irl::Robot) -> Vec<f64> {
+    robot.home.iter().map(|q| q.to_radians()).collect()
+}
+
+fn set(machine: &mut Machine, input: &str) -> anyhow::Result<()> {
+    let (name, value) = input
+        .split_once('=')
+        .with_context(|| format!("`{input}` is not SIGNAL=VALUE"))?;
+    let signals = &machine.program().system.signals;
+    let number = signals
+        .iter()
+        .position(|s| s.name.eq_ignore_ascii_case(name));
+    let number = number.with_context(|| format!("the program has no signal `{name}`"))?;
+    let kind = signals.get(number).map(|s| s.kind);
+    let wrong = || format!("`{value}` is not a value of signal `{name}`");
+    let word = match kind {
+        Some(SignalKind::Analog) => value.parse::<f64>().with_context(wrong)?.to_bits(),
+        Some(SignalKind::Binary) => {
+            i64::from(value.parse::<i32>().with_context(wrong)?).cast_unsigned()
+        }
+        Some(SignalKind::Digital) | None => match value {
+            "1" | "true" => 1,
+            "0" | "false" => 0,
+            _ => anyhow::bail!("{}: give 0 or 1", wrong()),
+        },
+    };
+    machine.set_input(number, Some(word));
+    Ok(())
+}
+
+fn head(machine: &Machine) -> String {
+    let mut head = "time_s".to_owned();
+    for robot in &machine.program().system.robots {
+        for joint in 1..=robot.joints.len() {
+            let _ = write!(head, ",{}.{joint}_deg", robot.name);
+        }
+    }
+    head.push('\n');
+    head
+}
+
+fn row(out: &mut String, time_s: f64, machine: &Machine) {
+    let _ = write!(out, "{time_s:.6}");
+    for robot in 0..machine.program().system.robots.len() {
+        for q in machine.positions(robot) {
+            let _ = write!(out, ",{:.6}", rounded(*q));
+        }
+    }
+    out.push('\n');
+}
