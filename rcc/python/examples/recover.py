@@ -1,5 +1,7 @@
 """Errors and recovery: what goes wrong is an exception with values, the arm is at rest, and the program goes on."""
 
+from collections.abc import Callable
+
 import takt
 
 
@@ -9,7 +11,7 @@ def main() -> None:
         bent = [0, 0.5, 0, -1.2, 0, 0.8, 0]
         robot.ptp(bent).run()
         start = robot.pose()
-        attempts = {
+        attempts: dict[str, Callable[[], takt.Activity]] = {
             "six joints": lambda: robot.ptp(bent[:6]),
             "joint 0 at 4 rad": lambda: robot.ptp([4.0, *bent[1:]]),
             "speed of 4": lambda: robot.ptp(bent, speed=4),

@@ -97,12 +97,12 @@ impl Cell {
         kind: &Bound<'_, PyAny>,
         _value: &Bound<'_, PyAny>,
         _traceback: &Bound<'_, PyAny>,
-    ) -> PyResult<bool> {
+    ) -> PyResult<()> {
         match self.close(py) {
             Err(error) if !kind.is_none() => error.write_unraisable(py, None),
             closed => closed?,
         }
-        Ok(false)
+        Ok(())
     }
 
     fn __repr__(&self) -> &'static str {

@@ -39,6 +39,10 @@ pub(crate) fn timeout(py: Python<'_>, seconds: f64, place: Option<&Place>) -> Py
     make(py, "Timeout", &text, &attributes, place).map_or_else(|failed| failed, PyErr::from_value)
 }
 
+#[expect(
+    clippy::too_many_lines,
+    reason = "a table of errors and their attributes"
+)]
 fn instance<'py>(
     py: Python<'py>,
     error: &Error,
@@ -85,6 +89,32 @@ fn instance<'py>(
             attributes.set_item("device", device)?;
             attributes.set_item("cause", cause)?;
             "DeviceFailed"
+        }
+        Error::Version { address, reason } => {
+            attributes.set_item("address", address)?;
+            attributes.set_item("reason", reason)?;
+            "Version"
+        }
+        Error::TooFast {
+            device,
+            joint,
+            progress,
+            velocity,
+            limit,
+            speed,
+        } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("joint", joint)?;
+            attributes.set_item("progress", progress / 100.0)?;
+            attributes.set_item("velocity", velocity)?;
+            attributes.set_item("limit", limit)?;
+            attributes.set_item("speed", speed)?;
+            "TooFast"
+        }
+        Error::Unplanned { device, cause } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("cause", cause)?;
+            "Unplanned"
         }
         Error::PredecessorFailed(before) => {
             attributes.set_item("error", instance(py, before, None)?)?;

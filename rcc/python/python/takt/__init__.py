@@ -26,7 +26,10 @@ from ._errors import (
     Refused,
     Rejected,
     Timeout,
+    TooFast,
+    Unplanned,
     Unreachable,
+    Version,
 )
 from ._takt import (
     Activity,
@@ -72,7 +75,10 @@ __all__ = [
     "Refused",
     "Rejected",
     "Timeout",
+    "TooFast",
+    "Unplanned",
     "Unreachable",
+    "Version",
     "connect",
     "deg",
     "either",

@@ -24,6 +24,23 @@ class Connection(Error, ConnectionError):
     """The controller cannot be reached."""
 
 
+class Version(Connection):
+    """The controller at `address` does not fit this package, for `reason`."""
+
+    def __init__(
+        self,
+        text: str,
+        *,
+        address: str,
+        reason: str,
+        filename: str | None = None,
+        lineno: int | None = None,
+    ) -> None:
+        super().__init__(text, filename=filename, lineno=lineno)
+        self.address = address
+        self.reason = reason
+
+
 class Lost(Connection):
     """The connection ended; the controller cancels what this program began."""
 
@@ -103,6 +120,46 @@ class Unreachable(_OfDevice):
     ) -> None:
         super().__init__(text, device=device, filename=filename, lineno=lineno)
         self.progress = progress
+
+
+class TooFast(_OfDevice):
+    """A `joint` of `device` would move at `velocity`, beyond its `limit`, rad/s; at `speed` the path fits. Nothing was begun."""
+
+    def __init__(
+        self,
+        text: str,
+        *,
+        device: str,
+        joint: int,
+        progress: float,
+        velocity: float,
+        limit: float,
+        speed: float,
+        filename: str | None = None,
+        lineno: int | None = None,
+    ) -> None:
+        super().__init__(text, device=device, filename=filename, lineno=lineno)
+        self.joint = joint
+        self.progress = progress
+        self.velocity = velocity
+        self.limit = limit
+        self.speed = speed
+
+
+class Unplanned(_OfDevice):
+    """A motion of `device` cannot be planned, for `cause`; nothing was begun."""
+
+    def __init__(
+        self,
+        text: str,
+        *,
+        device: str,
+        cause: str,
+        filename: str | None = None,
+        lineno: int | None = None,
+    ) -> None:
+        super().__init__(text, device=device, filename=filename, lineno=lineno)
+        self.cause = cause
 
 
 class DeviceFailed(_OfDevice):

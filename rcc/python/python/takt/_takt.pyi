@@ -77,7 +77,7 @@ class Cell:
         _value: BaseException | None,
         _traceback: TracebackType | None,
         /,
-    ) -> bool: ...
+    ) -> None: ...
 
 @final
 class JointLimits:
