@@ -366,3 +366,25 @@ fn values_of_a_description_name_the_kinematics() {
         assert_eq!(left["kinematics"], Value::from("kuka_lwr4"));
     });
 }
+
+#[test]
+fn hold_brakes_a_motion_and_is_taken_over() {
+    steady(|| {
+        let bench = Bench::start();
+        let (_cell, left, _) = bench.arms();
+        let mut far = BENT;
+        far[0] = 2.0;
+        let moving = left.ptp(far).speed(0.3).begin().unwrap();
+        let held = left.hold().now().begin().unwrap();
+        assert_eq!(moving.wait(), Ok(Outcome::TakenOver));
+        let next = left.ptp(BENT).run();
+        assert_eq!(next, Ok(Outcome::Completed));
+        drop(held);
+        near(&left.commanded().unwrap(), &BENT, 1e-9);
+        let held = left.hold().begin().unwrap();
+        assert_eq!(held.wait(), Ok(Outcome::Maintaining));
+        held.cancel();
+        left.finish().unwrap();
+        near(&left.commanded().unwrap(), &BENT, 1e-9);
+    });
+}

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use crate::activity::Activity;
 use crate::error::Error;
 use crate::expression::{Condition, Number};
-use crate::motion::{ArmDescription, ArmMotion, CartesianLimits, Path, Route};
+use crate::motion::{ArmDescription, ArmMotion, CartesianLimits, Hold, Path, Route};
 use crate::pose::Pose;
 use crate::session::Session;
 
@@ -109,6 +109,13 @@ impl Arm {
     pub fn spline<P: Into<Pose>>(&self, through: impl IntoIterator<Item = P>) -> Activity {
         let points = through.into_iter().map(Into::into).collect();
         self.motion(Path::Frame(Route::Spline(points)))
+    }
+
+    /// Brakes the arm within its limits and keeps it under command where it comes to rest, until another activity takes
+    /// over or it is cancelled.
+    pub fn hold(&self) -> Activity {
+        let arm = self.description.clone();
+        Activity::new(&self.session, Hold { arm }, self.speed)
     }
 
     fn motion(&self, path: Path) -> Activity {

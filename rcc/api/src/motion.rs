@@ -5,6 +5,7 @@
 
 mod coupled;
 mod frame;
+mod hold;
 mod path;
 #[cfg(test)]
 mod tests;
@@ -22,6 +23,7 @@ use crate::plan::bounds;
 use crate::pose::Pose;
 pub(crate) use coupled::{CoupledMotion, Holder};
 pub(crate) use frame::Route;
+pub(crate) use hold::Hold;
 pub(crate) use path::{ArmMotion, Path};
 
 /// Limits of a joint.

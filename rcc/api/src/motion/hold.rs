@@ -1,0 +1,54 @@
+//! Holding an arm where it is: it brakes, stays at rest under command, and can be taken over at any time.
+
+use super::ArmDescription;
+use crate::error::Error;
+use crate::net::Net;
+use crate::order::{Operation, Ports, Requests};
+
+/// Brakes an arm within its limits, and keeps it where it comes to rest.
+#[derive(Clone, Debug)]
+pub(crate) struct Hold {
+    pub(crate) arm: ArmDescription,
+}
+
+impl Operation for Hold {
+    fn devices(&self) -> Vec<String> {
+        vec![self.arm.name.clone()]
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        Ok(())
+    }
+
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+        let arm = &self.arm;
+        let positions = arm.joint_array(net, "outCommandedPosition");
+        let velocities = arm.joint_array(net, "outCommandedVelocity");
+        let accelerations = arm.joint_array(net, "outCommandedAcceleration");
+        let [velocity, acceleration, jerk] = arm.limit_texts(requests.speed);
+        let always = [("Value", "true".into())];
+        let always = net.add("Core::BooleanValue", always).out("outValue");
+        let track = net.add(
+            "Motion::Track",
+            [
+                ("inGoal", (&positions).into()),
+                ("inStop", (&always).into()),
+                ("inFrom", (&positions).into()),
+                ("inFromVelocity", (&velocities).into()),
+                ("inFromAcceleration", (&accelerations).into()),
+                ("Velocity", velocity.into()),
+                ("Acceleration", acceleration.into()),
+                ("Jerk", jerk.into()),
+            ],
+        );
+        let failures = arm.command(net, &track.out("outPosition"));
+        let rests = track.out("outDone");
+        Ok(Ports {
+            done: net.of_two("Core::BooleanAnd", &rests, &requests.stop),
+            progress: None,
+            failures,
+            results: vec![("maintaining", rests)],
+            fault: None,
+        })
+    }
+}
