@@ -35,10 +35,15 @@
 //! listen = "0.0.0.0:49938" # where the KRC sends its datagrams
 //! priority = 85
 //! thread = "4ms"           # the net thread that commands it; leave out for the first
+//!
+//! [[base]]                 # where a device is
+//! device = "left"
+//! position = [0, 0.5, 0.8] # m, in the frame `world`
 //! ```
 
 mod access;
 mod drivers;
+mod frames;
 mod location;
 
 use std::net::SocketAddr;
@@ -56,6 +61,7 @@ use crate::ids::check_device_name;
 use crate::{files, span};
 pub use access::{Loopback, OnLoss};
 pub use drivers::{DriverKind, Section};
+pub use frames::{BaseConfig, CellFrames, FRAMES_MAX, FrameConfig, Placement, ToolConfig, WORLD};
 use location::located;
 
 /// Net threads that a controller may have.
@@ -74,6 +80,8 @@ pub struct CellConfig {
     pub devices: Vec<Arc<dyn DriverConfig>>,
     /// Its buses, each with devices of its own.
     pub buses: Vec<Arc<dyn DriverConfig>>,
+    /// Its named frames, bases and tools.
+    pub frames: CellFrames,
 }
 
 /// What of a cell file is not read by drivers.
@@ -81,6 +89,12 @@ pub struct CellConfig {
 struct Rest {
     #[serde(default)]
     controller: ControllerConfig,
+    #[serde(default)]
+    frame: Vec<FrameConfig>,
+    #[serde(default)]
+    base: Vec<BaseConfig>,
+    #[serde(default)]
+    tool: Vec<ToolConfig>,
 }
 
 /// Settings of the controller itself.
@@ -270,11 +284,16 @@ impl CellConfig {
     fn deserialize(text: &str, kinds: &[DriverKind]) -> Result<Self, toml::de::Error> {
         let mut table = DeTable::parse(text)?;
         let drivers::Configured { devices, buses } = drivers::take(table.get_mut(), kinds)?;
-        let Rest { controller } = Rest::deserialize(toml::Deserializer::from(table))?;
+        let rest = Rest::deserialize(toml::Deserializer::from(table))?;
         Ok(Self {
-            controller,
+            controller: rest.controller,
             devices,
             buses,
+            frames: CellFrames {
+                frames: rest.frame,
+                bases: rest.base,
+                tools: rest.tool,
+            },
         })
     }
 
@@ -397,7 +416,7 @@ impl CellConfig {
         names.iter().try_for_each(|name| check_device_name(name))?;
         match names.windows(2).find(|w| w[0] == w[1]) {
             Some(twice) => Err(format!("device name `{}` is given twice", twice[0])),
-            None => Ok(()),
+            None => self.frames.check(&names),
         }
     }
 }

@@ -69,6 +69,7 @@ pub use nets::{
 pub use rejections::{RejectReason, RejectedCounts, RejectedInfo};
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 pub use sessions::SESSIONS_MAX;
+pub use takt_motion::kinematics::Chain;
 
 /// Ends a watch when dropped.
 #[derive(Debug)]
@@ -154,6 +155,8 @@ impl Controller {
         for config in cell.drivers() {
             registry.add_of_cell(&**config)?;
         }
+        registry.devices.frames = cell.frames.clone();
+        registry.devices.report_unknown_frames();
         let inner = Arc::new(Shared {
             registry: Mutex::new(registry),
             changed: Condvar::new(),

@@ -2,6 +2,7 @@
 //! allocation, so that they can run in every cycle. Not here: dynamics, tools, or arms without a
 //! closed form.
 
+mod chain;
 mod geometry;
 mod joints;
 mod opw;
@@ -17,6 +18,7 @@ use std::sync::Arc;
 use takt_net::JointLimits;
 use takt_net::device::Kinematics;
 
+pub use chain::{Axis, Chain};
 use geometry::{frame, rot_y, rot_z, two_links};
 pub use joints::Range;
 use joints::{Nearest, checked, columns_or_nan, joints_or_nan};

@@ -133,6 +133,13 @@ pub(super) fn apply(
                 .push(format!("device {name} is not added: {error}")),
         }
     }
+    if running.frames != new.frames {
+        controller.set_frames(new.frames.clone());
+        running.frames = new.frames.clone();
+        reloaded
+            .applied
+            .push("frames, bases and tools are new".to_owned());
+    }
     if changes.log {
         let log = new.controller.log.as_deref();
         match change_log(log) {

@@ -94,6 +94,9 @@ impl DriverKind {
     }
 }
 
+/// Tables that are not those of drivers.
+const OWN: [&str; 4] = ["controller", "frame", "base", "tool"];
+
 /// What drivers read of a cell file.
 #[derive(Debug, Default)]
 pub(super) struct Configured {
@@ -120,7 +123,9 @@ pub(super) fn take(table: &mut DeTable<'_>, kinds: &[DriverKind]) -> Result<Conf
             configured.buses.extend(kind.read(buses)?);
         }
     }
-    let unknown = table.keys().find(|key| key.get_ref() != "controller");
+    let unknown = table
+        .keys()
+        .find(|key| !OWN.contains(&key.get_ref().as_ref()));
     match unknown {
         None => Ok(configured),
         Some(key) => {
@@ -128,7 +133,7 @@ pub(super) fn take(table: &mut DeTable<'_>, kinds: &[DriverKind]) -> Result<Conf
                 Section::Bus(name) => Some(name),
                 Section::Device(_) => None,
             });
-            let known = one_of(["controller", "device"].into_iter().chain(buses));
+            let known = one_of(OWN.into_iter().chain(["device"]).chain(buses));
             let text = format!("unknown field `{}`, expected {known}", key.get_ref());
             Err(error_at(key.span(), &text))
         }

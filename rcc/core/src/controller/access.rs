@@ -1,6 +1,6 @@
 //! Sessions, and what programs read and write of nets and devices: states, values and debug taps.
 
-use crate::cell::OnLoss;
+use crate::cell::{CellFrames, OnLoss};
 use crate::controller::Controller;
 use crate::controller::device_set::{DeviceDetails, DeviceInfo};
 use crate::controller::nets::{Net, NetInfo, RetainedNet, Taps};
@@ -118,14 +118,22 @@ impl Controller {
         let infos = registry.devices.infos(registry.permission.is_stopped());
         let details = |info: DeviceInfo| {
             let thread = registry.threads.serving_thread(&info.name);
-            DeviceDetails {
-                joints: registry.devices.joints(&info.name),
-                model: registry.devices.model(&info.name),
-                period: registry.threads.period(thread).unwrap_or_default(),
-                info,
-            }
+            let period = registry.threads.period(thread).unwrap_or_default();
+            registry.devices.details(info, period)
         };
         infos.into_iter().map(details).collect()
+    }
+
+    /// Named frames of the cell, bases of its devices, and tools.
+    #[must_use]
+    pub fn frames(&self) -> CellFrames {
+        self.inner.lock().devices.frames.clone()
+    }
+
+    /// Replaces them, as a checked cell has them. Nets that run are not affected: programs read frames before they load nets.
+    pub fn set_frames(&self, frames: CellFrames) {
+        let mut registry = self.inner.lock();
+        registry.devices.frames = frames;
     }
 
     /// The retained result of an unloaded net; `None` if it has expired.

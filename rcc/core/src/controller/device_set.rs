@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use takt_motion::kinematics::Chain;
 use takt_net::JointLimits;
+
+use crate::cell::{BaseConfig, CellFrames, ToolConfig};
 
 use crate::controller::clock::FollowedClock;
 use crate::device::driver::DeviceDriver;
@@ -28,10 +31,18 @@ pub struct DeviceInfo {
 pub struct DeviceDetails {
     /// Name, type, interfaces and state.
     pub info: DeviceInfo,
+    /// All its interfaces with their parameters; `info` has those of the client protocol only.
+    pub abilities: BTreeMap<String, BTreeMap<String, String>>,
     /// Limits of each joint; none if it is no arm.
     pub joints: Arc<[JointLimits]>,
-    /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
+    /// Name of its kinematics model, as `takt_motion::kinematics` has it; empty for none.
     pub model: String,
+    /// Its kinematics as rotation axes; `None` if it has no model.
+    pub chain: Option<Chain>,
+    /// Where the cell places its base; `None` if it does not.
+    pub base: Option<BaseConfig>,
+    /// The tools that the cell gives it.
+    pub tools: Vec<ToolConfig>,
     /// Period of the nets that command it.
     pub period: Duration,
 }
@@ -42,6 +53,8 @@ pub(super) struct DeviceSet {
     pub(super) drivers: Vec<Box<dyn DeviceDriver>>,
     /// The device clock that net threads follow.
     pub(super) clock: Option<FollowedClock>,
+    /// Where they are.
+    pub(super) frames: CellFrames,
 }
 
 impl DeviceSet {
@@ -50,6 +63,7 @@ impl DeviceSet {
             table: DeviceTable::default(),
             drivers: Vec::new(),
             clock,
+            frames: CellFrames::default(),
         }
     }
 
@@ -106,16 +120,33 @@ impl DeviceSet {
         self.table.all().map(|(_, device)| info(device)).collect()
     }
 
-    /// Limits of the joints of a device.
-    pub(super) fn joints(&self, name: &str) -> Arc<[JointLimits]> {
-        let device = self.table.all().find(|(_, device)| device.name == name);
-        device.map_or_else(Arc::default, |(_, device)| Arc::clone(&device.limits))
+    /// A device with what a program needs to plan motions; `period` is that of the nets that command it.
+    pub(super) fn details(&self, info: DeviceInfo, period: Duration) -> DeviceDetails {
+        let device = self.table.all().map(|(_, device)| device.as_ref());
+        let device = device.into_iter().find(|device| device.name == info.name);
+        let arm = device.and_then(|device| device.kinematics.as_deref());
+        DeviceDetails {
+            abilities: device.map(Device::abilities).unwrap_or_default(),
+            joints: device.map_or_else(Arc::default, |device| Arc::clone(&device.limits)),
+            model: device.map_or_else(String::new, |device| device.model.to_string()),
+            chain: arm.map(Chain::of),
+            base: self.frames.base(&info.name).cloned(),
+            tools: self.frames.tools(&info.name).cloned().collect(),
+            period,
+            info,
+        }
     }
 
-    /// Model of the kinematics of a device.
-    pub(super) fn model(&self, name: &str) -> String {
-        let device = self.table.all().find(|(_, device)| device.name == name);
-        device.map_or_else(String::new, |(_, device)| device.model.to_string())
+    /// Logs which devices of frames do not exist: clients may create them later, or their names are misspelled.
+    pub(super) fn report_unknown_frames(&self) {
+        for device in self.frames.devices() {
+            if self.table.find(device).is_none() {
+                tracing::warn!(
+                    "device `{device}` of [[base]] or [[tool]] does not exist yet\nhint: unless a client creates it, \
+                     correct its name in the cell file"
+                );
+            }
+        }
     }
 
     /// Ends all drivers and waits for that.

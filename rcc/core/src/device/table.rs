@@ -128,6 +128,51 @@ impl Device {
         .flatten()
         .collect()
     }
+
+    /// All its interfaces with their parameters. Known clients of the protocol get [`Self::properties`] only.
+    #[must_use]
+    pub fn abilities(&self) -> BTreeMap<String, BTreeMap<String, String>> {
+        let has = &self.interfaces;
+        let with = |pairs: &[(&str, f64)]| {
+            let pair = |(name, value): &(&str, f64)| ((*name).to_owned(), value.to_string());
+            Some(pairs.iter().map(pair).collect::<BTreeMap<_, _>>())
+        };
+        let plain = |is_there: bool| is_there.then(BTreeMap::new);
+        let base = has.base.as_ref().and_then(|base| {
+            let mut limits = with(&[
+                ("velocity_max", base.velocity_max),
+                ("rotation_max", base.rotation_max),
+            ])?;
+            limits.insert("wheels".to_owned(), base.wheels.len().to_string());
+            Some(limits)
+        });
+        let gripper = has.gripper.as_ref();
+        let gripper = gripper.and_then(|gripper| with(&[("width_max", gripper.distance_max)]));
+        let drives = has
+            .drives
+            .as_ref()
+            .map(|drives| BTreeMap::from([("drivecount".to_owned(), drives.len().to_string())]));
+        let more = [
+            ("robotbase", base),
+            ("gripper", gripper),
+            ("servogripper", plain(has.servo_gripper.is_some())),
+            ("tool", plain(has.tool.is_some())),
+            ("strategy", plain(has.strategy.is_some())),
+            ("jointimpedance", plain(has.joint_impedance.is_some())),
+            (
+                "cartesianimpedance",
+                plain(has.cartesian_impedance.is_some()),
+            ),
+            ("cartesiansine", plain(has.cartesian_sine.is_some())),
+            ("torques", plain(has.torques.is_some())),
+            ("wrench", plain(has.wrench.is_some())),
+            ("drives", drives),
+        ];
+        let mut all = self.properties();
+        let more = more.into_iter();
+        all.extend(more.filter_map(|(name, parameters)| Some((name.to_owned(), parameters?))));
+        all
+    }
 }
 
 /// Endpoints of a device's latest-value cells.

@@ -75,6 +75,7 @@ impl Connection {
             "nta" => self.taps(args),
             "nst" => self.figures(args),
             "din" => self.describe_devices(args),
+            "fin" => Ok(vec![details::frames(&self.controller.frames())]),
             "eva" => self.evaluate(args),
             "nesc" => self.schedule(args),
             "gsy" => self.watch_rule(args, tag()),

@@ -634,7 +634,7 @@ fn devices_are_described_with_limits_and_period() {
         r#"type:"kuka_lwr_sim""#,
         r#"state:"#,
         r#"period:"0.001""#,
-        r#"{acceleration_max:"4",position_max:"2.5",position_min:"-2",velocity_max:"1"}]"#,
+        r#"{acceleration_max:"4",jerk_max:"40",position_max:"2.5",position_min:"-2",velocity_max:"1"}]"#,
     ] {
         assert!(reply.contains(part), "{part} is missing in {reply}");
     }

@@ -5,8 +5,10 @@ use std::collections::BTreeMap;
 
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use takt_core::Error;
-use takt_core::controller::DeviceInfo;
+use takt_core::controller::{DeviceDetails, DeviceInfo};
 use takt_core::ids::check_device_name;
+use takt_core::net::Frame;
+use takt_core::net::value::text::TextValue as _;
 
 use super::super::Response;
 use super::super::element::{Element, NetValue};
@@ -17,12 +19,22 @@ use crate::dio::all_devices;
 impl Handler<'_> {
     pub(super) fn devices(&self) -> Response {
         let devices = all_devices(self.controller).into_iter();
-        let devices = devices.map(|d| describe(&d).containing(self.reports(&d.name)));
+        let details = self.controller.device_details();
+        let devices = devices.map(|d| {
+            let details = details.iter().find(|other| other.info.name == d.name);
+            let details = details.into_iter().flat_map(details_of);
+            describe(&d)
+                .containing(details)
+                .containing(self.reports(&d.name))
+        });
         self.show(&Element::new("devices").containing(devices))
     }
 
     pub(super) fn device(&self, name: &str) -> Outcome {
         let device = describe(&self.find_device(name)?);
+        let details = self.controller.device_details();
+        let details = details.iter().filter(|details| details.info.name == name);
+        let device = device.containing(details.flat_map(details_of));
         Ok(self.show(&device.containing(self.reports(name))))
     }
 
@@ -137,6 +149,40 @@ pub(super) fn error_response(error: Error) -> Response {
     } else {
         Response::conflict(error)
     }
+}
+
+/// What a program needs to plan its motions: model, period, base, tools and joint limits, m, rad and kg.
+fn details_of(device: &DeviceDetails) -> Vec<Element> {
+    let text = |frame: Frame| {
+        let mut text = String::new();
+        frame.format(&mut text);
+        NetValue(text)
+    };
+    let mut elements = vec![
+        Element::new("model")
+            .with("name", &device.model)
+            .with("period", ms(takt_core::Nanos::from(device.period))),
+    ];
+    elements.extend(device.base.as_ref().map(|base| {
+        Element::new("base")
+            .with("parent", &base.parent)
+            .with("pose", text(base.placement().frame()))
+    }));
+    elements.extend(device.tools.iter().map(|tool| {
+        Element::new("tool")
+            .with("name", &tool.name)
+            .with("pose", text(tool.placement().frame()))
+            .with("mass", tool.mass)
+    }));
+    elements.extend(device.joints.iter().enumerate().map(|(number, joint)| {
+        Element::new("limits")
+            .with("axis", number)
+            .with("positionmin", joint.position_min)
+            .with("positionmax", joint.position_max)
+            .with("velocitymax", joint.velocity_max)
+            .with("accelerationmax", joint.acceleration_max)
+    }));
+    elements
 }
 
 fn describe(device: &DeviceInfo) -> Element {
