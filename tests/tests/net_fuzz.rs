@@ -70,6 +70,17 @@ fn machine_files_stand_random_input() {
         &files,
         INPUTS,
     );
+    let lola: &[u8] = include_bytes!("../../examples/machine/lola.machine");
+    feed_files("machine", takt_machine::fuzz::machine, &[lola], INPUTS / 4);
+    let words = "machine M { } initial final state A entry run handle exit transition to if on e component c from \"c\" ; configured \
+                 event var n : int := + 1 ( ) start stop configure c c.flag c.level[1] while yield wait 5ms do call c.work(1) until \
+                 within else not and or is running raise machine initial state A { transition to B; } final state B { } { start c; }";
+    feed(
+        "machine",
+        takt_machine::fuzz::machine,
+        &split(words),
+        INPUTS / 4,
+    );
     let servo: &[u8] = include_bytes!("../../rcc/machine/tests/components/servo.component");
     feed_files(
         "machine_component",

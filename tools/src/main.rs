@@ -26,6 +26,7 @@ mod jitter;
 #[cfg(any(feature = "can", feature = "ethercat"))]
 mod jog;
 mod link;
+mod machine;
 mod manual;
 mod net;
 #[cfg(any(feature = "can", feature = "ethercat"))]
@@ -84,6 +85,9 @@ enum Command {
     Irl(irl::Irl),
     /// Measure how late cycles begin on this host.
     Jitter(jitter::Jitter),
+    /// Check and draw state machines over components.
+    #[command(subcommand)]
+    Machine(machine::Machine),
     /// Check, load and control primitive nets.
     #[command(subcommand)]
     Net(net::Net),
@@ -109,6 +113,7 @@ fn main() -> ExitCode {
         Command::Fri(fri) => fri.run(),
         Command::Irl(irl) => irl.run(),
         Command::Jitter(jitter) => jitter.run(),
+        Command::Machine(machine) => machine.run(),
         Command::Net(net) => net.run(),
         Command::Page(page) => page.run(),
         Command::Stop(stop) => stop.run(),

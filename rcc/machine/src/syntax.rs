@@ -141,6 +141,10 @@ impl<'t> Cursor<'t> {
         self.span = self.lexer.span();
     }
 
+    pub(crate) const fn token(&self) -> Token {
+        self.token
+    }
+
     pub(crate) fn span(&self) -> Range<usize> {
         self.span.clone()
     }
