@@ -1,9 +1,24 @@
 //! Controllers inside of a program, with emulated robots, and the examples, which use them.
 
+#![allow(
+    clippy::duplicate_mod,
+    reason = "every example is a program with its own module for pictures"
+)]
+
 #[path = "../examples/first.rs"]
 mod first;
+#[allow(dead_code, reason = "tests call what `main` calls")]
+#[path = "../examples/lift.rs"]
+mod lift;
+#[allow(dead_code, reason = "tests call what `main` calls")]
+#[path = "../examples/listing1.rs"]
+mod listing1;
+#[allow(dead_code, reason = "tests call what `main` calls")]
+#[path = "../examples/recovery.rs"]
+mod recovery;
 
 use std::net::TcpStream;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use takt_api::{Cell, Error, Outcome};
@@ -14,6 +29,79 @@ const BENT: [f64; 7] = [0.0, 0.6, 0.0, -1.1, 0.0, 0.7, 0.0];
 #[test]
 fn first_example_moves_an_arm() {
     steady(|| first::main().unwrap());
+}
+
+/// Runs an example with a directory of its own, and checks that it draws a picture of two curves.
+fn with_picture<T>(
+    name: &str,
+    example: impl Fn(&Path) -> Result<T, Box<dyn std::error::Error>>,
+) -> T {
+    let directory = std::env::temp_dir().join(format!("takt-{name}-{}", std::process::id()));
+    let run = || {
+        std::fs::create_dir_all(&directory)?;
+        let result = example(&directory)?;
+        let svg = std::fs::read_to_string(directory.join(format!("{name}.svg")))?;
+        std::fs::remove_dir_all(&directory)?;
+        Ok::<_, Box<dyn std::error::Error>>((result, svg))
+    };
+    let (result, svg) = run().expect("the example runs and draws");
+    assert_eq!(svg.matches("<polyline").count(), 2, "{svg}");
+    assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+    result
+}
+
+#[test]
+fn listing_1_example_rounds_corners_by_blending() {
+    steady(|| {
+        let [blended, stopping] = with_picture("listing1", listing1::run);
+        let (last, others) = blended.outcomes.split_last().unwrap();
+        assert_eq!(*last, Outcome::Completed);
+        assert_eq!(others, [const { Outcome::TakenOver }; 11]);
+        assert_eq!(stopping.outcomes, [const { Outcome::Completed }; 12]);
+        let misses = blended.misses.iter().zip(&stopping.misses);
+        for (round, sharp) in misses.take(others.len()) {
+            assert!(*round > 1e-3 && *sharp < 5e-4, "{round} m, {sharp} m");
+        }
+    });
+}
+
+#[test]
+fn lift_example_keeps_the_grasp() {
+    steady(|| {
+        let steps = with_picture("lift", lift::run);
+        assert_eq!(steps.len(), 4);
+        for step in &steps {
+            assert_eq!(step.outcome, Outcome::Completed);
+            assert!(step.planned < 1e-5, "{} m", step.planned);
+            assert!(step.rested < 1e-4, "{} m", step.rested);
+        }
+    });
+}
+
+#[test]
+fn recovery_example_goes_on_after_errors() {
+    steady(|| {
+        let attempts = recovery::run().unwrap();
+        let errors: Vec<_> = attempts.iter().map(|attempt| &attempt.error).collect();
+        assert!(
+            matches!(
+                errors[..],
+                [
+                    Error::Invalid(_),
+                    Error::Limit { .. },
+                    Error::Unreachable { .. } | Error::TooFast { .. },
+                    Error::Unreachable { .. },
+                    Error::Invalid(_),
+                ]
+            ),
+            "{errors:?}"
+        );
+        for (number, attempt) in attempts.iter().enumerate() {
+            assert_eq!(attempt.recovered, Outcome::Completed);
+            let has_moved = attempt.moved > 1e-3;
+            assert_eq!(has_moved, number == 3, "only the unchecked motion begins");
+        }
+    });
 }
 
 #[test]
