@@ -5,6 +5,9 @@
     reason = "every example is a program with its own module for pictures"
 )]
 
+#[allow(dead_code, reason = "tests call what `main` calls")]
+#[path = "../examples/figures.rs"]
+mod figures;
 #[path = "../examples/first.rs"]
 mod first;
 #[allow(dead_code, reason = "tests call what `main` calls")]
@@ -102,6 +105,11 @@ fn recovery_example_goes_on_after_errors() {
             assert_eq!(has_moved, number == 3, "only the unchecked motion begins");
         }
     });
+}
+
+#[test]
+fn figures_example_measures_in_one_run() {
+    steady(|| figures::run(2).unwrap());
 }
 
 #[test]
