@@ -67,7 +67,8 @@ impl Arm {
         self
     }
 
-    /// Its base in the world; the world's origin, unless set by [`Self::with_base`].
+    /// Its base in the world, where its cell file places it or [`Self::with_base`] did; else the world's origin, also of an
+    /// arm on something that moves.
     pub const fn base(&self) -> Pose {
         self.base
     }

@@ -1,5 +1,6 @@
 //! The cell of a controller: how a program connects to it, finds its devices, and leaves it.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -11,6 +12,7 @@ use crate::error::Error;
 use crate::expression::{Condition, Number};
 use crate::motion::{ArmDescription, JointLimits};
 use crate::net::Net;
+use crate::pose::Pose;
 use crate::session::Session;
 
 /// How long closing a cell waits until its devices are at rest.
@@ -109,12 +111,20 @@ impl Cell {
         let Some(Value::Map(devices)) = reply.values.into_iter().next() else {
             return Ok(Vec::new());
         };
-        let arms = devices
-            .into_iter()
-            .filter_map(|(name, device)| describe(name, &device));
-        Ok(arms
-            .map(|arm| Arm::new(Arc::clone(&self.session), arm))
-            .collect())
+        let is_placed = |device: &Value| device.as_map().is_some_and(|it| it.contains_key("base"));
+        let frames = if devices.values().any(is_placed) {
+            self.session.client().call("fin", [] as [&str; 0])?.values
+        } else {
+            Vec::new()
+        };
+        let frames = frames.first().and_then(Value::as_map);
+        let arms = devices.into_iter().filter_map(|(name, device)| {
+            let base = device.as_map()?.get("base");
+            let base = base.and_then(|base| placed(base, frames));
+            let arm = Arm::new(Arc::clone(&self.session), describe(name, &device)?);
+            Some(base.into_iter().fold(arm, Arm::with_base))
+        });
+        Ok(arms.collect())
     }
 
     /// Sets the speed of all activities of this program, 0 to 1, as part of their own speed: also of those that run,
@@ -192,6 +202,24 @@ impl Cell {
     }
 }
 
+/// Most frames between a base and the world: more are a circle.
+const PARENTS_MAX: usize = 64;
+
+/// Where something is in the world, by its parents among the named frames; `None` if one of them moves or is not known.
+fn placed(placement: &Value, frames: Option<&BTreeMap<String, Value>>) -> Option<Pose> {
+    let mut at = Pose::IDENTITY;
+    let mut placement = placement.as_map()?;
+    for _ in 0..PARENTS_MAX {
+        at = Pose::read(placement.get("pose")?.as_str()?)? * at;
+        let parent = placement.get("parent")?.as_str()?;
+        if parent == "world" {
+            return Some(at);
+        }
+        placement = frames?.get(parent)?.as_map()?;
+    }
+    None
+}
+
 /// The arm of a device's description, if it is one.
 fn describe(name: String, device: &Value) -> Option<ArmDescription> {
     let members = device.as_map()?;
@@ -235,6 +263,34 @@ mod tests {
     use std::net::TcpListener;
 
     use super::*;
+
+    fn placement(parent: &str, pose: Pose) -> Value {
+        Value::map_of([
+            ("parent", Value::from(parent)),
+            ("pose", pose.text().into()),
+        ])
+    }
+
+    #[test]
+    fn base_is_placed_by_the_frames_between() {
+        let frames = [
+            ("cell", placement("world", Pose::xyz(0.0, 0.0, 1.0))),
+            ("table", placement("cell", Pose::xyz(0.0, 2.0, 0.0))),
+            ("round", placement("round", Pose::IDENTITY)),
+        ];
+        let frames = Value::map_of(frames);
+        let base = |parent: &str| {
+            placed(
+                &placement(parent, Pose::xyz(3.0, 0.0, 0.0)),
+                frames.as_map(),
+            )
+        };
+        assert_eq!(base("world"), Some(Pose::xyz(3.0, 0.0, 0.0)));
+        assert_eq!(base("table"), Some(Pose::xyz(3.0, 2.0, 1.0)));
+        assert_eq!(base("platform.base"), None, "it moves");
+        assert_eq!(base("round"), None);
+        assert_eq!(placed(&Value::from("table"), frames.as_map()), None);
+    }
 
     #[test]
     fn controller_of_another_version_is_refused() {

@@ -56,6 +56,12 @@ impl Failure {
         Self::of("failed", device, "a joint does not follow its commands")
     }
 
+    /// A device of coupled arms, of which this one is the first, does not follow its commands; it is not known which.
+    pub fn device_lost(device: &str) -> Self {
+        let cause = "it or an arm that is coupled with it has failed";
+        Self::of("lost", device, cause)
+    }
+
     /// A joint of an arm would leave its range.
     pub fn out_of_range(device: &str) -> Self {
         Self::of("illegal", device, "a joint would leave its range")

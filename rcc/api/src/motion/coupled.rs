@@ -1,6 +1,7 @@
 //! Several arms that hold one object: one motion of the object in one net, and every arm follows by its own kinematics.
 //! Where one of them cannot follow, all brake on the common path, so that the object is not torn: a place out of reach
-//! is noticed while the object can still come to rest before it. Not here: what a driver does whose device fails.
+//! is noticed while the object can still come to rest before it, and when the device of one arm fails, the net goes on
+//! until the others rest on the path. Not here: what the driver of the failed device does.
 
 use takt_motion::plan::{FrameSample, Plan as MotionPlan};
 
@@ -21,6 +22,16 @@ const SPEED_MAX: f64 = 0.8;
 /// Largest speed of a joint on a path that is checked beforehand, as part of its limit. Less than the former, so that a
 /// path that fits does not brake: while the object accelerates, its braking distance is longer.
 const CHECKED_SPEED_MAX: f64 = 0.6;
+
+/// Least time for which the net goes on after a device failed, s.
+const FAILURE_MIN_S: f64 = 1.0;
+
+/// Longest time that controllers accept for it, s.
+const FAILURE_MAX_S: f64 = 10.0;
+
+/// Time for which the net goes on after a device failed, as part of the time that braking takes from constant velocity:
+/// while the object accelerates, braking takes longer.
+const FAILURE_PER_BRAKING: f64 = 2.0;
 
 /// An arm that holds an object.
 #[derive(Clone, Debug)]
@@ -96,10 +107,11 @@ impl CoupledMotion {
         let (joints, beyond) = frame::inverse(net, arm, &now);
         let (rest_joints, will_be_beyond) = frame::inverse(net, arm, &at_rest);
         let beyond = net.of_two("Core::BooleanOr", &beyond, &will_be_beyond);
-        let mut failures = vec![(Failure::unreachable(&arm.name), beyond)];
         let fast = arm.any_further(net, [&joints, &rest_joints], (braking_s / 2.0, SPEED_MAX));
+        // A failed device comes first: its joints may be unknown, and out of reach for that.
+        let mut failures = arm.command(net, &joints);
+        failures.push((Failure::unreachable(&arm.name), beyond));
         failures.extend(fast.map(|fast| (Failure::too_fast(&arm.name), fast)));
-        failures.extend(arm.command(net, &joints));
         failures
     }
 }
@@ -174,18 +186,23 @@ impl Operation for CoupledMotion {
         let first = self.first()?;
         let start = self.start(requests.begins).ok();
         let from = frame::commanded_in(net, &first.arm, &first.base, &first.grasp.inverse());
+        let braking_s = self.limits.braking_s(requests.speed);
+        let time_s = (FAILURE_PER_BRAKING * braking_s).clamp(FAILURE_MIN_S, FAILURE_MAX_S);
+        let lost = [("Time", time_s.into())];
+        let lost = net.add("DeviceFailure", lost).out("outFailed");
+        let stop = net.of_two("Core::BooleanOr", &requests.stop, &lost);
         // A fault of any arm stops the object from the next cycle on.
-        let (fault_in, stop) = net.feedback(&requests.stop);
+        let (fault_in, stop) = net.feedback(&stop);
         let limits = (&self.limits, requests.speed);
         let moved = self
             .route
             .write(net, (&stop, limits), Some(&from), start.as_ref());
         let moved = moved.ok_or_else(|| first.arm.no_start())?;
         let ends = [&moved.position, &moved.rest];
-        let braking_s = self.limits.braking_s(requests.speed);
         let faults = self.holders.iter();
         let faults = faults.flat_map(|holder| Self::write_arm(holder, net, ends, braking_s));
-        let faults: Vec<_> = faults.collect();
+        let mut faults: Vec<_> = faults.collect();
+        faults.push((Failure::device_lost(&first.arm.name), lost));
         let mut failures = Vec::new();
         let mut kept = Vec::new();
         for (failure, port) in faults {

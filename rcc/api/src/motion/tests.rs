@@ -148,12 +148,42 @@ fn coupled_arms_have_one_motion_and_one_stop() {
         "fast_right",
         "failed_left",
         "concurrent_right",
+        "lost_left",
     ] {
         assert!(
             text.contains(&format!("Key='{key}'")),
             "{key} is missing in {text}"
         );
     }
+}
+
+#[test]
+fn coupled_net_outlives_a_failure_until_rest() {
+    let begins = begins(&["left", "right"]);
+    let text = net(coupled(), &begins).unwrap();
+    let lost = text
+        .lines()
+        .find(|line| line.contains("=DeviceFailure("))
+        .unwrap();
+    let (name, _) = lost.trim().split_once('=').unwrap();
+    assert!(
+        text.contains(&format!(
+            "Core::BooleanOr(inFirst=p0.outCancel, inSecond={name}.outFailed)"
+        )),
+        "{text}"
+    );
+    // At half the speed, braking takes up to 0.7 s.
+    assert!(lost.contains("Time='1.4'"), "{lost}");
+    let mut fast = coupled();
+    fast.limits.acceleration = 4.0;
+    fast.limits.jerk = 1000.0;
+    fast.limits.rot_jerk = 1000.0;
+    let text = net(fast, &begins).unwrap();
+    assert!(text.contains("DeviceFailure(Time='1')"), "{text}");
+    let mut slow = coupled();
+    slow.limits.jerk = 0.01;
+    let text = net(slow, &begins).unwrap();
+    assert!(text.contains("DeviceFailure(Time='10')"), "{text}");
 }
 
 #[test]
