@@ -196,6 +196,151 @@ fn cell_reference_lists_every_key() {
     }
 }
 
+/// Sections of docs/cell.md that state defaults, with a cell that is accepted with any one of these at the `@`.
+const CELLS: [(&str, &str); 23] = [
+    ("[controller]", "[controller]\n@"),
+    (
+        "[[controller.thread]]",
+        "[[controller.thread]]\nperiod = '2ms'\n@",
+    ),
+    (
+        "[[device]] of type kuka_lwr_fri",
+        "[[device]]\nname = 'n'\ntype = 'kuka_lwr_fri'\n@",
+    ),
+    (
+        "[[device]] of type kuka_iiwa_fri",
+        "[[device]]\nname = 'n'\ntype = 'kuka_iiwa_fri'\n@",
+    ),
+    (
+        "device.io of kuka_iiwa_fri",
+        "[[device]]\nname = 'n'\ntype = 'kuka_iiwa_fri'\nio = { @ }",
+    ),
+    (
+        "device.on_end",
+        "[[device]]\nname = 'n'\ntype = 'kuka_lwr_fri'\non_end = { @ }",
+    ),
+    (
+        "[[device]] of type segway_rmp",
+        "[[device]]\nname = 'n'\ntype = 'segway_rmp'\nlinks = ['can0']\n@",
+    ),
+    (
+        "[[device]] of type schunk_wsg",
+        "[[device]]\nname = 'n'\ntype = 'schunk_wsg'\naddress = '127.0.0.1:1000'\n@",
+    ),
+    ("[[ethercat]]", "SEGMENT@"),
+    ("[ethercat.clocks]", "SEGMENTclocks = { @ }"),
+    (
+        "[[ethercat.slave]]",
+        "SEGMENTslave = [{ name = 'd', position = 0, @ }]",
+    ),
+    (
+        "ethercat.slave.timeouts",
+        "SEGMENTslave = [{ name = 'd', position = 0, timeouts = { @ } }]",
+    ),
+    (
+        "ethercat.slave.outputs and inputs",
+        "SEGMENTslave = [{ name = 'd', position = 0, outputs = [{ pdo = 0x1600, @ }] }]",
+    ),
+    (
+        "ethercat.slave.startup",
+        "SEGMENTslave = [{ name = 'd', position = 0, startup = [{ index = 0x2000, value = { u8 = 1 }, @ }] }]",
+    ),
+    (
+        "[[ethercat.arm]]",
+        "SEGMENTDRIVE[[ethercat.arm]]\nname = 'a'\njoint = [{ JOINT }]\n@",
+    ),
+    (
+        "ethercat.arm.joint",
+        "SEGMENTDRIVE[[ethercat.arm]]\nname = 'a'\njoint = [{ JOINT, @ }]",
+    ),
+    ("[[ethercat.io]]", "SEGMENT[[ethercat.io]]\nname = 'i'\n@"),
+    (
+        "ethercat.io.analogue_in and analogue_out",
+        "SEGMENTDRIVE[[ethercat.io]]\nname = 'i'\nanalogue_in = [{ slave = 'd', bit = 0, @ }]",
+    ),
+    (
+        "[[ethercat.youbot_base]]",
+        "SEGMENTyoubot_base = [{ name = 'b', @ }]",
+    ),
+    (
+        "[[ethercat.youbot_arm]]",
+        "SEGMENTyoubot_arm = [{ name = 'a', position = 0, @ }]",
+    ),
+    ("[[canopen]]", "NETWORK@"),
+    (
+        "[[canopen.arm]]",
+        "NETWORK[[canopen.arm]]\nname = 'a'\njoint = [{ NODE }]\n@",
+    ),
+    (
+        "canopen.arm.joint",
+        "NETWORK[[canopen.arm]]\nname = 'a'\njoint = [{ NODE, @ }]",
+    ),
+];
+
+/// A cell of `CELLS` with its key.
+fn cell_with(cell: &str, key: &str) -> String {
+    let joint = "increments_per_turn = 1000.0, range = [-90.0, 90.0], velocity_max = 10.0, acceleration_max = 10.0";
+    cell.replace("SEGMENT", "[[ethercat]]\nname = 's'\ninterface = 'none'\n")
+        .replace("NETWORK", "[[canopen]]\nname = 'c'\ninterface = 'none'\n")
+        .replace(
+            "DRIVE",
+            "slave = [{ name = 'd', position = 0, axes = 1 }]\n",
+        )
+        .replace("JOINT", &format!("drive = 'd', {joint}"))
+        .replace("NODE", &format!("drive = 1, {joint}"))
+        .replace(", @", if key.is_empty() { "" } else { ", @" })
+        .replace('@', key)
+}
+
+/// A default of the reference as TOML; `None` where it states no value.
+fn stated(default: &str) -> Option<String> {
+    if let Some(each) = default.strip_suffix(" each") {
+        return Some(format!("[{}]", [each; 5].join(", ")));
+    }
+    let value = default.strip_prefix('`')?.strip_suffix('`')?;
+    let is_text = !value.starts_with(['[', '-']) && value.parse::<f64>().is_err();
+    let is_text = is_text && !["true", "false"].contains(&value);
+    Some(if is_text {
+        format!("'{value}'")
+    } else {
+        value.to_owned()
+    })
+}
+
+#[test]
+fn cell_reference_defaults_are_those_of_parser() {
+    let reference = include_str!("../../../docs/cell.md");
+    let (mut compared, mut differ) = (0, Vec::new());
+    for part in reference.split("\n## `").skip(1) {
+        let section = part.split('`').next().unwrap();
+        let rows = part.lines().filter(|line| line.starts_with("| `"));
+        for row in rows {
+            let columns: Vec<_> = row.split(" | ").collect();
+            let (key, default) = (quoted(columns[0])[0], columns[1]);
+            let Some(value) = stated(default) else {
+                assert!(
+                    ["–", "required", "of the vendor"].contains(&default),
+                    "{section}: {row}"
+                );
+                continue;
+            };
+            let found = CELLS.iter().find(|(name, _)| *name == section);
+            let (_, cell) = found.unwrap_or_else(|| panic!("{section} states defaults"));
+            let parse = |key: &str| {
+                let text = cell_with(cell, key);
+                parse_cell(&text).unwrap_or_else(|error| panic!("{text}\n{error}"))
+            };
+            let with = parse(&format!("{key} = {value}"));
+            if parse("") != with {
+                differ.push(format!("{section}: {key} is not {value} if left out"));
+            }
+            compared += 1;
+        }
+    }
+    assert!(differ.is_empty(), "{differ:#?}");
+    assert!(compared > 80, "{compared}");
+}
+
 #[test]
 fn example_cells_are_read_and_run() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/cells");

@@ -12,8 +12,9 @@ use crate::output::{complain, say};
 ///
 /// Each line is a net: its period, the period of the thread that evaluates it, the cycles it was
 /// evaluated in, how many of these ended too late (LATE) or took the net longer than its budget (OVER),
-/// the mean and longest time it took, and what its primitives declare to take at most (DECLARED): on the host of the
-/// developers, or on this one if `costs` of the cell names a table of `takt net calibrate`.
+/// the mean and longest time it took, and what its primitives declare to take at most (DECLARED). DECLARED is a sum of
+/// figures for admission, not a measurement of this net: of the host of the developers, or of this one if `costs` of the
+/// cell names a table, which `takt net calibrate --output costs.toml` writes while the controller is stopped.
 /// A net that takes longer than a period of its thread ten times in a row is ended.
 #[derive(Debug, Args)]
 pub(crate) struct Stats {

@@ -85,7 +85,12 @@ pub(crate) struct Process {
 impl Process {
     /// Starts it.
     pub(crate) fn start(args: &[&str]) -> Self {
-        let mut child = takt(args)
+        Self::spawn(takt(args))
+    }
+
+    /// Starts a command as it was set up, with its output in pipes.
+    pub(crate) fn spawn(mut command: Command) -> Self {
+        let mut child = command
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
