@@ -34,6 +34,30 @@ fn first_example_moves_an_arm() {
     steady(|| first::main().unwrap());
 }
 
+/// Each motion begins in the state that the net before it commanded. From the state that the driver has reached with its
+/// set-points, one and a half periods earlier, such motions ran away.
+#[test]
+fn motions_replaced_30_times_a_second_stay_near_goal() {
+    steady(|| {
+        let cell = Cell::emulated("two_lwr").unwrap();
+        let left = cell.arm("left").unwrap();
+        left.ptp(BENT).speed(0.5).run().unwrap();
+        let start = Instant::now();
+        let mut handles = Vec::new();
+        while start.elapsed() < Duration::from_secs(4) {
+            let turn = start.elapsed().as_secs_f64() * 0.3 * std::f64::consts::TAU;
+            let mut goal = BENT;
+            goal[0] = 0.3 * turn.sin();
+            handles.push(left.ptp(goal).speed(0.5).now().begin().unwrap());
+            let position = left.commanded().unwrap()[0];
+            assert!(position.abs() < 0.6, "{position} rad, at most 0.3 wanted");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        assert!(handles.len() > 10, "{} motions", handles.len());
+        cell.close().unwrap();
+    });
+}
+
 /// Runs an example with a directory of its own, and checks that it draws a picture of two curves.
 fn with_picture<T>(
     name: &str,

@@ -2,6 +2,7 @@
 //! refreshes the image before each cycle and publishes it after the cycle. No driver and no wire is
 //! known here.
 
+mod commanded;
 mod image;
 pub mod interface;
 mod owner;
@@ -13,6 +14,7 @@ use std::sync::Arc;
 use crate::netcomm::NetBoxes;
 use crate::value::{Frame, Twist};
 
+pub use commanded::{Commanded, Trail};
 pub use image::{
     COMMAND_WORDS_MAX, Image, JOINTS_MAX, Joint, JointCommand, JointError, JointState,
     SIGNAL_WORDS_MAX, StopVote,

@@ -4,7 +4,7 @@
 use std::cell::Cell;
 use std::ops::Range;
 
-use takt_net::device::JointCommand;
+use takt_net::device::{JointCommand, Trail};
 
 use super::{DEVICES_MAX, DeviceView, Executor};
 use crate::device::Place;
@@ -22,6 +22,7 @@ impl Executor {
         let joints = self.image.joints.iter().skip(place.first_joint);
         for joint in joints.take(place.joints) {
             joint.command.set(JointCommand::default());
+            joint.trail.set(Trail::default());
         }
         self.use_words(place.signals.end, place.commands.end);
         let signals = self.image.signals.get(place.signals.clone());

@@ -16,6 +16,8 @@ struct JointPosition {
     position: In<f64>,
     joint: usize,
     limits: JointLimits,
+    /// Period of the net, s.
+    period_s: f64,
     counters: Arc<SetPointCounters>,
     error: Out<i32>,
     concurrent: Out<bool>,
@@ -44,12 +46,15 @@ impl Primitive for JointPosition {
         let illegal = position.map_or(0, |p| self.check(p));
         let error = first_error(concurrent, failed, illegal);
         if let (0, Some(position)) = (error, position) {
-            joint.command.set(JointCommand {
+            let command = JointCommand {
                 cycle: cycle.moment.cycle,
                 every: cycle.moment.every.max(1),
                 position,
                 net: Some(cycle.moment.net),
-            });
+            };
+            joint.command.set(command);
+            let (trail, state) = (joint.trail.get(), joint.state.get());
+            joint.trail.set(trail.with(&command, &state, self.period_s));
         }
         count(&self.counters, position, concurrent, failed, illegal);
         self.error.set(cycle, error);
@@ -80,6 +85,7 @@ fn joint_position(b: &mut Build<'_, '_>) -> Result<JointPosition, Fault> {
         position: b.input("inPosition")?,
         joint: arm.first_joint + axis,
         limits,
+        period_s: b.period_s(),
         counters,
         error: b.output("outError"),
         concurrent: b.output("outErrorConcurrentAccess"),
@@ -93,13 +99,27 @@ type Pick = fn(&JointState) -> Option<f64>;
 
 struct JointMonitor {
     joint: usize,
+    limits: JointLimits,
     values: [(Out<f64>, Pick); 6],
     error: Out<i32>,
 }
 
 impl Primitive for JointMonitor {
     fn step(&mut self, cycle: &Cycle<'_>) {
-        let state = cycle.image.joints[self.joint].state.get();
+        let joint = &cycle.image.joints[self.joint];
+        let mut state = joint.state.get();
+        let trail = joint.trail.get();
+        let (now, every) = (cycle.moment.cycle, cycle.moment.every.max(1));
+        let last = trail
+            .before(now, every)
+            .filter(|motion| motion.keeps(&self.limits));
+        // A joint that follows its set-points goes on from the last one, not from where its driver, which plays them with
+        // a delay, has come with them. Steps are smoothed by the driver: there, what it reports counts.
+        if let (0, Some(motion)) = (state.error, last) {
+            state.commanded_position = Some(motion.position);
+            state.commanded_velocity = Some(motion.velocity);
+            state.commanded_acceleration = Some(motion.acceleration);
+        }
         for (out, value) in &self.values {
             out.set(cycle, value(&state));
         }
@@ -111,6 +131,7 @@ fn joint_monitor(b: &mut Build<'_, '_>) -> Result<JointMonitor, Fault> {
     let (arm, axis) = joint(b)?;
     Ok(JointMonitor {
         joint: arm.first_joint + axis,
+        limits: arm.limits[axis],
         values: [
             (b.output("outCommandedPosition"), |s| s.commanded_position),
             (b.output("outCommandedVelocity"), |s| s.commanded_velocity),
@@ -268,7 +289,7 @@ pub(super) fn table() -> Vec<Definition> {
         )),
         Definition::new(
             "RobotArm::JointMonitor",
-            "What a joint was commanded and does, as its driver last reported.",
+            "What a joint was commanded in the cycle before, by a net or else by its driver, and what it does, as its driver last reported.",
             joint_monitor,
         )
         .text("Robot", ROBOT)

@@ -3,6 +3,8 @@
 
 use std::cell::Cell;
 
+use super::Trail;
+
 /// Upper bound on the words that drivers report, beside joints.
 pub const SIGNAL_WORDS_MAX: usize = 4096;
 
@@ -80,6 +82,8 @@ pub struct Joint {
     pub state: Cell<JointState>,
     /// The command of a net.
     pub command: Cell<JointCommand>,
+    /// The motion that nets command.
+    pub trail: Cell<Trail>,
 }
 
 /// The emergency-stop votes of nets, cast by their `EStop` primitives.

@@ -1,0 +1,162 @@
+//! The motion that nets command of a joint, from the differences of their set-points. What the driver makes of it, some
+//! cycles later, is in the joint's state.
+
+use super::{JointCommand, JointLimits, JointState};
+
+/// Relative rounding error of motions at a limit.
+const ROUNDING: f64 = 1e-3;
+
+/// A set-point with the motion of the joint at it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Commanded {
+    /// The cycle in which it was given; 0 is "never".
+    cycle: u64,
+    /// Cycles until the next one is due.
+    every: u64,
+    /// Position, rad.
+    pub position: f64,
+    /// Velocity, rad/s.
+    pub velocity: f64,
+    /// Acceleration, rad/s².
+    pub acceleration: f64,
+    /// Velocity on the way to it from the set-point before, rad/s.
+    slope: f64,
+}
+
+impl Commanded {
+    /// Whether it is a motion within these limits of velocity and acceleration, not a step.
+    pub fn keeps(&self, limits: &JointLimits) -> bool {
+        self.velocity.abs() <= limits.velocity_max * (1.0 + ROUNDING)
+            && self.acceleration.abs() <= limits.acceleration_max * (1.0 + ROUNDING)
+    }
+
+    /// Whether the set-point of the next cycle continues its motion.
+    const fn is_due(&self, cycle: u64, every: u64) -> bool {
+        let gap = if every > self.every {
+            every
+        } else {
+            self.every
+        };
+        self.cycle != 0 && cycle.saturating_sub(self.cycle) <= gap
+    }
+
+    /// The motion at the next set-point. The first one continues what the driver reports.
+    #[expect(clippy::cast_precision_loss, reason = "a few cycles")]
+    fn next(&self, command: &JointCommand, state: &JointState, period_s: f64) -> Self {
+        let JointCommand {
+            cycle,
+            every,
+            position,
+            ..
+        } = *command;
+        let reported = [state.commanded_velocity, state.commanded_acceleration];
+        let [velocity, acceleration] = reported.map(|value| value.unwrap_or(0.0));
+        let first = Self {
+            cycle,
+            every,
+            position,
+            velocity,
+            acceleration,
+            slope: velocity,
+        };
+        if !self.is_due(cycle, every) || cycle == self.cycle {
+            return first;
+        }
+        let dt_s = (cycle - self.cycle) as f64 / every.max(1) as f64 * period_s;
+        let slope = (position - self.position) / dt_s;
+        let acceleration = (slope - self.slope) / dt_s;
+        Self {
+            velocity: acceleration.mul_add(dt_s / 2.0, slope),
+            acceleration,
+            slope,
+            ..first
+        }
+    }
+}
+
+/// The last two set-points of a joint: a net that reads the motion of the cycle before may do so after it has commanded
+/// the joint in this one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Trail {
+    last: Commanded,
+    before: Commanded,
+}
+
+impl Trail {
+    /// With this command, given while the driver reports this state, by a net of that period (s).
+    #[must_use]
+    pub fn with(self, command: &JointCommand, state: &JointState, period_s: f64) -> Self {
+        Self {
+            last: self.last.next(command, state, period_s),
+            before: self.last,
+        }
+    }
+
+    /// The motion that a net commanded in the cycle before this one; `None` if no net did. `every`: cycles in a period
+    /// of the net that reads.
+    pub fn before(&self, cycle: u64, every: u64) -> Option<&Commanded> {
+        let of_this_cycle = self.last.cycle == cycle;
+        let motion = if of_this_cycle {
+            &self.before
+        } else {
+            &self.last
+        };
+        motion.is_due(cycle, every).then_some(motion)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A command of a cycle of 1 ms, at 3 t² from cycle 10 on.
+    fn command(cycle: u64) -> JointCommand {
+        let time = f64::from(u32::try_from(cycle - 10).expect("small")) * 1e-3;
+        JointCommand {
+            cycle,
+            every: 1,
+            position: 3.0 * time * time,
+            net: None,
+        }
+    }
+
+    #[test]
+    fn steady_acceleration_is_found_from_set_points() {
+        let state = JointState::default();
+        let mut trail = Trail::default();
+        for cycle in 10..20 {
+            trail = trail.with(&command(cycle), &state, 1e-3);
+        }
+        let motion = trail.before(20, 1).expect("a motion");
+        assert!((motion.position - 3.0 * 81e-6).abs() < 1e-12, "{motion:?}");
+        assert!((motion.velocity - 6.0 * 9e-3).abs() < 1e-9, "{motion:?}");
+        assert!((motion.acceleration - 6.0).abs() < 1e-6, "{motion:?}");
+    }
+
+    #[test]
+    fn cycle_before_is_known_after_command_of_this_one() {
+        let state = JointState::default();
+        let mut trail = Trail::default();
+        for cycle in 10..13 {
+            trail = trail.with(&command(cycle), &state, 1e-3);
+        }
+        let before = trail.before(12, 1).copied();
+        assert_eq!(before.map(|motion| motion.cycle), Some(11));
+        assert_eq!(trail.before(13, 1).map(|motion| motion.cycle), Some(12));
+        assert_eq!(trail.before(14, 1), None);
+        assert_eq!(trail.before(14, 4).map(|motion| motion.cycle), Some(12));
+    }
+
+    #[test]
+    fn set_point_after_pause_continues_reported_motion() {
+        let state = JointState {
+            commanded_velocity: Some(0.2),
+            commanded_acceleration: Some(-1.0),
+            ..JointState::default()
+        };
+        let trail = Trail::default().with(&command(10), &JointState::default(), 1e-3);
+        let trail = trail.with(&command(50), &state, 1e-3);
+        let motion = trail.before(51, 1).expect("a motion");
+        assert_eq!([motion.velocity, motion.acceleration], [0.2, -1.0]);
+    }
+}
