@@ -7,19 +7,19 @@ use std::time::{Duration, Instant};
 use takt_client::{Client, Token, Value};
 
 use crate::arm::Arm;
+use crate::base::Base;
+use crate::description::{self, Descriptions};
 use crate::engine::Engine;
 use crate::error::Error;
 use crate::expression::{Condition, Number};
-use crate::motion::{ArmDescription, JointLimits};
+use crate::gripper::Gripper;
+use crate::io::Io;
 use crate::net::Net;
 use crate::pose::Pose;
 use crate::session::Session;
 
 /// How long closing a cell waits until its devices are at rest.
 const REST_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// Ratio of jerk to acceleration where the controller knows no jerk limit, 1/s: full acceleration after 0.1 s.
-const JERK_PER_ACCELERATION: f64 = 10.0;
 
 /// The controller of a cell. Clones share the connection, and the activities belong to it: when the last clone, arm and
 /// handle is gone, or the program dies, the controller cancels them, and aborts what does not end.
@@ -86,20 +86,33 @@ impl Cell {
         let mut arms = self.arms()?;
         let at = arms.iter().position(|arm| arm.description().name == name);
         at.map(|at| arms.swap_remove(at)).ok_or_else(|| {
-            let known: Vec<_> = arms
-                .iter()
-                .map(|arm| arm.description().name.clone())
-                .collect();
-            Error::NoDevice {
-                wanted: "arm",
-                name: name.to_owned(),
-                known: if known.is_empty() {
-                    "none".to_owned()
-                } else {
-                    known.join(", ")
-                },
-            }
+            let known = arms.iter().map(|arm| arm.description().name.clone());
+            Error::no_device("arm", name, known.collect())
         })
+    }
+
+    /// Inputs and outputs of a device.
+    ///
+    /// # Errors
+    /// If the controller has no such device, or it has neither inputs nor outputs; the error lists those that have.
+    pub fn io(&self, device: &str) -> Result<Io, Error> {
+        Io::find(&self.session, device)
+    }
+
+    /// A gripper by its name.
+    ///
+    /// # Errors
+    /// If the controller has no gripper of that name; the error lists those that it has.
+    pub fn gripper(&self, name: &str) -> Result<Gripper, Error> {
+        Gripper::find(&self.session, name)
+    }
+
+    /// A mobile base by its name.
+    ///
+    /// # Errors
+    /// If the controller has no mobile base of that name; the error lists those that it has.
+    pub fn base(&self, name: &str) -> Result<Base, Error> {
+        Base::find(&self.session, name)
     }
 
     /// All arms.
@@ -107,21 +120,18 @@ impl Cell {
     /// # Errors
     /// If the connection is lost.
     pub fn arms(&self) -> Result<Vec<Arm>, Error> {
-        let reply = self.session.client().call("din", [] as [&str; 0])?;
-        let Some(Value::Map(devices)) = reply.values.into_iter().next() else {
-            return Ok(Vec::new());
-        };
+        let devices = Descriptions::read(&self.session)?;
         let is_placed = |device: &Value| device.as_map().is_some_and(|it| it.contains_key("base"));
-        let frames = if devices.values().any(is_placed) {
+        let frames = if devices.all().any(|(_, device)| is_placed(device)) {
             self.session.client().call("fin", [] as [&str; 0])?.values
         } else {
             Vec::new()
         };
         let frames = frames.first().and_then(Value::as_map);
-        let arms = devices.into_iter().filter_map(|(name, device)| {
+        let arms = devices.all().filter_map(|(name, device)| {
             let base = device.as_map()?.get("base");
             let base = base.and_then(|base| placed(base, frames));
-            let arm = Arm::new(Arc::clone(&self.session), describe(name, &device)?);
+            let arm = Arm::new(Arc::clone(&self.session), description::arm(name, device)?);
             Some(base.into_iter().fold(arm, Arm::with_base))
         });
         Ok(arms.collect())
@@ -177,14 +187,14 @@ impl Cell {
     /// # Errors
     /// If the connection is lost, or something still moves after ten seconds; the session is ended in any case.
     pub fn close(self) -> Result<(), Error> {
-        let arms = self.arms()?;
-        for arm in &arms {
-            arm.cancel();
+        let devices = self.session.engine().busy();
+        for device in &devices {
+            self.session.cancel_device(device);
         }
         let until = Instant::now() + REST_TIMEOUT;
         let busy = |engine: &Engine| {
-            let mut names = arms.iter().map(|arm| &arm.description().name);
-            names.find(|name| engine.latest(name).is_some()).cloned()
+            let mut devices = devices.iter();
+            devices.find(|name| engine.latest(name).is_some()).cloned()
         };
         let rested = self.session.wait_until(until, |session| {
             busy(&session.engine()).is_none().then_some(())
@@ -218,43 +228,6 @@ fn placed(placement: &Value, frames: Option<&BTreeMap<String, Value>>) -> Option
         placement = frames?.get(parent)?.as_map()?;
     }
     None
-}
-
-/// The arm of a device's description, if it is one.
-fn describe(name: String, device: &Value) -> Option<ArmDescription> {
-    let members = device.as_map()?;
-    let text = |key: &str| members.get(key).and_then(Value::as_str);
-    let joint = |joint: &Value| {
-        let members = joint.as_map()?;
-        let number = |key: &str| {
-            members
-                .get(key)
-                .and_then(Value::as_str)?
-                .parse::<f64>()
-                .ok()
-        };
-        let acceleration = number("acceleration_max")?;
-        Some(JointLimits {
-            position_min: number("position_min")?,
-            position_max: number("position_max")?,
-            velocity: number("velocity_max")?,
-            acceleration,
-            jerk: acceleration * JERK_PER_ACCELERATION,
-        })
-    };
-    let joints: Option<Vec<_>> = members
-        .get("joints")?
-        .as_list()?
-        .iter()
-        .map(joint)
-        .collect();
-    Some(ArmDescription {
-        name,
-        kind: text("type").unwrap_or_default().to_owned(),
-        model: text("kinematics").unwrap_or_default().to_owned(),
-        joints: joints.filter(|joints| !joints.is_empty())?,
-        period: Duration::from_secs_f64(text("period")?.parse().ok()?),
-    })
 }
 
 #[cfg(test)]

@@ -22,7 +22,7 @@ mod succession;
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::error::Error;
 use crate::outcome::Outcome;
@@ -75,6 +75,15 @@ impl Engine {
         };
         let found = newest.find(|(_, activity)| is_one(activity));
         found.map(|(id, _)| *id)
+    }
+
+    /// The devices of all activities that have not ended.
+    pub fn busy(&self) -> BTreeSet<String> {
+        let activities = self.activities.values();
+        let going = activities.filter(|activity| !matches!(activity.state, State::Ended(_)));
+        going
+            .flat_map(|activity| activity.devices.iter().cloned())
+            .collect()
     }
 
     /// The net of an activity was loaded, or rejected.

@@ -46,6 +46,18 @@ pub enum Error {
         /// Names of the devices of this kind.
         known: String,
     },
+    /// The device has no such input or output; nothing was begun.
+    #[error("{device}: there is no {wanted} {port}\nhint: ports count from 0; it has {known}")]
+    NoPort {
+        /// The device.
+        device: String,
+        /// Kind of port.
+        wanted: &'static str,
+        /// Its number.
+        port: u32,
+        /// How many ports of each kind the device has.
+        known: String,
+    },
     /// The controller rejected the net of an activity.
     #[error("the controller rejected the net: {}", .0.join("; "))]
     Rejected(Vec<String>),
@@ -114,6 +126,21 @@ pub enum Error {
         /// The reason that the controller gives.
         reason: String,
     },
+}
+
+impl Error {
+    /// There is no such device; `known` are those of its kind.
+    pub(crate) fn no_device(wanted: &'static str, name: &str, known: Vec<String>) -> Self {
+        Self::NoDevice {
+            wanted,
+            name: name.to_owned(),
+            known: if known.is_empty() {
+                "none".to_owned()
+            } else {
+                known.join(", ")
+            },
+        }
+    }
 }
 
 impl From<takt_client::Error> for Error {

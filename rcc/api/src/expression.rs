@@ -199,7 +199,11 @@ pub struct Condition(Arc<ConditionKind>);
 #[derive(Debug, PartialEq)]
 enum ConditionKind {
     Greater(Number, Number),
-    Input { device: String, port: u32 },
+    Port {
+        primitive: &'static str,
+        device: String,
+        port: u32,
+    },
     Not(Condition),
     And(Condition, Condition),
     Or(Condition, Condition),
@@ -210,8 +214,18 @@ enum ConditionKind {
 impl Condition {
     /// A digital input of a device.
     pub(crate) fn input(device: &str, port: u32) -> Self {
+        Self::port("IO::InBool", device, port)
+    }
+
+    /// A digital port of a device, which a primitive reads.
+    pub(crate) fn port(primitive: &'static str, device: &str, port: u32) -> Self {
         let device = device.to_owned();
-        Self(Arc::new(ConditionKind::Input { device, port }))
+        let kind = ConditionKind::Port {
+            primitive,
+            device,
+            port,
+        };
+        Self(Arc::new(kind))
     }
 
     /// Whether it has just become true; also if it is true from the start.
@@ -236,12 +250,7 @@ impl Condition {
     /// as false.
     pub(crate) fn latched(&self, net: &mut Net) -> Port {
         let value = self.write(net);
-        let unknown = net.of("Core::BooleanIsNull", &value);
-        let known = [
-            ("inCondition", (&unknown).into()),
-            ("inFalse", (&value).into()),
-        ];
-        let known = net.add("Core::BooleanConditional", known).out("outValue");
+        let known = net.known(&value);
         net.add("Core::Trigger", [("inOn", (&known).into())])
             .out("outActive")
     }
@@ -253,13 +262,17 @@ impl Condition {
                 let (first, second) = (first.write(net), second.write(net));
                 net.of_two("Core::DoubleGreater", &first, &second)
             }
-            ConditionKind::Input { device, port } => {
+            ConditionKind::Port {
+                primitive,
+                device,
+                port,
+            } => {
                 let number = port.to_string();
                 let arguments = [
                     ("DeviceID", device.as_str().into()),
                     ("Port", number.into()),
                 ];
-                net.add("IO::InBool", arguments).out("outIO")
+                net.add(primitive, arguments).out("outIO")
             }
             ConditionKind::Not(condition) => {
                 let value = condition.write(net);

@@ -3,15 +3,19 @@
 
 pub mod activity;
 pub mod arm;
+pub mod base;
 pub mod cell;
 pub mod compose;
 pub mod coupled;
+mod description;
 #[cfg(feature = "embedded")]
 mod embedded;
 pub mod engine;
 pub mod error;
 pub mod expression;
+pub mod gripper;
 pub mod handle;
+pub mod io;
 pub mod motion;
 mod net;
 mod order;
@@ -23,12 +27,15 @@ mod session;
 
 pub use activity::Activity;
 pub use arm::Arm;
+pub use base::Base;
 pub use cell::Cell;
 pub use compose::{Composite, Event, either, together, when};
 pub use coupled::{Coupled, coupled};
 pub use error::Error;
 pub use expression::{Condition, Number};
+pub use gripper::Gripper;
 pub use handle::Handle;
+pub use io::Io;
 pub use outcome::Outcome;
 pub use plan::Plan;
 pub use pose::{Pose, deg};

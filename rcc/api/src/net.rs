@@ -123,6 +123,16 @@ impl Net {
         }))
     }
 
+    /// A truth value whose null counts as false.
+    pub(crate) fn known(&mut self, value: &Port) -> Port {
+        let unknown = self.of("Core::BooleanIsNull", value);
+        let known = [
+            ("inCondition", (&unknown).into()),
+            ("inFalse", value.into()),
+        ];
+        self.add("Core::BooleanConditional", known).out("outValue")
+    }
+
     /// The pose `second`, which is given in `first`, in the reference of `first`.
     pub(crate) fn transform(&mut self, first: &Port, second: &Pose) -> Port {
         if *second == Pose::IDENTITY {
@@ -144,12 +154,7 @@ impl Net {
         let before = Primitive(format!("p{}", later.0)).out("outValue");
         self.lines.push(String::new());
         // The value of the previous cycle is null in the first one.
-        let never = self.of("Core::BooleanIsNull", &before);
-        let known = [
-            ("inCondition", (&never).into()),
-            ("inFalse", (&before).into()),
-        ];
-        let known = self.add("Core::BooleanConditional", known).out("outValue");
+        let known = self.known(&before);
         let stop = self.of_two("Core::BooleanOr", stop, &known);
         (later, stop)
     }

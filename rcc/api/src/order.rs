@@ -246,3 +246,18 @@ impl Order {
         Ok(())
     }
 }
+
+/// The net of an operation that is checked first.
+#[cfg(test)]
+pub(crate) fn text_of(operation: impl Operation + 'static) -> Result<String, Error> {
+    let order = Order {
+        operation: Arc::new(operation),
+        speed: 0.5,
+        blend: None,
+        until: Vec::new(),
+        marks: Vec::new(),
+        is_checked: true,
+    };
+    order.check()?;
+    Ok(order.compile(&Begins::new())?.net)
+}
