@@ -90,7 +90,12 @@ impl Source {
             .with_context(|| format!("cannot read {}", self.file.display()))?;
         let beside = || {
             let name = specification_of(&text)?;
-            Some(self.file.parent().unwrap_or(Path::new("")).join(name))
+            Some(
+                self.file
+                    .parent()
+                    .unwrap_or_else(|| Path::new(""))
+                    .join(name),
+            )
         };
         let mut system = (System::default(), String::new());
         if let Some(path) = self.spc.clone().or_else(beside) {

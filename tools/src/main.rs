@@ -28,11 +28,13 @@ mod jog;
 mod link;
 mod machine;
 mod manual;
+mod motion;
 mod net;
 #[cfg(any(feature = "can", feature = "ethercat"))]
 mod objects;
 mod output;
 mod page;
+mod quantity;
 mod run;
 mod signal;
 mod stop;
@@ -88,6 +90,7 @@ enum Command {
     /// Check and draw state machines over components.
     #[command(subcommand)]
     Machine(machine::Machine),
+    Move(motion::Move),
     /// Check, load and control primitive nets.
     #[command(subcommand)]
     Net(net::Net),
@@ -99,7 +102,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
+    let result = match Arguments::parse_from(motion::arguments(std::env::args_os())).command {
         Command::Run(run) => run.run(),
         #[cfg(feature = "demo")]
         Command::Demo(demo) => demo.run(),
@@ -114,6 +117,7 @@ fn main() -> ExitCode {
         Command::Irl(irl) => irl.run(),
         Command::Jitter(jitter) => jitter.run(),
         Command::Machine(machine) => machine.run(),
+        Command::Move(motion) => motion.run(),
         Command::Net(net) => net.run(),
         Command::Page(page) => page.run(),
         Command::Stop(stop) => stop.run(),
@@ -145,5 +149,5 @@ fn status_of(error: &anyhow::Error) -> u8 {
 fn is_refusal(error: &anyhow::Error) -> bool {
     let refusal = error.downcast_ref::<takt_client::Error>();
     let is_refused = matches!(refusal, Some(takt_client::Error::Refused { .. }));
-    is_refused || error.is::<client::NoNet>()
+    is_refused || error.is::<client::NoNet>() || error.is::<motion::Refused>()
 }

@@ -6,7 +6,7 @@ mod check;
 mod dot;
 mod life;
 mod primitives;
-mod server;
+pub(crate) mod server;
 mod set;
 mod stats;
 mod tap;

@@ -24,6 +24,7 @@ use super::motion::{
 };
 use super::watch::{Port, Watched};
 use crate::output::{complain, say, span};
+use crate::quantity::angle;
 use crate::{Verdict, confirm};
 
 /// Largest distance, degrees.
@@ -72,24 +73,6 @@ pub(crate) struct Shift {
     confirm_motion: bool,
     #[command(flatten)]
     port: Port,
-}
-
-/// Reads an angle with its unit, rad.
-fn angle(text: &str) -> Result<f64, String> {
-    let wrong =
-        || format!("`{text}` is no angle: write a number and a unit, such as 5deg or 0.1rad");
-    let (number, factor) = match (text.strip_suffix("deg"), text.strip_suffix("rad")) {
-        (Some(degrees), _) => (degrees, 1.0_f64.to_radians()),
-        (None, Some(radians)) => (radians, 1.0),
-        (None, None) => return Err(wrong()),
-    };
-    let number: f64 = number.trim().parse().map_err(|_| wrong())?;
-    let angle = number * factor;
-    if angle.is_finite() {
-        Ok(angle)
-    } else {
-        Err(wrong())
-    }
 }
 
 fn small_angle(text: &str) -> Result<f64, String> {
