@@ -6,7 +6,11 @@ use std::time::{Duration, Instant};
 use crate::activity::Activity;
 use crate::error::Error;
 use crate::expression::{Condition, Number};
-use crate::motion::{ArmDescription, ArmMotion, CartesianLimits, Hold, Path, Route};
+use crate::live::{JointGoal, JointVelocities, Live, SetPoint, Target, Twist};
+use crate::motion::{
+    ArmDescription, ArmMotion, CartesianLimits, Goals, Hold, Jog, Path, Route, Stream,
+};
+use crate::order::Operation;
 use crate::pose::Pose;
 use crate::session::Session;
 
@@ -117,6 +121,54 @@ impl Arm {
     pub fn hold(&self) -> Activity {
         let arm = self.description.clone();
         Activity::new(&self.session, Hold { arm }, self.speed)
+    }
+
+    /// Jogging of the motion centre: it moves at the velocity that the program [sends](crate::LiveHandle::send), within the
+    /// [limits](Self::with_limits) of velocity and acceleration, and brakes when the last one is older than 0.1 s: send at
+    /// 20 Hz or more while a key is held. Where the arm cannot follow, it brakes on its path, and the activity fails. It
+    /// begins in motion, too, and ends by a cancel. Speeds scale its velocity, not its acceleration.
+    pub fn jog(&self) -> Live<Twist> {
+        let jog = Jog::Centre {
+            arm: self.description.clone(),
+            limits: self.limits,
+            tool: self.tool,
+        };
+        self.live(jog)
+    }
+
+    /// The same for velocities of the joints. A joint brakes before the end of its range and rests there.
+    pub fn jog_joints(&self) -> Live<JointVelocities> {
+        let arm = self.description.clone();
+        self.live(Jog::Joints { arm })
+    }
+
+    /// A motion to joint positions that the program [sends](crate::LiveHandle::send), at 10 to 100 Hz or when it likes: every
+    /// joint moves to its latest goal as fast as its limits allow, the others aside, and rests there. It begins in motion,
+    /// too, and ends by a cancel. The override does not slow it; [`Live::speed`] does.
+    pub fn stream(&self) -> Live<JointGoal> {
+        self.live(self.following(Goals::Joints))
+    }
+
+    /// The same for poses of the motion centre in the base of the arm: of all joint positions for a pose, those next to where
+    /// the arm is. Between poses the motion is one of joints. Where the arm cannot reach a pose, it brakes, and the activity
+    /// fails.
+    pub fn stream_poses(&self) -> Live<Pose> {
+        self.live(self.following(Goals::Poses(self.tool)))
+    }
+
+    fn following(&self, goals: Goals) -> Stream {
+        let arm = self.description.clone();
+        Stream { arm, goals }
+    }
+
+    fn live<T: SetPoint>(&self, operation: impl Operation + 'static) -> Live<T> {
+        let target = Target {
+            arm: self.description.clone(),
+            limits: self.limits,
+            tool: self.tool,
+        };
+        let activity = Activity::new(&self.session, operation, self.speed);
+        Live::new(activity, target)
     }
 
     fn motion(&self, path: Path) -> Activity {

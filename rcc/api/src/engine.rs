@@ -273,6 +273,13 @@ impl Engine {
         self.nets.keys().cloned().collect()
     }
 
+    /// Names of the nets of activities, as far as they are loaded.
+    pub fn loaded_nets(&self, ids: &[ActivityId]) -> Vec<String> {
+        let nets = self.nets.iter();
+        let nets = nets.filter(|(_, id)| ids.contains(id));
+        nets.map(|(net, _)| net.clone()).collect()
+    }
+
     /// Why nothing more can be begun, if the connection ended.
     pub fn lost(&self) -> Option<Error> {
         self.lost.clone()

@@ -100,6 +100,11 @@ impl Handle {
         self.session.cancel(&self.ids());
     }
 
+    /// Writes a value into its nets.
+    pub(crate) fn write(&self, key: &str, text: &str) -> Result<(), Error> {
+        self.session.write(&self.ids(), key, text)
+    }
+
     /// Part of the path that it has completed, 0 to 1; of several activities the smallest.
     pub fn progress(&self) -> f64 {
         let session = &self.session;

@@ -6,7 +6,9 @@
 mod coupled;
 mod frame;
 mod hold;
+mod jog;
 mod path;
+mod stream;
 #[cfg(test)]
 mod tests;
 
@@ -18,13 +20,15 @@ use takt_net::device::Kinematics;
 
 use crate::engine::Failure;
 use crate::error::Error;
-use crate::net::{Argument, Net, Port, array};
+use crate::net::{Argument, Net, Port, Primitive, array};
 use crate::plan::bounds;
 use crate::pose::Pose;
 pub(crate) use coupled::{CoupledMotion, Holder};
 pub(crate) use frame::Route;
 pub(crate) use hold::Hold;
+pub(crate) use jog::Jog;
 pub(crate) use path::{ArmMotion, Path};
+pub(crate) use stream::{Goals, Stream};
 
 /// Limits of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -179,19 +183,11 @@ impl ArmDescription {
     /// A port of all joints, as an array.
     pub(crate) fn joint_array(&self, net: &mut Net, port: &str) -> Port {
         let size = self.joints.len();
-        let empty = net
-            .add("Core::DoubleArray", [("Size", size.into())])
-            .out("outArray");
+        let empty = net.doubles(size);
         (0..size).fold(empty, |array, axis| {
             let monitor = [("Robot", self.name.as_str().into()), ("Axis", axis.into())];
             let value = net.add("RobotArm::JointMonitor", monitor).out(port);
-            let element = [
-                ("inArray", (&array).into()),
-                ("inValue", (&value).into()),
-                ("Size", size.into()),
-                ("Index", axis.into()),
-            ];
-            net.add("Core::DoubleArraySet", element).out("outArray")
+            net.with_element(&array, &value, size, axis)
         })
     }
 
@@ -300,13 +296,34 @@ impl ArmDescription {
     }
 
     /// A joint of an array.
-    fn joint_of(&self, net: &mut Net, joints: &Port, axis: usize) -> Port {
+    pub(crate) fn joint_of(&self, net: &mut Net, joints: &Port, axis: usize) -> Port {
         let element = [
             ("inArray", joints.into()),
             ("Size", self.joints.len().into()),
             ("Index", axis.into()),
         ];
         net.add("Core::DoubleArrayGet", element).out("outValue")
+    }
+
+    /// A motion of each joint to its goal, from the state that is commanded, at rest or in motion.
+    pub(crate) fn track(&self, net: &mut Net, goal: &Port, stop: &Port, speed: f64) -> Primitive {
+        let positions = self.joint_array(net, "outCommandedPosition");
+        let velocities = self.joint_array(net, "outCommandedVelocity");
+        let accelerations = self.joint_array(net, "outCommandedAcceleration");
+        let [velocity, acceleration, jerk] = self.limit_texts(speed);
+        net.add(
+            "Motion::Track",
+            [
+                ("inGoal", goal.into()),
+                ("inStop", stop.into()),
+                ("inFrom", (&positions).into()),
+                ("inFromVelocity", (&velocities).into()),
+                ("inFromAcceleration", (&accelerations).into()),
+                ("Velocity", velocity.into()),
+                ("Acceleration", acceleration.into()),
+                ("Jerk", jerk.into()),
+            ],
+        )
     }
 
     /// Commands the joints; returns what makes the motion fail.

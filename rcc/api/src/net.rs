@@ -24,7 +24,11 @@ impl Primitive {
 /// A feedback whose source is written later.
 #[derive(Debug)]
 #[must_use = "a feedback without source is no net"]
-pub(crate) struct Later(usize);
+pub(crate) struct Later {
+    line: usize,
+    /// Type of its value, as primitives are named by it.
+    kind: &'static str,
+}
 
 /// An argument of a primitive: what is at a port, or the text of a parameter.
 #[derive(Clone, Debug)]
@@ -148,23 +152,89 @@ impl Net {
         self.add("World::FrameValue", value).out("outValue")
     }
 
+    /// What a port that is written later had in the previous cycle, null in the first one: [`Self::close`] names the port.
+    fn before(&mut self, kind: &'static str) -> (Later, Port, Port) {
+        let line = self.lines.len();
+        let before = Primitive(format!("p{line}")).out("outValue");
+        self.lines.push(String::new());
+        let never = self.of(&format!("{kind}IsNull"), &before);
+        (Later { line, kind }, before, never)
+    }
+
     /// Whether `stop` is true, or a port that is written later was true in the previous cycle: [`Self::close`] names it.
     pub(crate) fn feedback(&mut self, stop: &Port) -> (Later, Port) {
-        let later = Later(self.lines.len());
-        let before = Primitive(format!("p{}", later.0)).out("outValue");
-        self.lines.push(String::new());
-        // The value of the previous cycle is null in the first one.
-        let known = self.known(&before);
+        let (later, before, never) = self.before("Core::Boolean");
+        let known = self.zero_if("Core::Boolean", &never, &before);
         let stop = self.of_two("Core::BooleanOr", stop, &known);
         (later, stop)
     }
 
+    /// A value of a type, such as `Core::Double`, that a net keeps from cycle to cycle, from `initial` on:
+    /// [`Self::close`] names what it becomes.
+    pub(crate) fn state(&mut self, kind: &'static str, initial: &Port) -> (Later, Port) {
+        let (later, before, never) = self.before(kind);
+        let value = [
+            ("inCondition", (&never).into()),
+            ("inTrue", initial.into()),
+            ("inFalse", (&before).into()),
+        ];
+        let value = self.add(&format!("{kind}Conditional"), value);
+        (later, value.out("outValue"))
+    }
+
     /// Connects a feedback with its source.
     pub(crate) fn close(&mut self, later: &Later, source: &Port) {
-        let text = format!("  p{}=Core::BooleanPre(inValue={})", later.0, source.0);
-        if let Some(line) = self.lines.get_mut(later.0) {
-            *line = text;
+        let Later { line, kind } = later;
+        let text = format!("  p{line}={kind}Pre(inValue={})", source.0);
+        if let Some(place) = self.lines.get_mut(*line) {
+            *place = text;
         }
+    }
+
+    /// A value of a type, such as `Core::Double`, or zero while a condition holds.
+    pub(crate) fn zero_if(&mut self, kind: &str, off: &Port, value: &Port) -> Port {
+        let arguments = [("inCondition", off.into()), ("inFalse", value.into())];
+        self.add(&format!("{kind}Conditional"), arguments)
+            .out("outValue")
+    }
+
+    /// A number times a constant.
+    pub(crate) fn scaled(&mut self, number: &Port, factor: f64) -> Port {
+        let arguments = [("inFirst", number.into()), ("Second", factor.into())];
+        self.add("Core::DoubleMultiply", arguments).out("outValue")
+    }
+
+    /// A number between bounds.
+    pub(crate) fn clamped(&mut self, value: &Port, min: &Port, max: &Port) -> Port {
+        let arguments = [
+            ("inValue", value.into()),
+            ("inMin", min.into()),
+            ("inMax", max.into()),
+        ];
+        self.add("Core::DoubleClamp", arguments).out("outValue")
+    }
+
+    /// An array of zeros.
+    pub(crate) fn doubles(&mut self, size: usize) -> Port {
+        self.add("Core::DoubleArray", [("Size", size.into())])
+            .out("outArray")
+    }
+
+    /// An array with another element.
+    pub(crate) fn with_element(
+        &mut self,
+        array: &Port,
+        value: &Port,
+        size: usize,
+        at: usize,
+    ) -> Port {
+        let element = [
+            ("inArray", array.into()),
+            ("inValue", value.into()),
+            ("Size", size.into()),
+            ("Index", at.into()),
+        ];
+        self.add("Core::DoubleArraySet", element).out("outArray")
     }
 
     /// The override of the net: a factor of the speed of its motions, 0 to 1, which a client may set while it runs.

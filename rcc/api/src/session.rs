@@ -280,9 +280,21 @@ impl Session {
 
     /// Fails only for a net that is already gone, or with the connection, which the receiver reports.
     fn write_speed(&self, net: &str, factor: f64) {
-        let value = Value::Map([("inoverride".to_owned(), Value::from(factor.to_string()))].into());
-        let values = Value::Map([(net.to_owned(), value)].into());
-        drop(self.client.call("snc", [values]));
+        drop(self.write_value(net, "override", &factor.to_string()));
+    }
+
+    fn write_value(&self, net: &str, key: &str, text: &str) -> Result<(), Error> {
+        let value = Value::map_of([(format!("in{key}"), Value::from(text))]);
+        let values = Value::map_of([(net.to_owned(), value)]);
+        self.client.call("snc", [values])?;
+        Ok(())
+    }
+
+    /// Writes a value into the nets of activities.
+    pub(crate) fn write(&self, ids: &[ActivityId], key: &str, text: &str) -> Result<(), Error> {
+        let nets = self.engine().loaded_nets(ids);
+        let mut nets = nets.iter();
+        nets.try_for_each(|net| self.write_value(net, key, text))
     }
 
     fn notify(&self) {

@@ -51,8 +51,8 @@ impl Moved {
 
 /// A frame in motion: where it is, and its velocity.
 pub(crate) struct InMotion {
-    frame: Port,
-    velocity: Port,
+    pub(crate) frame: Port,
+    pub(crate) velocity: Port,
 }
 
 impl Route {

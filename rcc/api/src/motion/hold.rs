@@ -23,24 +23,9 @@ impl Operation for Hold {
     fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
         let arm = &self.arm;
         let positions = arm.joint_array(net, "outCommandedPosition");
-        let velocities = arm.joint_array(net, "outCommandedVelocity");
-        let accelerations = arm.joint_array(net, "outCommandedAcceleration");
-        let [velocity, acceleration, jerk] = arm.limit_texts(requests.speed);
         let always = [("Value", "true".into())];
         let always = net.add("Core::BooleanValue", always).out("outValue");
-        let track = net.add(
-            "Motion::Track",
-            [
-                ("inGoal", (&positions).into()),
-                ("inStop", (&always).into()),
-                ("inFrom", (&positions).into()),
-                ("inFromVelocity", (&velocities).into()),
-                ("inFromAcceleration", (&accelerations).into()),
-                ("Velocity", velocity.into()),
-                ("Acceleration", acceleration.into()),
-                ("Jerk", jerk.into()),
-            ],
-        );
+        let track = arm.track(net, &positions, &always, requests.speed);
         let failures = arm.command(net, &track.out("outPosition"));
         let rests = track.out("outDone");
         Ok(Ports {

@@ -197,3 +197,64 @@ fn coupled_arms_have_plans_of_one_duration() {
     assert_eq!(plan.duration(), partner.duration());
     assert_eq!(plan.end(), partner.end());
 }
+
+fn live_net(operation: impl Operation + 'static) -> String {
+    let order = Order {
+        operation: Arc::new(operation),
+        speed: 0.5,
+        blend: None,
+        until: Vec::new(),
+        marks: Vec::new(),
+        is_checked: true,
+    };
+    order.check().unwrap();
+    order.compile(&Begins::new()).unwrap().net
+}
+
+#[test]
+fn jog_nets_have_a_dead_man() {
+    let centre = live_net(Jog::Centre {
+        arm: arm("left"),
+        limits: CartesianLimits::default(),
+        tool: Pose::xyz(0.0, 0.0, 0.1),
+    });
+    let joints = live_net(Jog::Joints { arm: arm("left") });
+    for (text, sent) in [
+        (&centre, "World::TwistNetcommIn"),
+        (&joints, "Core::DoubleArrayNetcommIn"),
+    ] {
+        assert_eq!(text.matches(sent).count(), 1, "{text}");
+        assert!(text.contains("Second='0.1'"), "{text}");
+        assert!(
+            text.contains("Core::BooleanConditional(inCondition="),
+            "{text}"
+        );
+        assert_eq!(text.matches("RobotArm::JointPosition(").count(), 7);
+    }
+    // Half the velocity, the whole acceleration.
+    assert!(
+        centre.contains("Max='0.125'") && centre.contains("Second='1'"),
+        "{centre}"
+    );
+    assert!(
+        joints.contains("Min='-1', Max='1'") && joints.contains("Second='8'"),
+        "{joints}"
+    );
+    assert!(centre.contains("Key='unreachable_left'") && centre.contains("Key='fast_left'"));
+}
+
+#[test]
+fn stream_nets_track_goals_once_written() {
+    let streams = [Goals::Joints, Goals::Poses(Pose::IDENTITY)];
+    let [joints, poses] = streams.map(|goals| {
+        live_net(Stream {
+            arm: arm("left"),
+            goals,
+        })
+    });
+    for text in [&joints, &poses] {
+        assert_eq!(text.matches("Motion::Track(").count(), 1, "{text}");
+        assert_eq!(text.matches("SetNull(").count(), 1, "{text}");
+    }
+    assert!(poses.contains("ArmKinematics::InvKin(") && poses.contains("Key='unreachable_left'"));
+}
