@@ -151,10 +151,10 @@ const AXIS: u16 = 0x800;
 /// Number of CiA 402 axes: control words of 16 bits among the outputs, or among the PDOs of the ESI file, from 6040h on.
 fn axes(slave: SlaveView<'_>, device: Option<&Device>) -> usize {
     let mapped = entries(slave, true).into_iter();
-    let mapped = mapped.map(|it| (it.address.index, it.address.sub, it.bits));
+    let mapped = mapped.map(|it| (it.address.index, it.address.sub, u16::from(it.bits)));
     let listed = device.into_iter().flat_map(|it| &it.rx_pdos);
     let listed = listed.flat_map(|pdo| pdo.entries.iter().map(|it| (it.0, it.1, it.2)));
-    let all: Vec<(u16, u8, u8)> = mapped.chain(listed).collect();
+    let all: Vec<(u16, u8, u16)> = mapped.chain(listed).collect();
     let has = |axis: &u16| all.contains(&(0x6040 + AXIS * axis, 0, 16));
     (0..AXES_MAX).take_while(has).count()
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
+use quick_xml::escape::resolve_xml_entity;
 use quick_xml::events::Event;
 use quick_xml::{Reader, XmlVersion};
 
@@ -71,7 +72,7 @@ pub(super) struct Pdo {
     pub(super) sync_manager: Option<u8>,
     pub(super) is_fixed: bool,
     /// Index, sub-index, bits and name; index 0 is a gap.
-    pub(super) entries: Vec<(u16, u8, u8, String)>,
+    pub(super) entries: Vec<(u16, u8, u16, String)>,
 }
 
 /// A start-up command (CoE).
@@ -155,15 +156,27 @@ impl Node {
         found.map_or_else(String::new, |it| it.text.trim().to_owned())
     }
 
-    fn number_of<T: TryFrom<u64>>(&self, name: &str) -> Option<T> {
-        T::try_from(number(&self.text_of(name))?).ok()
+    /// The number in an element; 0 without the element.
+    fn number_of<T: TryFrom<u64> + Default>(&self, name: &str) -> anyhow::Result<T> {
+        let Some(child) = self.child(name) else {
+            return Ok(T::default());
+        };
+        let (text, bytes) = (child.text.trim(), size_of::<T>());
+        let value = number(text).and_then(|value| T::try_from(value).ok());
+        value.with_context(|| {
+            format!(
+                "{name} in {}: `{text}` is no number of {bytes} bytes",
+                self.name
+            )
+        })
     }
 }
 
 /// A number of an ESI file: `#x1A00` or decimal.
 fn number(text: &str) -> Option<u64> {
     let text = text.trim();
-    let hex = text.strip_prefix("#x").or_else(|| text.strip_prefix("0x"));
+    let prefixes = ["#x", "#X", "0x", "0X"];
+    let hex = prefixes.iter().find_map(|it| text.strip_prefix(it));
     hex.map_or_else(
         || text.parse().ok(),
         |hex| u64::from_str_radix(hex, 16).ok(),
@@ -186,14 +199,13 @@ pub(super) fn parse(text: &str) -> anyhow::Result<Vec<Device>> {
     let info = root
         .child("EtherCATInfo")
         .context("no ESI file: the element EtherCATInfo is missing")?;
-    let vendor = info
-        .child("Vendor")
-        .and_then(|vendor| vendor.number_of("Id"));
+    let vendor = info.child("Vendor");
+    let vendor = vendor.map_or(Ok(0), |vendor| vendor.number_of("Id"))?;
     let devices = info.path(&["Descriptions", "Devices", "Device"]);
-    let devices = devices.into_iter();
-    Ok(devices
-        .map(|node| device(node, vendor.unwrap_or(0)))
-        .collect())
+    devices
+        .into_iter()
+        .map(|node| device(node, vendor))
+        .collect()
 }
 
 fn tree(text: &str) -> anyhow::Result<Node> {
@@ -237,11 +249,15 @@ fn tree(text: &str) -> anyhow::Result<Node> {
                 }
             }
             Event::Eof => break,
-            Event::GeneralRef(_)
-            | Event::Comment(_)
-            | Event::Decl(_)
-            | Event::PI(_)
-            | Event::DocType(_) => {}
+            Event::GeneralRef(entity) => {
+                let named = || resolve_xml_entity(&entity).map(str::to_owned);
+                let text = entity.resolve_char_ref()?.map(String::from).or_else(named);
+                let text = text.with_context(|| format!("unknown entity &{};", &*entity))?;
+                if let Some(node) = stack.last_mut() {
+                    node.text.push_str(&text);
+                }
+            }
+            Event::Comment(_) | Event::Decl(_) | Event::PI(_) | Event::DocType(_) => {}
         }
         ensure!(nodes <= NODES_MAX, "more than {NODES_MAX} elements");
     }
@@ -264,82 +280,108 @@ fn node(start: &quick_xml::events::BytesStart<'_>) -> anyhow::Result<Node> {
     })
 }
 
-fn device(node: &Node, vendor: u32) -> Device {
+fn device(node: &Node, vendor: u32) -> anyhow::Result<Device> {
     let kind = node.child("Type");
     let attribute = |name: &str| {
-        let value = kind.and_then(|kind| kind.attribute(name));
-        value.and_then(number).and_then(|it| u32::try_from(it).ok())
+        let Some(text) = kind.and_then(|kind| kind.attribute(name)) else {
+            return Ok(0);
+        };
+        let value = number(text).and_then(|it| u32::try_from(it).ok());
+        value.with_context(|| format!("{name} of a device: `{text}` is no number of 4 bytes"))
     };
     let coe = node.path(&["Mailbox", "CoE"]);
-    let clock = |mode: &Node| Clock {
-        name: mode.text_of("Name"),
-        assign_activate: mode.number_of("AssignActivate").unwrap_or(0),
-        shift0_ns: mode.text_of("ShiftTimeSync0").parse().unwrap_or(0),
-        shift1_ns: mode.text_of("ShiftTimeSync1").parse().unwrap_or(0),
+    let shift = |mode: &Node, name: &str| match mode.text_of(name).as_str() {
+        "" => Ok(0),
+        text => text
+            .parse()
+            .with_context(|| format!("{name}: `{text}` is no number of ns")),
     };
-    let object = |object: &Node| Object {
-        index: object.number_of("Index").unwrap_or(0),
-        name: object.english("Name"),
-        data_type: object.text_of("Type"),
-        bits: object.number_of("BitSize").unwrap_or(0),
+    let clock = |mode: &Node| -> anyhow::Result<Clock> {
+        Ok(Clock {
+            name: mode.text_of("Name"),
+            assign_activate: mode.number_of("AssignActivate")?,
+            shift0_ns: shift(mode, "ShiftTimeSync0")?,
+            shift1_ns: shift(mode, "ShiftTimeSync1")?,
+        })
+    };
+    let object = |object: &Node| -> anyhow::Result<Object> {
+        Ok(Object {
+            index: object.number_of("Index")?,
+            name: object.english("Name"),
+            data_type: object.text_of("Type"),
+            bits: object.number_of("BitSize")?,
+        })
     };
     let objects = node.path(&["Profile", "Dictionary", "Objects", "Object"]);
     let commands = node.path(&["Mailbox", "CoE", "InitCmd"]);
-    Device {
+    Ok(Device {
         vendor,
-        product: attribute("ProductCode").unwrap_or(0),
-        revision: attribute("RevisionNo").unwrap_or(0),
+        product: attribute("ProductCode")?,
+        revision: attribute("RevisionNo")?,
         order: kind.map_or_else(String::new, |kind| kind.text.trim().to_owned()),
         name: node.english("Name"),
-        rx_pdos: node.all("RxPdo").map(pdo).collect(),
-        tx_pdos: node.all("TxPdo").map(pdo).collect(),
-        startup: commands.into_iter().map(command).collect(),
+        rx_pdos: node.all("RxPdo").map(pdo).collect::<Result<_, _>>()?,
+        tx_pdos: node.all("TxPdo").map(pdo).collect::<Result<_, _>>()?,
+        startup: commands
+            .into_iter()
+            .map(command)
+            .collect::<Result<_, _>>()?,
         clocks: node
             .path(&["Dc", "OpMode"])
             .into_iter()
             .map(clock)
-            .collect(),
+            .collect::<Result<_, _>>()?,
         has_coe: !coe.is_empty(),
         has_information: coe.iter().any(|coe| coe.is_set("SdoInfo")),
-        objects: objects.into_iter().map(object).collect(),
-    }
+        objects: objects.into_iter().map(object).collect::<Result<_, _>>()?,
+    })
 }
 
-fn pdo(node: &Node) -> Pdo {
-    let entry = |entry: &Node| {
-        let index = entry.number_of("Index").unwrap_or(0);
-        let (sub, bits) = (entry.number_of("SubIndex"), entry.number_of("BitLen"));
-        (
-            index,
-            sub.unwrap_or(0),
-            bits.unwrap_or(0),
+fn pdo(node: &Node) -> anyhow::Result<Pdo> {
+    let entry = |entry: &Node| -> anyhow::Result<_> {
+        Ok((
+            entry.number_of("Index")?,
+            entry.number_of("SubIndex")?,
+            entry.number_of("BitLen")?,
             entry.english("Name"),
-        )
+        ))
     };
     let sync_manager = node.attribute("Sm").and_then(number);
-    Pdo {
-        index: node.number_of("Index").unwrap_or(0),
+    Ok(Pdo {
+        index: node.number_of("Index")?,
         name: node.english("Name"),
         sync_manager: sync_manager.and_then(|it| u8::try_from(it).ok()),
         is_fixed: node.is_set("Fixed"),
-        entries: node.all("Entry").map(entry).collect(),
-    }
+        entries: node.all("Entry").map(entry).collect::<Result<_, _>>()?,
+    })
 }
 
-fn command(node: &Node) -> Command {
-    let hex = node.text_of("Data");
-    let digit = |two: &[u8]| {
-        let text = std::str::from_utf8(two).ok()?;
-        u8::from_str_radix(text, 16).ok()
-    };
-    Command {
+fn command(node: &Node) -> anyhow::Result<Command> {
+    let text = node.text_of("Data");
+    let data = bytes(&text)
+        .with_context(|| format!("Data of an InitCmd: `{text}` is no sequence of bytes"))?;
+    Ok(Command {
         transition: node.text_of("Transition"),
-        index: node.number_of("Index").unwrap_or(0),
-        sub: node.number_of("SubIndex").unwrap_or(0),
-        data: hex.as_bytes().chunks(2).filter_map(digit).collect(),
+        index: node.number_of("Index")?,
+        sub: node.number_of("SubIndex")?,
+        data,
         complete: node.is_set("CompleteAccess"),
         comment: node.english("Comment"),
-    }
+    })
+}
+
+/// Bytes as pairs of hexadecimal digits, with white space anywhere between digits.
+fn bytes(text: &str) -> Option<Vec<u8>> {
+    let digits = text.chars().filter(|it| !it.is_whitespace());
+    let digits: Option<Vec<u8>> = digits
+        .map(|it| it.to_digit(16).and_then(|it| u8::try_from(it).ok()))
+        .collect();
+    let pairs = digits?;
+    let pairs = pairs.chunks(2).map(|pair| match pair {
+        [high, low] => Some(high * 16 + low),
+        _ => None,
+    });
+    pairs.collect()
 }
 
 /// The device of an identity: of equal revision, else the newest that is not newer, else the oldest.
@@ -478,6 +520,20 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn esi_vendor_spellings_are_read() {
+        let text = DRIVE
+            .replace("#x4021", "#X4021")
+            .replace("<Data>08<", "<Data>08 01\n 0A<")
+            .replace("<BitLen>8<", "<BitLen>1024<")
+            .replace("<Name>Target<", "<Name>Target &amp; &#956;<");
+        let device = &parse(&text).unwrap()[0];
+        assert_eq!(device.product, 0x4021);
+        assert_eq!(device.startup[0].data, [8, 1, 10]);
+        assert_eq!(device.tx_pdos[0].entries[1].2, 1024);
+        assert_eq!(device.rx_pdos[0].entries[1].3, "Target & \u{3bc}");
+    }
+
+    #[test]
     fn esi_revision_is_matched_by_age() {
         let of = |revision| Device {
             product: 1,
@@ -499,6 +555,26 @@ pub(super) mod tests {
             ("<a/>", "EtherCATInfo is missing"),
             ("<EtherCATInfo><Vendor>", "ends within an element"),
             ("<EtherCATInfo></Vendor>", "at byte"),
+            (
+                "<EtherCATInfo><Vendor><Id>&eacute;</Id>",
+                "unknown entity &eacute;",
+            ),
+            (
+                &DRIVE.replace("<Data>08<", "<Data>081<"),
+                "`081` is no sequence of bytes",
+            ),
+            (
+                &DRIVE.replace("<Data>08<", "<Data>0g<"),
+                "`0g` is no sequence of bytes",
+            ),
+            (
+                &DRIVE.replace("#x4021", "4021h"),
+                "ProductCode of a device: `4021h` is no number",
+            ),
+            (
+                &DRIVE.replace("#x6041", "#x16041"),
+                "`#x16041` is no number of 2 bytes",
+            ),
         ] {
             let error = format!("{:#}", parse(text).unwrap_err());
             assert!(error.contains(cause), "{error}");
