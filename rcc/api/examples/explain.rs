@@ -21,6 +21,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let touch = (force.z().abs() * 2.0 - 1.0).over(5.0);
     let bent = left.joint(3).under(0.5).lasting(Duration::from_millis(20));
     let pushed = !(touch.clone() & bent.clone()) | left.input(2);
+    let mean = left.joint(1).average(Duration::from_millis(30)).under(0.1);
+    let angle = left.joint(2);
+    let waves = (angle.clone().sin() + angle.clone().cos() - angle.clone().tan()).over(0.1)
+        | (angle.clone().asin() * angle.clone().acos()).under(angle.sqrt());
+    let waves = waves.clone().rises() | waves.falls();
     let activities = [
         left.ptp(goal),
         left.ptp(goal).speed(0.3).blend(0.8),
@@ -30,6 +35,12 @@ fn main() -> Result<(), Box<dyn Error>> {
             .circ(via, pose * via)
             .until("bent", bent)
             .until("pushed", pushed),
+        left.ptp_near(pose, goal),
+        left.clone()
+            .with_tool(Pose::xyz(0.0, 0.01, 0.1))
+            .spline([via, pose])
+            .until("mean", mean),
+        left.hold().until("waves", waves),
     ];
     let mut out = std::io::stdout();
     for activity in activities {

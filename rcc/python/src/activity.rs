@@ -1,19 +1,18 @@
 //! Activities that were described and not begun, alone and together.
 
-use std::sync::Arc;
-
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::PyDict;
 use takt_api as api;
 
+use crate::compose::{Composite, Event, Next, begin, end, queue};
 use crate::error;
 use crate::expression::Condition;
 use crate::handle::Handle;
 use crate::outcome::Outcome;
 use crate::owned::Owned;
 use crate::place::Place;
-use crate::wait::wait;
+use crate::plan::Plan;
 
 /// An activity that was described and not begun.
 #[pyclass(frozen, module = "takt")]
@@ -53,6 +52,15 @@ impl Activity {
         let place = Place::caller(py);
         let activity = Owned::new(activity);
         Ok(Self { activity, place })
+    }
+
+    /// A copy of the activity.
+    pub(crate) fn activity(&self, py: Python<'_>) -> PyResult<api::Activity> {
+        Ok(self.activity.get(py)?.clone())
+    }
+
+    fn composite(&self, composite: api::Composite) -> Composite {
+        Composite::new(composite, self.place.clone())
     }
 
     fn with(
@@ -117,10 +125,23 @@ impl Activity {
 
     /// Lets `next` follow: both are loaded and scheduled before the first one begins.
     fn then(&self, py: Python<'_>, next: Next<'_>) -> PyResult<Composite> {
-        let first = self.activity.get(py)?.clone();
-        let composite = Owned::new(first.then(next.composite(py)?));
-        let place = self.place.clone();
-        Ok(Composite { composite, place })
+        Ok(self.composite(self.activity(py)?.then(next.composite(py)?)))
+    }
+
+    /// Lets `next` begin at an event of this activity, decided by the controller.
+    fn on(&self, py: Python<'_>, event: &Bound<'_, Event>, next: Next<'_>) -> PyResult<Composite> {
+        let event = event.get().0.clone();
+        Ok(self.composite(self.activity(py)?.on(event, next.composite(py)?)))
+    }
+
+    /// Lets it begin also if what it follows fails or is cancelled.
+    fn after_failure(&self, py: Python<'_>) -> PyResult<Composite> {
+        Ok(self.composite(self.activity(py)?.after_failure()))
+    }
+
+    /// Begins it without a check of its path beforehand.
+    fn unchecked(&self, py: Python<'_>) -> PyResult<Self> {
+        self.with(py, |activity| Ok(activity.unchecked()))
     }
 
     /// Begins it, and returns when it runs.
@@ -147,6 +168,14 @@ impl Activity {
         end(py, &self.begin(py)?)
     }
 
+    /// Plans it from where the device is: nothing is loaded, nothing moves.
+    fn plan(&self, py: Python<'_>) -> PyResult<Plan> {
+        let activity = self.activity.get(py)?;
+        let plan = py.detach(|| activity.plan());
+        plan.map(Plan)
+            .map_err(|error| error::raise(py, &error, self.place.as_ref()))
+    }
+
     /// The text of the net that it becomes.
     fn explain(&self, py: Python<'_>) -> PyResult<String> {
         let activity = self.activity.get(py)?;
@@ -165,122 +194,4 @@ impl Activity {
             |Place { file, line }| format!("Activity({file}:{line})"),
         )
     }
-}
-
-/// Several activities that are begun in one call.
-#[pyclass(frozen, module = "takt")]
-#[derive(Debug)]
-pub(crate) struct Composite {
-    composite: Owned<api::Composite>,
-    place: Option<Place>,
-}
-
-/// What may follow another activity.
-#[derive(FromPyObject)]
-enum Next<'py> {
-    Activity(Bound<'py, Activity>),
-    Composite(Bound<'py, Composite>),
-}
-
-impl Next<'_> {
-    fn composite(&self, py: Python<'_>) -> PyResult<api::Composite> {
-        Ok(match self {
-            Self::Activity(next) => next.get().activity.get(py)?.clone().into(),
-            Self::Composite(next) => next.get().composite.get(py)?.clone(),
-        })
-    }
-}
-
-/// Combines activities of different devices to one that begins in the same cycle on all of them.
-#[pyfunction]
-#[pyo3(signature = (*activities))]
-pub(crate) fn together(activities: &Bound<'_, PyTuple>) -> PyResult<Composite> {
-    Ok(Composite {
-        composite: Owned::new(api::together(list(activities)?)),
-        place: Place::caller(activities.py()),
-    })
-}
-
-/// The first of several activities that is possible.
-#[pyfunction]
-#[pyo3(signature = (*activities))]
-pub(crate) fn either(activities: &Bound<'_, PyTuple>) -> PyResult<Composite> {
-    Ok(Composite {
-        composite: Owned::new(api::either(list(activities)?)),
-        place: Place::caller(activities.py()),
-    })
-}
-
-fn list(activities: &Bound<'_, PyTuple>) -> PyResult<Vec<api::Activity>> {
-    let py = activities.py();
-    let one = |activity: Bound<'_, PyAny>| {
-        let Ok(activity) = activity.cast::<Activity>() else {
-            let kind = activity.get_type();
-            let text = format!("{} is no activity, such as arm.lin(pose)", kind.name()?);
-            return Err(PyTypeError::new_err(text));
-        };
-        Ok(activity.get().activity.get(py)?.clone())
-    };
-    activities.iter().map(one).collect()
-}
-
-#[pymethods]
-impl Composite {
-    /// The same, followed by `next`.
-    fn then(&self, py: Python<'_>, next: Next<'_>) -> PyResult<Self> {
-        let composite = self.composite.get(py)?.clone().then(next.composite(py)?);
-        let (composite, place) = (Owned::new(composite), self.place.clone());
-        Ok(Self { composite, place })
-    }
-
-    /// Begins them, and returns when they run.
-    fn begin(&self, py: Python<'_>) -> PyResult<Handle> {
-        begin(py, self.composite.get(py)?.clone(), self.place.clone())
-    }
-
-    /// The same, but does not wait until they run.
-    fn queue(&self, py: Python<'_>) -> PyResult<Handle> {
-        let handle = queue(py, self.composite.get(py)?.clone(), self.place.as_ref())?;
-        Ok(Handle::new(handle, self.place.clone()))
-    }
-
-    /// Begins them and waits until all have ended.
-    fn run(&self, py: Python<'_>) -> PyResult<Outcome> {
-        end(py, &self.begin(py)?)
-    }
-
-    fn __await__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        Handle::__await__(Bound::new(py, self.queue(py)?)?)
-    }
-}
-
-fn queue(
-    py: Python<'_>,
-    composite: api::Composite,
-    place: Option<&Place>,
-) -> PyResult<Arc<api::Handle>> {
-    let handle = py.detach(|| composite.queue());
-    let handle = handle.map_err(|error| error::raise(py, &error, place))?;
-    Ok(Arc::new(handle))
-}
-
-/// Begins; a signal while it waits for its turn cancels it, since the program never gets its handle.
-fn begin(py: Python<'_>, composite: api::Composite, place: Option<Place>) -> PyResult<Handle> {
-    let handle = queue(py, composite, place.as_ref())?;
-    let begun = wait(py, None, |slice| handle.wait_for_begin(slice));
-    if begun.is_err() {
-        py.detach(|| handle.cancel());
-    }
-    if let Some(Err(error)) = begun? {
-        return Err(error::raise(py, &error, place.as_ref()));
-    }
-    Ok(Handle::new(handle, place))
-}
-
-/// Waits for the end; a signal cancels the activity, since no handle of it is left.
-fn end(py: Python<'_>, handle: &Handle) -> PyResult<Outcome> {
-    handle.wait(py, None).inspect_err(|_| {
-        // Fails only in a forked process, which has begun nothing.
-        let _ = handle.cancel(py);
-    })
 }

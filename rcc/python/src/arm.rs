@@ -22,6 +22,35 @@ impl Arm {
     pub(crate) fn new(arm: api::Arm) -> Self {
         Self(Owned::new(arm))
     }
+
+    /// A copy of the arm.
+    pub(crate) fn arm(&self, py: Python<'_>) -> PyResult<api::Arm> {
+        Ok(self.0.get(py)?.clone())
+    }
+}
+
+/// Limits of velocity, acceleration and jerk of the position and the orientation. Those left out are the default.
+pub(crate) fn limits(
+    py: Python<'_>,
+    position: [Option<f64>; 3],
+    orientation: [Option<f64>; 3],
+) -> PyResult<CartesianLimits> {
+    let mut given = position.iter().chain(&orientation).flatten();
+    if let Some(wrong) = given.find(|limit| !(**limit > 0.0 && limit.is_finite())) {
+        let text = format!("a limit is {wrong}; it is above 0 and finite");
+        return Err(error::invalid(py, text));
+    }
+    let default = CartesianLimits::default();
+    let [velocity, acceleration, jerk] = position;
+    let [rot_velocity, rot_acceleration, rot_jerk] = orientation;
+    Ok(CartesianLimits {
+        velocity: velocity.unwrap_or(default.velocity),
+        acceleration: acceleration.unwrap_or(default.acceleration),
+        jerk: jerk.unwrap_or(default.jerk),
+        rot_velocity: rot_velocity.unwrap_or(default.rot_velocity),
+        rot_acceleration: rot_acceleration.unwrap_or(default.rot_acceleration),
+        rot_jerk: rot_jerk.unwrap_or(default.rot_jerk),
+    })
 }
 
 #[pymethods]
@@ -42,6 +71,18 @@ impl Arm {
     #[getter]
     fn period(&self, py: Python<'_>) -> PyResult<f64> {
         Ok(self.0.get(py)?.description().period.as_secs_f64())
+    }
+
+    /// Model of its kinematics; empty if it is not described.
+    #[getter]
+    fn model(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(self.0.get(py)?.description().model.clone())
+    }
+
+    /// Its base in the world.
+    #[getter]
+    fn base(&self, py: Python<'_>) -> PyResult<pose::Pose> {
+        Ok(pose::Pose(self.0.get(py)?.base()))
     }
 
     /// Limits of its joints, from the base.
@@ -75,34 +116,24 @@ impl Arm {
         rot_acceleration: Option<f64>,
         rot_jerk: Option<f64>,
     ) -> PyResult<Self> {
-        let given = [
-            velocity,
-            acceleration,
-            jerk,
-            rot_velocity,
-            rot_acceleration,
-            rot_jerk,
-        ];
-        if let Some(wrong) = given
-            .iter()
-            .flatten()
-            .find(|limit| !(**limit > 0.0 && limit.is_finite()))
-        {
-            return Err(error::invalid(
-                py,
-                format!("a limit is {wrong}; it is above 0 and finite"),
-            ));
-        }
-        let default = CartesianLimits::default();
-        let limits = CartesianLimits {
-            velocity: velocity.unwrap_or(default.velocity),
-            acceleration: acceleration.unwrap_or(default.acceleration),
-            jerk: jerk.unwrap_or(default.jerk),
-            rot_velocity: rot_velocity.unwrap_or(default.rot_velocity),
-            rot_acceleration: rot_acceleration.unwrap_or(default.rot_acceleration),
-            rot_jerk: rot_jerk.unwrap_or(default.rot_jerk),
-        };
+        let limits = limits(
+            py,
+            [velocity, acceleration, jerk],
+            [rot_velocity, rot_acceleration, rot_jerk],
+        )?;
         Ok(Self::new(self.0.get(py)?.clone().with_limits(limits)))
+    }
+
+    /// The same arm with another motion centre, given in the flange.
+    fn with_tool(&self, tool: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let arm = self.0.get(tool.py())?.clone();
+        Ok(Self::new(arm.with_tool(pose::read(tool)?)))
+    }
+
+    /// The same arm with its base at this pose in the world, which coupled arms share.
+    fn with_base(&self, base: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let arm = self.0.get(base.py())?.clone();
+        Ok(Self::new(arm.with_base(pose::read(base)?)))
     }
 
     /// A motion to joint positions, rad.
@@ -125,7 +156,53 @@ impl Arm {
         Activity::new(py, self.0.get(py)?.ptp(to), &options)
     }
 
-    /// A motion of the flange along a straight line.
+    /// A motion of all joints together to a pose of the motion centre.
+    #[pyo3(signature = (to, *, speed=None, blend=None, until=None, now=false))]
+    fn ptp_to(
+        &self,
+        to: &Bound<'_, PyAny>,
+        speed: Option<f64>,
+        blend: Option<f64>,
+        until: Option<&Bound<'_, PyDict>>,
+        now: bool,
+    ) -> PyResult<Activity> {
+        let py = to.py();
+        let options = Options {
+            speed,
+            blend,
+            until,
+            now,
+        };
+        Activity::new(py, self.0.get(py)?.ptp_to(pose::read(to)?), &options)
+    }
+
+    /// The same to the joint positions next to a hint, rad.
+    #[pyo3(signature = (to, hint, *, speed=None, blend=None, until=None, now=false))]
+    #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
+    fn ptp_near(
+        &self,
+        to: &Bound<'_, PyAny>,
+        hint: Vec<f64>,
+        speed: Option<f64>,
+        blend: Option<f64>,
+        until: Option<&Bound<'_, PyDict>>,
+        now: bool,
+    ) -> PyResult<Activity> {
+        let py = to.py();
+        let options = Options {
+            speed,
+            blend,
+            until,
+            now,
+        };
+        Activity::new(
+            py,
+            self.0.get(py)?.ptp_near(pose::read(to)?, hint),
+            &options,
+        )
+    }
+
+    /// A motion of the motion centre along a straight line.
     #[pyo3(signature = (to, *, speed=None, blend=None, until=None, now=false))]
     fn lin(
         &self,
@@ -145,7 +222,7 @@ impl Arm {
         Activity::new(py, self.0.get(py)?.lin(pose::read(to)?), &options)
     }
 
-    /// A motion of the flange along the arc through `via` to `to`.
+    /// A motion of the motion centre along the arc through `via` to `to`.
     #[pyo3(signature = (via, to, *, speed=None, blend=None, until=None, now=false))]
     fn circ(
         &self,
@@ -165,6 +242,48 @@ impl Arm {
         };
         let arc = self.0.get(py)?.circ(pose::read(via)?, pose::read(to)?);
         Activity::new(py, arc, &options)
+    }
+
+    /// A motion of the motion centre along a smooth curve through 1 to 63 poses.
+    #[pyo3(signature = (through, *, speed=None, blend=None, until=None, now=false))]
+    fn spline(
+        &self,
+        through: &Bound<'_, PyAny>,
+        speed: Option<f64>,
+        blend: Option<f64>,
+        until: Option<&Bound<'_, PyDict>>,
+        now: bool,
+    ) -> PyResult<Activity> {
+        let py = through.py();
+        let options = Options {
+            speed,
+            blend,
+            until,
+            now,
+        };
+        Activity::new(
+            py,
+            self.0.get(py)?.spline(pose::read_all(through)?),
+            &options,
+        )
+    }
+
+    /// Brakes the arm and keeps it under command where it comes to rest.
+    #[pyo3(signature = (*, speed=None, until=None, now=false))]
+    fn hold(
+        &self,
+        py: Python<'_>,
+        speed: Option<f64>,
+        until: Option<&Bound<'_, PyDict>>,
+        now: bool,
+    ) -> PyResult<Activity> {
+        let options = Options {
+            speed,
+            blend: None,
+            until,
+            now,
+        };
+        Activity::new(py, self.0.get(py)?.hold(), &options)
     }
 
     /// Measured positions of the joints, rad.

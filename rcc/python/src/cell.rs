@@ -7,6 +7,7 @@ use takt_api as api;
 
 use crate::arm::Arm;
 use crate::error;
+use crate::expression::{Condition, Number};
 use crate::owned::Owned;
 use crate::wait::call;
 
@@ -42,6 +43,13 @@ pub(crate) fn emulate(py: Python<'_>, name: String) -> PyResult<Cell> {
     Cell::opened(py, call(py, move || api::Cell::emulated(&name))?)
 }
 
+/// Starts the controller of a cell file inside of the program.
+#[cfg(feature = "embedded")]
+#[pyfunction]
+pub(crate) fn embed(py: Python<'_>, path: std::path::PathBuf) -> PyResult<Cell> {
+    Cell::opened(py, call(py, move || api::Cell::embedded(path))?)
+}
+
 impl Cell {
     fn opened(py: Python<'_>, cell: Result<api::Cell, api::Error>) -> PyResult<Self> {
         let cell = cell.map_err(|error| error::raise_here(py, &error))?;
@@ -75,6 +83,39 @@ impl Cell {
         let arms = py.detach(|| cell.arms());
         let arms = arms.map_err(|error| error::raise_here(py, &error))?;
         Ok(arms.into_iter().map(Arm::new).collect())
+    }
+
+    /// Sets the speed of all activities of this program, also of those that run.
+    fn set_override(&self, py: Python<'_>, factor: f64) -> PyResult<()> {
+        let cell = self.open(py)?;
+        let set = py.detach(|| cell.set_override(factor));
+        set.map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// The speed that `set_override` has set, 0 to 1.
+    fn override_factor(&self, py: Python<'_>) -> PyResult<f64> {
+        Ok(self.open(py)?.override_factor())
+    }
+
+    /// The present value of a number; `None` if a device does not know it.
+    fn value(&self, py: Python<'_>, number: &Bound<'_, Number>) -> PyResult<Option<f64>> {
+        let (cell, number) = (self.open(py)?, number.get().0.clone());
+        let value = py.detach(|| cell.value(&number));
+        value.map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// Whether a condition holds at present.
+    fn holds(&self, py: Python<'_>, condition: &Bound<'_, Condition>) -> PyResult<bool> {
+        let (cell, condition) = (self.open(py)?, condition.get().0.clone());
+        let holds = py.detach(|| cell.holds(&condition));
+        holds.map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// Where other programs reach the controller in this program; `None` if it runs elsewhere.
+    #[cfg(feature = "embedded")]
+    fn embedded_address(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        let address = self.open(py)?.embedded_address();
+        Ok(address.map(|address| address.to_string()))
     }
 
     /// Cancels everything that this program began, waits until it is at rest, and ends the session.

@@ -85,6 +85,42 @@ impl Number {
         Self(self.0.clone().abs())
     }
 
+    /// Its square root; a negative number has none, and nothing holds of it.
+    fn sqrt(&self) -> Self {
+        Self(self.0.clone().sqrt())
+    }
+
+    /// Sine of an angle, rad.
+    fn sin(&self) -> Self {
+        Self(self.0.clone().sin())
+    }
+
+    /// Cosine of an angle, rad.
+    fn cos(&self) -> Self {
+        Self(self.0.clone().cos())
+    }
+
+    /// Tangent of an angle, rad.
+    fn tan(&self) -> Self {
+        Self(self.0.clone().tan())
+    }
+
+    /// Arc sine, rad.
+    fn asin(&self) -> Self {
+        Self(self.0.clone().asin())
+    }
+
+    /// Arc cosine, rad.
+    fn acos(&self) -> Self {
+        Self(self.0.clone().acos())
+    }
+
+    /// Its mean over the last `duration` (s), or since the start if that is less.
+    fn average(&self, py: Python<'_>, duration: f64) -> PyResult<Self> {
+        let duration = seconds(py, "duration", duration)?;
+        Ok(Self(self.0.clone().average(duration)))
+    }
+
     /// The smaller of both.
     fn min(&self, py: Python<'_>, other: Operand<'_>) -> PyResult<Self> {
         Ok(Self(self.0.clone().min(other.number(py)?)))
@@ -143,6 +179,16 @@ impl Condition {
 
     fn __invert__(&self) -> Self {
         Self(!self.0.clone())
+    }
+
+    /// Whether it has just become true; also if it is true from the start.
+    fn rises(&self) -> Self {
+        Self(self.0.clone().rises())
+    }
+
+    /// Whether it has just become false; also if it is false from the start.
+    fn falls(&self) -> Self {
+        Self(self.0.clone().falls())
     }
 
     /// Whether it has been true for `duration` (s) without a break.

@@ -5,6 +5,8 @@ mod activity;
 mod arm;
 mod arrays;
 mod cell;
+mod compose;
+mod coupled;
 mod dispatch;
 mod error;
 mod expression;
@@ -12,6 +14,7 @@ mod handle;
 mod outcome;
 mod owned;
 mod place;
+mod plan;
 mod pose;
 mod wait;
 
@@ -19,20 +22,26 @@ mod wait;
 #[pyo3::pymodule(name = "_takt")]
 mod native {
     #[pymodule_export]
-    use super::activity::{Activity, Composite, either, together};
+    use super::activity::Activity;
     #[pymodule_export]
     use super::arm::{Arm, Force, JointLimits};
-    #[cfg(feature = "embedded")]
-    #[pymodule_export]
-    use super::cell::emulate;
     #[pymodule_export]
     use super::cell::{Cell, connect};
+    #[cfg(feature = "embedded")]
+    #[pymodule_export]
+    use super::cell::{embed, emulate};
+    #[pymodule_export]
+    use super::compose::{Composite, Event, Waiting, either, together, when};
+    #[pymodule_export]
+    use super::coupled::{Coupled, coupled};
     #[pymodule_export]
     use super::expression::{Condition, Number};
     #[pymodule_export]
     use super::handle::Handle;
     #[pymodule_export]
     use super::outcome::Outcome;
+    #[pymodule_export]
+    use super::plan::Plan;
     #[pymodule_export]
     use super::pose::{Pose, deg};
 }

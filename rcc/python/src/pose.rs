@@ -129,6 +129,11 @@ pub(crate) fn read(value: &Bound<'_, PyAny>) -> PyResult<api::Pose> {
     }
 }
 
+/// Reads a sequence of what stands for poses, such as an array of n x 4 x 4.
+pub(crate) fn read_all(values: &Bound<'_, PyAny>) -> PyResult<Vec<api::Pose>> {
+    values.try_iter()?.map(|value| read(&value?)).collect()
+}
+
 /// A position with a quaternion or a rotation of scipy.
 fn pair(position: &Bound<'_, PyAny>, orientation: &Bound<'_, PyAny>) -> PyResult<api::Pose> {
     let position = position.extract::<[f64; 3]>()?;

@@ -1,11 +1,13 @@
-"""Examples, the tutorial and the README's programs run to their end on emulated robots."""
+"""Examples, the notebook, the tutorial and the README's programs run to their end on emulated robots."""
 
 from __future__ import annotations
 
+import json
 import pathlib
 import re
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 from conftest import ROOT
@@ -27,6 +29,21 @@ def test_example_ends_with_output(path: pathlib.Path) -> None:
     printed = run(str(path))
     print(printed)
     assert printed.strip()
+
+
+def test_notebook_runs_and_plots(tmp_path: pathlib.Path) -> None:
+    notebook = ROOT / "rcc" / "python" / "examples" / "first.ipynb"
+    ran = tmp_path / "first.ipynb"
+    execute = pathlib.Path(sys.executable).with_name("jupyter-execute")
+    run(str(execute), f"--output={ran}", str(notebook))
+    cells: list[Any] = json.loads(ran.read_text())["cells"]
+    outputs: list[Any] = [output for cell in cells for output in cell.get("outputs", [])]
+    printed = "".join("".join(output.get("text", "")) for output in outputs)
+    assert "Outcome.Completed True" in printed and "of the path" in printed, printed
+    plots = [output for output in outputs if "image/png" in output.get("data", {})]
+    assert len(plots) == 1
+    source: list[Any] = json.loads(notebook.read_text())["cells"]
+    assert not any(cell.get("outputs") for cell in source), "the notebook is kept without outputs"
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

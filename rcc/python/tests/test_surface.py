@@ -22,11 +22,17 @@ def test_net_text_equals_that_of_rust(cell: takt.Cell, address: str) -> None:
     touch = abs(left.force.z) * 2 - 1 > 5
     bent = (left.joint(3) < 0.5).lasting(0.02)
     pushed = ~(touch & bent) | left.input(2)
+    mean = left.joint(1).average(0.03) < 0.1
+    angle = left.joint(2)
+    waves = (angle.sin() + angle.cos() - angle.tan() > 0.1) | (angle.asin() * angle.acos() < angle.sqrt())
     activities = [
         left.ptp(goal),
         left.ptp(goal, speed=0.3, blend=0.8),
         left.lin(pose, speed=0.1, until={"touch": touch}),
         left.with_speed(0.7).circ(via, pose * via, until={"bent": bent, "pushed": pushed}),
+        left.ptp_near(pose, goal),
+        left.with_tool(Pose.xyz(0, 0.01, 0.1)).spline([via, pose], until={"mean": mean}),
+        left.hold(until={"waves": waves.rises() | waves.falls()}),
     ]
     ours = "".join(activity.explain() + "\n\n" for activity in activities)
     rust = subprocess.run([program("explain"), address], capture_output=True, check=True)

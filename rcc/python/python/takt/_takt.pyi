@@ -1,6 +1,7 @@
 """Types of the native part. Lengths are m, angles rad, forces N, torques Nm, times s."""
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from os import PathLike
 from types import TracebackType
 from typing import Any, ClassVar, Literal, Protocol, final
 
@@ -35,6 +36,13 @@ def emulate(name: str) -> Cell:
     Raises `Invalid` for another name.
     """
 
+def embed(path: str | PathLike[str]) -> Cell:
+    """Starts the controller of a cell file inside of the program, and connects to it. It waits for no device.
+
+    Only this program can command it. Raises `Invalid` if the file is no valid cell, `Connection` if the system refuses
+    threads, sockets or devices.
+    """
+
 def deg(angle: float) -> float:
     """An angle in degrees as radians."""
 
@@ -48,6 +56,16 @@ def either(*activities: Activity) -> Composite:
     """The first of several activities that is possible: the next is tried if one is invalid, or the controller rejects it.
 
     Raises `TypeError` for anything else than activities.
+    """
+
+def when(condition: Condition) -> Waiting:
+    """Waits for a condition, without a device: `when(condition).start(activity)`."""
+
+def coupled(object: _PoseLike, arms: Sequence[Arm]) -> Coupled:
+    """Couples arms that hold an object, which is at `object` in the world now.
+
+    Each arm keeps its flange where it is now in the object; the arms have their bases in the world by `Arm.with_base`.
+    Raises `DeviceFailed` if an arm is offline, `Invalid` if there is none, or they are of different cells.
     """
 
 @final
@@ -64,6 +82,22 @@ class Cell:
         """
     def arms(self) -> list[Arm]:
         """All arms. Raises `Lost` if the connection is lost."""
+    def set_override(self, factor: float) -> None:
+        """Sets the speed of all activities of this program, 0 to 1, as part of their own: also of those that run.
+
+        At 0 they stand still on their paths and go on with a larger factor. Raises `Invalid` for another factor.
+        """
+    def override_factor(self) -> float:
+        """The speed that `set_override` has set, 0 to 1."""
+    def value(self, number: Number) -> float | None:
+        """The present value of a number, in its unit; `None` if a device does not know it.
+
+        The history of averages and durations begins with the call. Raises `Rejected`, or `Lost`.
+        """
+    def holds(self, condition: Condition) -> bool:
+        """Whether a condition holds at present; not if it depends on a number that a device does not know."""
+    def embedded_address(self) -> str | None:
+        """Where other programs reach the controller in this program; `None` if it runs elsewhere."""
     def close(self) -> None:
         """Cancels everything that this program began, waits until it is at rest, and ends the session.
 
@@ -141,6 +175,12 @@ class Arm:
     def period(self) -> float:
         """Period of the nets that command it, s."""
     @property
+    def model(self) -> str:
+        """Model of its kinematics, such as `kuka_lwr4`; empty if it is not described."""
+    @property
+    def base(self) -> Pose:
+        """Its base in the world; the world's origin, unless set by `with_base`."""
+    @property
     def joints(self) -> list[JointLimits]:
         """Limits of its joints, from the base."""
     @property
@@ -162,6 +202,10 @@ class Arm:
 
         Those left out are 0.25, 1, 10, 0.5, 2.5 and 25. Raises `Invalid` for a limit that is not above 0.
         """
+    def with_tool(self, tool: _PoseLike) -> Arm:
+        """The same arm with another motion centre, given in the flange: motions lead it, such as the tip of a tool."""
+    def with_base(self, base: _PoseLike) -> Arm:
+        """The same arm with its base at this pose in the world, which coupled arms share."""
     def ptp(
         self,
         to: _Numbers,
@@ -172,6 +216,30 @@ class Arm:
         now: bool = False,
     ) -> Activity:
         """A motion to joint positions, rad, one for each joint: all joints start and arrive together."""
+    def ptp_to(
+        self,
+        to: _PoseLike,
+        *,
+        speed: float | None = None,
+        blend: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """A motion of all joints together to a pose of the motion centre in the base of the arm.
+
+        Of all joint positions for it, those next to where the arm begins. Raises `Invalid` if a matrix is no pose.
+        """
+    def ptp_near(
+        self,
+        to: _PoseLike,
+        hint: _Numbers,
+        *,
+        speed: float | None = None,
+        blend: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """The same to the joint positions next to `hint`, rad, one for each joint."""
     def lin(
         self,
         to: _PoseLike,
@@ -181,7 +249,7 @@ class Arm:
         until: Mapping[str, Condition] | None = None,
         now: bool = False,
     ) -> Activity:
-        """A motion of the flange along a straight line to a pose in the base of the arm.
+        """A motion of the motion centre along a straight line to a pose in the base of the arm.
 
         Raises `Invalid` if a matrix or quaternion is no pose.
         """
@@ -195,9 +263,33 @@ class Arm:
         until: Mapping[str, Condition] | None = None,
         now: bool = False,
     ) -> Activity:
-        """A motion of the flange along the arc through `via` to `to`, both in the base of the arm.
+        """A motion of the motion centre along the arc through `via` to `to`, both in the base of the arm.
 
         Raises `Invalid` if a matrix or quaternion is no pose.
+        """
+    def spline(
+        self,
+        through: Iterable[_PoseLike],
+        *,
+        speed: float | None = None,
+        blend: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """A motion of the motion centre along a smooth curve through 1 to 63 poses in the base of the arm.
+
+        Raises `Invalid` if a matrix or quaternion is no pose.
+        """
+    def hold(
+        self,
+        *,
+        speed: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """Brakes the arm and keeps it under command where it comes to rest: `Outcome.Maintaining`.
+
+        It ends when another activity takes over, or it is cancelled.
         """
     def positions(self) -> NDArray[np.float64]:
         """Measured positions of the joints, rad, one for each joint. Raises `DeviceFailed` if the arm is offline."""
@@ -232,8 +324,14 @@ class Activity:
         """The same, stopped on its path when the condition holds; the outcome names it."""
     def now(self) -> Activity:
         """The same, to begin in the next cycle, in place of what the arm does, at rest or in motion."""
+    def unchecked(self) -> Activity:
+        """The same without a check of its path beforehand: where the arm cannot follow, it fails on its way."""
     def then(self, next: Activity | Composite) -> Composite:
         """Lets `next` follow: both are loaded and scheduled before the first one begins."""
+    def on(self, event: Event, next: Activity | Composite) -> Composite:
+        """Lets `next` begin at an event of this activity, decided by the controller; else it is skipped."""
+    def after_failure(self) -> Composite:
+        """Lets it begin also if what it follows fails or is cancelled."""
     def begin(self) -> Handle:
         """Begins it, and returns when it runs: a program is at most one activity ahead.
 
@@ -244,6 +342,11 @@ class Activity:
         """Lets it begin after what the arm does, and returns at once. Raises as `begin`."""
     def run(self) -> Outcome:
         """Begins it and waits until it has ended. Raises as `begin` and `Handle.wait`; Ctrl-C cancels it."""
+    def plan(self) -> Plan:
+        """Plans it from where what its device does now ends, or from where the device is: nothing is loaded.
+
+        Raises `Invalid`, `Unreachable`, `TooFast`, or `Unplanned` if its path is not known before it runs.
+        """
     def explain(self) -> str:
         """The text of the net that it becomes. Raises `Invalid` or `Limit`."""
     def __await__(self) -> Generator[Any, None, Outcome]: ...
@@ -257,7 +360,10 @@ class Composite:
 
     def then(self, next: Activity | Composite) -> Composite:
         """The same, followed by `next`."""
-
+    def on(self, event: Event, next: Activity | Composite) -> Composite:
+        """The same; `next` begins at an event of the last activity, decided by the controller; else it is skipped."""
+    def after_failure(self) -> Composite:
+        """The same; what begins first begins also if what its devices do before fails or is cancelled."""
     def begin(self) -> Handle:
         """Begins them, and returns when they run. Raises as `Activity.begin`."""
     def queue(self) -> Handle:
@@ -265,6 +371,117 @@ class Composite:
     def run(self) -> Outcome:
         """Begins them and waits until all have ended; the outcome is the one that is furthest from completion."""
     def __await__(self) -> Generator[Any, None, Outcome]: ...
+
+@final
+class Event:
+    """What may start another activity, for `on`."""
+
+    Completed: ClassVar[Event]
+    """It reached its goal."""
+    Cancelled: ClassVar[Event]
+    """It was cancelled and is at rest."""
+    Failed: ClassVar[Event]
+    """A device fails, or the path leaves its reach. An end without a result, such as an abort, is no event."""
+    @staticmethod
+    def Stopped(name: str) -> Event:
+        """The condition of this name stopped it, and it is at rest."""
+    @staticmethod
+    def Progress(progress: float) -> Event:
+        """It has completed this part of its path, 0 to below 1."""
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Waiting:
+    """A condition that is to start an activity, by `takt.when`."""
+
+    def start(self, next: Activity | Composite) -> Composite:
+        """Begins `next` in the cycle after the one in which the condition holds, once its devices are ready."""
+    def choose(self, yes: Activity | Composite, no: Activity | Composite) -> Composite:
+        """Begins `yes` if the condition holds in the first cycle, else `no`. A condition over null does not hold."""
+
+@final
+class Coupled:
+    """An object that two or more arms hold, by `takt.coupled`: they move with it as one, and brake as one.
+
+    Motions take the same options as those of an arm. Where an arm cannot follow, or fails, all arms brake on the path, and
+    the activity ends with an error when they are at rest.
+    """
+
+    def with_speed(self, factor: float) -> Coupled:
+        """The same object, slower: the speed of its motions is multiplied by `factor`, above 0 to 1."""
+    def with_limits(
+        self,
+        *,
+        velocity: float | None = None,
+        acceleration: float | None = None,
+        jerk: float | None = None,
+        rot_velocity: float | None = None,
+        rot_acceleration: float | None = None,
+        rot_jerk: float | None = None,
+    ) -> Coupled:
+        """The same object with these limits on its motions, in the units and with the defaults of `Arm.with_limits`."""
+    def lin(
+        self,
+        to: _PoseLike,
+        *,
+        speed: float | None = None,
+        blend: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """A motion of the object along a straight line to a pose in the world."""
+    def circ(
+        self,
+        via: _PoseLike,
+        to: _PoseLike,
+        *,
+        speed: float | None = None,
+        blend: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """A motion of the object along the arc through `via` to `to`, both in the world."""
+    def spline(
+        self,
+        through: Iterable[_PoseLike],
+        *,
+        speed: float | None = None,
+        blend: float | None = None,
+        until: Mapping[str, Condition] | None = None,
+        now: bool = False,
+    ) -> Activity:
+        """A motion of the object along a smooth curve through 1 to 63 poses in the world."""
+
+@final
+class Plan:
+    """The motion of an arm before anything is loaded, from rest to rest: the same course as that of the net, by cycles.
+
+    Times are s after the start, at least 0; after the end, values are those at the goal.
+    """
+
+    @property
+    def device(self) -> str:
+        """Name of the arm."""
+    @property
+    def partners(self) -> list[Plan]:
+        """The plans of the other arms that move with this one."""
+    @property
+    def duration(self) -> float:
+        """Time from the start to rest at the goal, s."""
+    def progress(self, time: float) -> float:
+        """Completed part of the path at a time, 0 to 1."""
+    def positions(self, time: float) -> NDArray[np.float64]:
+        """Positions of the joints at a time, rad, one for each joint."""
+    def velocities(self, time: float) -> NDArray[np.float64]:
+        """Velocities of the joints at a time, rad/s, one for each joint."""
+    def pose(self, time: float) -> Pose | None:
+        """The pose of the flange in the base of the arm; `None` without a known model of the kinematics."""
+    def first(self, condition: Callable[[float, NDArray[np.float64]], object]) -> float | None:
+        """The first time at which `condition(progress, positions)` is true, else `None`. What it raises is passed on."""
+    def end(self) -> NDArray[np.float64]:
+        """The joint positions at the goal, rad."""
+    def cycles(self) -> list[NDArray[np.float64]]:
+        """The motion by cycles: times (n), progress (n), joint positions, rad (n x joints)."""
 
 @final
 class Handle:
@@ -365,6 +582,20 @@ class Number:
 
     def abs(self) -> Number:
         """Its magnitude."""
+    def sqrt(self) -> Number:
+        """Its square root; a negative number has none, and nothing holds of it."""
+    def sin(self) -> Number:
+        """Sine of an angle, rad."""
+    def cos(self) -> Number:
+        """Cosine of an angle, rad."""
+    def tan(self) -> Number:
+        """Tangent of an angle, rad."""
+    def asin(self) -> Number:
+        """Arc sine, rad."""
+    def acos(self) -> Number:
+        """Arc cosine, rad."""
+    def average(self, duration: float) -> Number:
+        """Its mean over the last `duration`, s, or since the start if that is less."""
     def min(self, other: Number | float) -> Number:
         """The smaller of both."""
     def max(self, other: Number | float) -> Number:
@@ -390,6 +621,10 @@ class Number:
 class Condition:
     """A state that the controller evaluates in each cycle. Operators: & | ~. A condition over null is not true."""
 
+    def rises(self) -> Condition:
+        """Whether it has just become true; also if it is true from the start."""
+    def falls(self) -> Condition:
+        """Whether it has just become false; also if it is false from the start."""
     def lasting(self, duration: float) -> Condition:
         """Whether it has been true for `duration`, s, without a break."""
     def __and__(self, other: Condition, /) -> Condition: ...
