@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use takt_net::definition::port;
-use takt_net::device::{JointCommand, JointLimits, JointState, Order, Target, Tool};
+use takt_net::device::{Commanded, JointCommand, JointLimits, JointState, Order, Target, Tool};
 use takt_net::set_points::SetPointCounters;
 use takt_net::{
     ArmBinding, Build, Cycle, Definition, Fault, Frame, In, NullRule, Out, Primitive, Vector,
@@ -53,8 +53,12 @@ impl Primitive for JointPosition {
                 net: Some(cycle.moment.net),
             };
             joint.command.set(command);
-            let (trail, state) = (joint.trail.get(), joint.state.get());
-            joint.trail.set(trail.with(&command, &state, self.period_s));
+            let state = joint.state.get();
+            let reported = [state.commanded_velocity, state.commanded_acceleration];
+            let first = Commanded::first(command.cycle, command.every, position, reported);
+            joint
+                .trail
+                .set(joint.trail.get().with(first, self.period_s));
         }
         count(&self.counters, position, concurrent, failed, illegal);
         self.error.set(cycle, error);
@@ -110,9 +114,10 @@ impl Primitive for JointMonitor {
         let mut state = joint.state.get();
         let trail = joint.trail.get();
         let (now, every) = (cycle.moment.cycle, cycle.moment.every.max(1));
+        let limits = &self.limits;
         let last = trail
             .before(now, every)
-            .filter(|motion| motion.keeps(&self.limits));
+            .filter(|motion| motion.keeps(limits.velocity_max, limits.acceleration_max));
         // A joint that follows its set-points goes on from the last one, not from where its driver, which plays them with
         // a delay, has come with them. Steps are smoothed by the driver: there, what it reports counts.
         if let (0, Some(motion)) = (state.error, last) {

@@ -1,8 +1,6 @@
 //! The motion that nets command of a joint, from the differences of their set-points. What the driver makes of it, some
 //! cycles later, is in the joint's state.
 
-use super::{JointCommand, JointLimits, JointState};
-
 /// Relative rounding error of motions at a limit.
 const ROUNDING: f64 = 1e-3;
 
@@ -25,9 +23,24 @@ pub struct Commanded {
 
 impl Commanded {
     /// Whether it is a motion within these limits of velocity and acceleration, not a step.
-    pub fn keeps(&self, limits: &JointLimits) -> bool {
-        self.velocity.abs() <= limits.velocity_max * (1.0 + ROUNDING)
-            && self.acceleration.abs() <= limits.acceleration_max * (1.0 + ROUNDING)
+    pub fn keeps(&self, velocity_max: f64, acceleration_max: f64) -> bool {
+        self.velocity.abs() <= velocity_max * (1.0 + ROUNDING)
+            && self.acceleration.abs() <= acceleration_max * (1.0 + ROUNDING)
+    }
+
+    /// The first set-point of a net, given in this cycle by a net with a period of `every` cycles, while the driver
+    /// reports that it commands this velocity and acceleration.
+    #[must_use]
+    pub fn first(cycle: u64, every: u64, position: f64, reported: [Option<f64>; 2]) -> Self {
+        let [velocity, acceleration] = reported.map(|value| value.unwrap_or(0.0));
+        Self {
+            cycle,
+            every,
+            position,
+            velocity,
+            acceleration,
+            slope: velocity,
+        }
     }
 
     /// Whether the set-point of the next cycle continues its motion.
@@ -40,30 +53,14 @@ impl Commanded {
         self.cycle != 0 && cycle.saturating_sub(self.cycle) <= gap
     }
 
-    /// The motion at the next set-point. The first one continues what the driver reports.
+    /// The motion at the next set-point, if that one is due.
     #[expect(clippy::cast_precision_loss, reason = "a few cycles")]
-    fn next(&self, command: &JointCommand, state: &JointState, period_s: f64) -> Self {
-        let JointCommand {
-            cycle,
-            every,
-            position,
-            ..
-        } = *command;
-        let reported = [state.commanded_velocity, state.commanded_acceleration];
-        let [velocity, acceleration] = reported.map(|value| value.unwrap_or(0.0));
-        let first = Self {
-            cycle,
-            every,
-            position,
-            velocity,
-            acceleration,
-            slope: velocity,
-        };
-        if !self.is_due(cycle, every) || cycle == self.cycle {
+    fn next(&self, first: Self, period_s: f64) -> Self {
+        if !self.is_due(first.cycle, first.every) || first.cycle == self.cycle {
             return first;
         }
-        let dt_s = (cycle - self.cycle) as f64 / every.max(1) as f64 * period_s;
-        let slope = (position - self.position) / dt_s;
+        let dt_s = (first.cycle - self.cycle) as f64 / first.every.max(1) as f64 * period_s;
+        let slope = (first.position - self.position) / dt_s;
         let acceleration = (slope - self.slope) / dt_s;
         Self {
             velocity: acceleration.mul_add(dt_s / 2.0, slope),
@@ -83,11 +80,11 @@ pub struct Trail {
 }
 
 impl Trail {
-    /// With this command, given while the driver reports this state, by a net of that period (s).
+    /// With this set-point of a net of that period (s); the first one continues what the driver reports.
     #[must_use]
-    pub fn with(self, command: &JointCommand, state: &JointState, period_s: f64) -> Self {
+    pub fn with(self, set_point: Commanded, period_s: f64) -> Self {
         Self {
-            last: self.last.next(command, state, period_s),
+            last: self.last.next(set_point, period_s),
             before: self.last,
         }
     }
@@ -109,23 +106,17 @@ impl Trail {
 mod tests {
     use super::*;
 
-    /// A command of a cycle of 1 ms, at 3 t² from cycle 10 on.
-    fn command(cycle: u64) -> JointCommand {
+    /// A set-point of a cycle of 1 ms, at 3 t² from cycle 10 on.
+    fn set_point(cycle: u64) -> Commanded {
         let time = f64::from(u32::try_from(cycle - 10).expect("small")) * 1e-3;
-        JointCommand {
-            cycle,
-            every: 1,
-            position: 3.0 * time * time,
-            net: None,
-        }
+        Commanded::first(cycle, 1, 3.0 * time * time, [None; 2])
     }
 
     #[test]
     fn steady_acceleration_is_found_from_set_points() {
-        let state = JointState::default();
         let mut trail = Trail::default();
         for cycle in 10..20 {
-            trail = trail.with(&command(cycle), &state, 1e-3);
+            trail = trail.with(set_point(cycle), 1e-3);
         }
         let motion = trail.before(20, 1).expect("a motion");
         assert!((motion.position - 3.0 * 81e-6).abs() < 1e-12, "{motion:?}");
@@ -135,10 +126,9 @@ mod tests {
 
     #[test]
     fn cycle_before_is_known_after_command_of_this_one() {
-        let state = JointState::default();
         let mut trail = Trail::default();
         for cycle in 10..13 {
-            trail = trail.with(&command(cycle), &state, 1e-3);
+            trail = trail.with(set_point(cycle), 1e-3);
         }
         let before = trail.before(12, 1).copied();
         assert_eq!(before.map(|motion| motion.cycle), Some(11));
@@ -149,13 +139,9 @@ mod tests {
 
     #[test]
     fn set_point_after_pause_continues_reported_motion() {
-        let state = JointState {
-            commanded_velocity: Some(0.2),
-            commanded_acceleration: Some(-1.0),
-            ..JointState::default()
-        };
-        let trail = Trail::default().with(&command(10), &JointState::default(), 1e-3);
-        let trail = trail.with(&command(50), &state, 1e-3);
+        let trail = Trail::default().with(set_point(10), 1e-3);
+        let reported = [Some(0.2), Some(-1.0)];
+        let trail = trail.with(Commanded::first(50, 1, 0.5, reported), 1e-3);
         let motion = trail.before(51, 1).expect("a motion");
         assert_eq!([motion.velocity, motion.acceleration], [0.2, -1.0]);
     }
