@@ -69,6 +69,11 @@ fn instance<'py>(
             attributes.set_item("name", name)?;
             "NoDevice"
         }
+        Error::NoPort { device, port, .. } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("port", port)?;
+            "NoPort"
+        }
         Error::Rejected(faults) => {
             attributes.set_item("faults", faults.clone())?;
             "Rejected"

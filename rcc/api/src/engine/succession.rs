@@ -234,7 +234,14 @@ impl Engine {
         else {
             return;
         };
-        if group.trigger.is_some() {
+        let is_pending = |id: &ActivityId| {
+            let activity = self.activities.get(id);
+            activity.is_some_and(|activity| activity.pending.is_some())
+        };
+        if group.members.iter().any(is_pending) {
+            // It was replaced or cancelled meanwhile: it does not wait for what is left.
+            self.kill(id, &Ok(Outcome::Cancelled));
+        } else if group.trigger.is_some() {
             self.kill(id, &Ok(Outcome::Skipped));
         } else if group.after_failure {
             self.enter(id, GroupLife::Loading, State::Loaded);

@@ -80,6 +80,23 @@ class NoDevice(Error, LookupError):
         self.name = name
 
 
+class NoPort(Error, LookupError):
+    """`device` has no input or output of this number and kind; the text says what it has. Nothing was begun."""
+
+    def __init__(
+        self,
+        text: str,
+        *,
+        device: str,
+        port: int,
+        filename: str | None = None,
+        lineno: int | None = None,
+    ) -> None:
+        super().__init__(text, filename=filename, lineno=lineno)
+        self.device = device
+        self.port = port
+
+
 class Rejected(Error):
     """The controller rejected the net of an activity; `faults` lists why, with positions in its text."""
 
