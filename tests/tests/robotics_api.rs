@@ -1,10 +1,5 @@
 //! Programs of the Robotics API against a controller with two simulated arms, over the real line protocol.
 
-#![expect(
-    clippy::unwrap_used,
-    reason = "tests and their helpers fail by panicking"
-)]
-
 mod robotics;
 
 use std::future::{Future, IntoFuture as _};

@@ -1,10 +1,5 @@
 //! Activities that are begun in one call: sequences, alternatives, events and conditions, decided by the controller.
 
-#![expect(
-    clippy::unwrap_used,
-    reason = "tests and their helpers fail by panicking"
-)]
-
 mod robotics;
 
 use std::time::Duration;

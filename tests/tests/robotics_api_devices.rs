@@ -14,7 +14,10 @@ use robotics::Bench;
 use takt_api::{Cell, Error, Number, Outcome, Pose};
 use takt_tests::steady;
 
-fn bench(devices: &[(&str, &str, &[(&str, &str)])]) -> (Bench, Cell) {
+/// Devices by name and kind, with their parameters.
+type Devices<'d> = &'d [(&'d str, &'d str, &'d [(&'d str, &'d str)])];
+
+fn bench(devices: Devices<'_>) -> (Bench, Cell) {
     let bench = Bench::start();
     for (name, kind, parameters) in devices {
         let owned = |(key, value): &(&str, &str)| ((*key).to_owned(), (*value).to_owned());
@@ -152,7 +155,7 @@ fn fingers_open_close_and_stop() {
 #[test]
 fn servo_gripper_grips_a_part_with_a_force() {
     steady(|| {
-        let devices: &[(&str, &str, &[(&str, &str)])] = &[
+        let devices: Devices<'_> = &[
             ("full", "schunk_wsg_sim", &[("part", "0.05")]),
             ("empty", "schunk_wsg_sim", &[]),
         ];

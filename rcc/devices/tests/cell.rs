@@ -227,6 +227,12 @@ const CELLS: [(&str, &str); 23] = [
         "[[device]] of type schunk_wsg",
         "[[device]]\nname = 'n'\ntype = 'schunk_wsg'\naddress = '127.0.0.1:1000'\n@",
     ),
+    ("[[frame]]", "[[frame]]\nname = 'f'\n@"),
+    ("[[base]]", "[[base]]\ndevice = 'n'\n@"),
+    (
+        "[[tool]]",
+        "[[device]]\nname = 'n'\ntype = 'kuka_lwr_fri'\nlisten = '127.0.0.1:1000'\n[[tool]]\nname = 't'\ndevice = 'n'\n@",
+    ),
     ("[[ethercat]]", "SEGMENT@"),
     ("[ethercat.clocks]", "SEGMENTclocks = { @ }"),
     (
