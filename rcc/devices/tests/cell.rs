@@ -197,7 +197,7 @@ fn cell_reference_lists_every_key() {
 }
 
 /// Sections of docs/cell.md that state defaults, with a cell that is accepted with any one of these at the `@`.
-const CELLS: [(&str, &str); 23] = [
+const CELLS: [(&str, &str); 26] = [
     ("[controller]", "[controller]\n@"),
     (
         "[[controller.thread]]",

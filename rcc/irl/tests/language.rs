@@ -1,5 +1,11 @@
 //! Statements and what they do; errors and where they are; object code and how it is damaged. Motions are in `motion.rs`.
 
+#![allow(
+    clippy::unwrap_used,
+    reason = "tests and their helpers fail by panicking"
+)]
+#![allow(clippy::too_many_lines, reason = "tables of statements and errors")]
+
 mod common;
 
 use common::{Run, TWO, errors, run};

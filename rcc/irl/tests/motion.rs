@@ -1,5 +1,10 @@
 //! Motions of programs: they arrive, keep limits, round, stop on their path, and allocate nothing.
 
+#![allow(
+    clippy::unwrap_used,
+    reason = "tests and their helpers fail by panicking"
+)]
+
 mod common;
 
 use common::{Run, TWO, run};

@@ -178,7 +178,6 @@ impl Arm {
 
     /// The same to the joint positions next to a hint, rad.
     #[pyo3(signature = (to, hint, *, speed=None, blend=None, until=None, now=false))]
-    #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     fn ptp_near(
         &self,
         to: &Bound<'_, PyAny>,

@@ -75,7 +75,9 @@ impl Event {
         match &self.0 {
             api::Event::Stopped(name) => format!("Event.Stopped('{name}')"),
             api::Event::Progress(progress) => format!("Event.Progress({progress})"),
-            plain => format!("Event.{plain:?}"),
+            plain @ (api::Event::Completed | api::Event::Cancelled | api::Event::Failed) => {
+                format!("Event.{plain:?}")
+            }
         }
     }
 }

@@ -5,6 +5,15 @@
     missing_debug_implementations,
     reason = "each test file uses a part"
 )]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "tests and their helpers fail by panicking"
+)]
+#![allow(
+    clippy::wrong_self_convention,
+    reason = "a run is used up by running it"
+)]
 
 use std::sync::Arc;
 use std::time::Duration;
