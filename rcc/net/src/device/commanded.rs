@@ -143,6 +143,7 @@ mod tests {
         let reported = [Some(0.2), Some(-1.0)];
         let trail = trail.with(Commanded::first(50, 1, 0.5, reported), 1e-3);
         let motion = trail.before(51, 1).expect("a motion");
-        assert_eq!([motion.velocity, motion.acceleration], [0.2, -1.0]);
+        let found = [motion.velocity, motion.acceleration].map(f64::to_bits);
+        assert_eq!(found, [0.2_f64, -1.0].map(f64::to_bits));
     }
 }
