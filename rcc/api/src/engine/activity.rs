@@ -162,14 +162,14 @@ pub enum When {
 /// What is to be requested from the controller.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// Load the net and subscribe to it; report by [`Engine::loaded`].
+    /// Load the net and subscribe to it; report by [`Engine::loaded`](super::Engine::loaded).
     Load {
         /// Its activity.
         activity: ActivityId,
         /// Text of the net.
         net: String,
     },
-    /// Install a rule and subscribe to it; report by [`Engine::scheduled`].
+    /// Install a rule and subscribe to it; report by [`Engine::scheduled`](super::Engine::scheduled).
     Schedule {
         /// Its group.
         group: GroupId,
