@@ -1,5 +1,5 @@
 //! The content of an EoE mailbox (ETG.1000.6, clause 5.9): Ethernet frames in fragments, the addresses of a slave, its
-//! address filter, time stamps. Fragments are put together in [`reassembly`]; their order is up to master and slave.
+//! address filter, time stamps. Fragments are put together in `reassembly`; their order is up to master and slave.
 
 mod filter;
 mod reassembly;
