@@ -50,7 +50,7 @@ impl Commanded {
         } else {
             self.every
         };
-        self.cycle != 0 && cycle.saturating_sub(self.cycle) <= gap
+        self.cycle != 0 && cycle >= self.cycle && cycle - self.cycle <= gap
     }
 
     /// The motion at the next set-point, if that one is due.
@@ -135,6 +135,9 @@ mod tests {
         assert_eq!(trail.before(13, 1).map(|motion| motion.cycle), Some(12));
         assert_eq!(trail.before(14, 1), None);
         assert_eq!(trail.before(14, 4).map(|motion| motion.cycle), Some(12));
+        // A count of cycles that begins again knows nothing of these.
+        let trail = trail.with(Commanded::first(3, 1, 0.0, [None; 2]), 1e-3);
+        assert_eq!(trail.before(1, 1), None);
     }
 
     #[test]
