@@ -294,7 +294,8 @@ pub(super) fn table() -> Vec<Definition> {
         )),
         Definition::new(
             "RobotArm::JointMonitor",
-            "What a joint was commanded in the cycle before, by a net or else by its driver, and what it does, as its driver last reported.",
+            "What a joint was commanded and does. Commanded is the set-point of a net in the cycle before, if there was \
+             one, else what the driver last reported.",
             joint_monitor,
         )
         .text("Robot", ROBOT)
