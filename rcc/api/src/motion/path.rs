@@ -112,6 +112,7 @@ impl Operation for ArmMotion {
     fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
         let arm = &self.arm;
         let mut failures = Vec::new();
+        let mut fault = None;
         let course = match &self.path {
             Path::Ptp(_) | Path::Pose { .. } => self.joint_motion(net, requests)?,
             Path::Frame(route) => {
@@ -120,12 +121,25 @@ impl Operation for ArmMotion {
                 let start = start.map(|start| start * self.tool);
                 let from = frame::commanded(net, arm, &self.tool);
                 let limits = (&self.limits, requests.speed);
-                let stop = &requests.stop;
-                let moved = route.write(net, (stop, limits), Some(&from), start.as_ref());
+                let (fault_in, stop) = net.feedback(&requests.stop);
+                let moved = route.write(net, (&stop, limits), Some(&from), start.as_ref());
                 let moved = moved.ok_or_else(|| arm.no_start())?;
-                let flange = net.transform(&moved.position, &self.tool.inverse());
-                let (joints, unreachable) = frame::inverse(net, arm, &flange);
-                failures.push((Failure::unreachable(&arm.name), unreachable));
+                let grip = self.tool.inverse();
+                let (flange, rest) = (
+                    net.transform(&moved.position, &grip),
+                    net.transform(&moved.rest, &grip),
+                );
+                let (joints, beyond) = frame::inverse(net, arm, &flange);
+                let (_, will_be_beyond) = frame::inverse(net, arm, &rest);
+                // It brakes on the path, while it can still come to rest within reach, and fails at rest: what follows
+                // begins there.
+                let beyond = net.of_two("Core::BooleanOr", &beyond, &will_be_beyond);
+                let latched = [("inOn", (&beyond).into())];
+                let latched = net.add("Core::Trigger", latched).out("outActive");
+                net.close(&fault_in, &latched);
+                let ended = net.of_two("Core::BooleanAnd", &moved.done, &latched);
+                failures.push((Failure::unreachable(&arm.name), ended));
+                fault = Some(latched);
                 moved.course(joints)
             }
         };
@@ -135,7 +149,7 @@ impl Operation for ArmMotion {
             progress: Some(course.progress),
             failures,
             results: Vec::new(),
-            fault: None,
+            fault,
         })
     }
 }

@@ -158,6 +158,31 @@ fn coupled_arms_have_one_motion_and_one_stop() {
 }
 
 #[test]
+fn lines_beyond_reach_fail_at_rest() {
+    let begins = begins(&["left"]);
+    let text = net(along(Route::Line(Pose::xyz(0.5, 0.0, 0.5))), &begins).unwrap();
+    assert_eq!(
+        text.matches("ArmKinematics::InvKin(").count(),
+        2,
+        "now and at rest: {text}"
+    );
+    let result = text
+        .lines()
+        .find(|line| line.contains("Key='unreachable_left'"))
+        .unwrap();
+    let (_, port) = result.split_once("inValue=").unwrap();
+    let (name, _) = port.split_once('.').unwrap();
+    let ended = text
+        .lines()
+        .find(|line| line.trim().starts_with(&format!("{name}=")))
+        .unwrap();
+    assert!(
+        ended.contains("Core::BooleanAnd(inFirst=") && ended.contains(".outDone"),
+        "{ended}"
+    );
+}
+
+#[test]
 fn coupled_net_outlives_a_failure_until_rest() {
     let begins = begins(&["left", "right"]);
     let text = net(coupled(), &begins).unwrap();
