@@ -1,5 +1,9 @@
 //! `takt ecat cell`: a segment as a cell file has it, from a scan: slaves, axes, SYNC0, inputs and outputs; with ESI files
-//! also start-up commands and names. What the slaves do not report (limits, gear ratios) is left to the user.
+//! also start-up commands, PDOs and names. What the slaves do not report (limits, gear ratios) is left to the user, in a
+//! commented table.
+
+mod arm;
+mod pdos;
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -8,13 +12,14 @@ use anyhow::{Context as _, ensure};
 use clap::Args;
 use takt_cia402::dictionary::Mapped;
 use takt_ethercat::AlState;
-use takt_ethercat::master::SlaveView;
+use takt_ethercat::master::{Master, SlaveView};
 
 use super::esi::{self, Device};
 use super::session::{Session, Wire};
 use super::{REQUEST_CYCLE, Target, scan};
 use crate::Verdict;
 use crate::output::{complain, save, say};
+use pdos::Assigned;
 
 /// Write the segment of a cell file from a scan.
 ///
@@ -54,6 +59,9 @@ impl Cell {
         let session = self.target.bring_up(AlState::PreOp, REQUEST_CYCLE)?;
         let second = self.target.second.as_deref();
         let text = text(&session, &self.name, second, &devices)?;
+        for warning in warnings(session.master(), &devices) {
+            complain(&warning);
+        }
         match &self.to {
             Some(to) => {
                 save(to, &text)?;
@@ -100,12 +108,44 @@ pub(super) fn text<W: Wire>(
         let same_alias = slaves()
             .filter(|it| it.info().alias == slave.info().alias)
             .count();
-        slave_text(&mut out, slave, same_alias == 1, devices);
-        channels.add(slave);
+        let assigned = pdos::assigned(slave, device_of(slave, devices));
+        slave_text(&mut out, slave, same_alias == 1, devices, &assigned);
+        channels.add(slave, &assigned);
     }
     channels.write(&mut out);
+    let axes = slaves().map(|slave| (name_of(slave), axes(slave, device_of(slave, devices))));
+    arm::write(&mut out, &axes.collect::<Vec<_>>());
     takt_devices::parse_cell(&out).context("the scan makes no valid cell")?;
     Ok(out)
+}
+
+fn device_of<'a>(slave: SlaveView<'_>, devices: &'a [Device]) -> Option<&'a Device> {
+    let id = slave.info().identity;
+    esi::find(devices, id.vendor, id.product, id.revision)
+}
+
+/// What the ESI files say of the detected slaves and the cell lacks, once per device.
+fn warnings(master: &Master, devices: &[Device]) -> Vec<String> {
+    let slaves = (0..master.len()).filter_map(|number| master.slave(number));
+    let mut all = Vec::new();
+    for (slave, device) in slaves.filter_map(|it| Some((it, device_of(it, devices)?))) {
+        let left_out = device.left_out.iter().map(|it| {
+            let Device { file, order, .. } = device;
+            let (line, what, remedy) = (it.line, &it.what, it.remedy);
+            format!("takt: {file}, line {line}: {order}: left out: {what}\nhint: {remedy}")
+        });
+        all.extend(left_out);
+        let name = name_of(slave);
+        let notes = pdos::assigned(slave, Some(device)).notes;
+        all.extend(
+            notes
+                .into_iter()
+                .map(|note| format!("takt: {name}: {note}")),
+        );
+    }
+    let mut seen = std::collections::BTreeSet::new();
+    all.retain(|it| seen.insert(it.clone()));
+    all
 }
 
 /// The name of a slave in the cell: its order code and number.
@@ -136,10 +176,11 @@ fn comment(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).collect()
 }
 
-fn entries(slave: SlaveView<'_>, outputs: bool) -> Vec<Mapped> {
+fn entries(slave: SlaveView<'_>, outputs: bool, assigned: &Assigned) -> Vec<Mapped> {
     let channels = slave.process().channels.iter();
     let channels = channels.filter(|channel| channel.outputs == outputs);
     let pdos = channels.flat_map(|channel| &channel.pdos);
+    let pdos = pdos.filter(|pdo| !assigned.is_excluded(pdo.index));
     pdos.flat_map(|pdo| pdo.entries.iter().copied()).collect()
 }
 
@@ -150,7 +191,7 @@ const AXIS: u16 = 0x800;
 
 /// Number of CiA 402 axes: control words of 16 bits among the outputs, or among the PDOs of the ESI file, from 6040h on.
 fn axes(slave: SlaveView<'_>, device: Option<&Device>) -> usize {
-    let mapped = entries(slave, true).into_iter();
+    let mapped = entries(slave, true, &Assigned::default()).into_iter();
     let mapped = mapped.map(|it| (it.address.index, it.address.sub, u16::from(it.bits)));
     let listed = device.into_iter().flat_map(|it| &it.rx_pdos);
     let listed = listed.flat_map(|pdo| pdo.entries.iter().map(|it| (it.0, it.1, it.2)));
@@ -159,10 +200,16 @@ fn axes(slave: SlaveView<'_>, device: Option<&Device>) -> usize {
     (0..AXES_MAX).take_while(has).count()
 }
 
-fn slave_text(out: &mut String, slave: SlaveView<'_>, has_own_alias: bool, devices: &[Device]) {
+fn slave_text(
+    out: &mut String,
+    slave: SlaveView<'_>,
+    has_own_alias: bool,
+    devices: &[Device],
+    assigned: &Assigned,
+) {
     let info = slave.info();
     let id = info.identity;
-    let device = esi::find(devices, id.vendor, id.product, id.revision);
+    let device = device_of(slave, devices);
     let title = device.map_or_else(|| scan::title(slave), |device| device.name.as_str());
     let _ = writeln!(
         out,
@@ -211,10 +258,11 @@ fn slave_text(out: &mut String, slave: SlaveView<'_>, has_own_alias: bool, devic
             let _ = writeln!(out, "shift = '{}ns'", mode.shift0_ns);
         }
     }
+    assigned.write(out, device);
     let startup = device.map(|device| &device.startup[..]).unwrap_or_default();
     for it in startup {
         let what = comment(&it.comment);
-        if !matches!(it.transition.as_str(), "IP" | "PS") || it.data.is_empty() {
+        if !it.is_for_pre_op() || it.data.is_empty() {
             let (index, sub) = (it.index, it.sub);
             let _ = writeln!(
                 out,
@@ -240,13 +288,13 @@ struct Channels {
 }
 
 impl Channels {
-    fn add(&mut self, slave: SlaveView<'_>) {
+    fn add(&mut self, slave: SlaveView<'_>, assigned: &Assigned) {
         if axes(slave, None) > 0 {
             return;
         }
         let name = name_of(slave);
         for (side, outputs) in [false, true].into_iter().enumerate() {
-            let all = entries(slave, outputs);
+            let all = entries(slave, outputs, assigned);
             let bits = all.len();
             if bits > 0 && all.iter().all(|it| it.bits == 1) {
                 self.digital[side].push(format!("['{name}', {bits}]"));
@@ -283,38 +331,4 @@ impl Channels {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::time::Duration;
-
-    use super::*;
-    use crate::ecat::cell;
-    use crate::ecat::tests::{CYCLE, tree, up};
-
-    #[test]
-    fn cell_from_scan_brings_up_its_segment() {
-        let mut session = up(tree(), AlState::PreOp);
-        let devices = esi::parse(esi::tests::DRIVE).unwrap();
-        let text = text(&session, "line", None, &devices).unwrap();
-        for part in [
-            "[[ethercat]]\nname = \"line\"\ninterface = \"emulated0\"\n",
-            "# Servo drive, revision 00010000h, serial 1\n[[ethercat.slave]]\nname = 'tk4021_1'\nposition = 1\n",
-            "axes = 1\nsync0 = true\nshift = '-250000ns'\n",
-            "[[ethercat.slave.startup]] # CSP\nindex = 0x6060\nsub = 0\nvalue = { bytes = [8] }\n",
-            "digital_in = [['tk0808_2', 8]]\ndigital_out = [['tk0808_2', 8]]\n",
-        ] {
-            assert!(text.contains(part), "{part}\n{text}");
-        }
-        let parsed = takt_devices::parse_cell(&text).unwrap();
-        let segment = cell::segment(&parsed, None).unwrap();
-        session
-            .restart(cell::master(segment, CYCLE, AlState::Op))
-            .unwrap();
-        session.follow_sync0();
-        session.bring_up(Duration::from_secs(20)).unwrap();
-        assert!(
-            session.master().is_operational(),
-            "{}",
-            scan::text(&session)
-        );
-    }
-}
+mod tests;
