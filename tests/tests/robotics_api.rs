@@ -9,7 +9,7 @@ use std::task::{Context, Poll, Wake, Waker};
 use std::time::Duration;
 
 use robotics::{BENT, Bench};
-use takt_api::{Error, Outcome, Pose, together};
+use takt_api::{ErrorKind, Outcome, Pose, together};
 use takt_tests::steady;
 
 fn near(a: &[f64], b: &[f64], tolerance: f64) {
@@ -176,7 +176,8 @@ fn wrong_arguments_are_refused_before_anything_moves() {
         let bench = Bench::start();
         let (cell, left, right) = bench.arms();
         let loaded = bench.nets();
-        let text = |result: Result<_, Error>| result.map(drop).unwrap_err().to_string();
+        let text =
+            |result: Result<_, takt_api::Error>| result.map(drop).unwrap_err().kind.to_string();
         let error = text(left.ptp([0.0; 6]).begin());
         assert_eq!(error, "left has 7 joints, not 6");
         let error = text(left.ptp([0.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0]).begin());
@@ -220,8 +221,8 @@ fn line_out_of_reach_fails_and_leaves_the_arm_usable() {
         let error = far.run().unwrap_err();
         // Near the end of its reach the elbow stretches faster than the joints may.
         let named = matches!(
-            error,
-            Error::Unreachable { .. } | Error::DeviceFailed { .. }
+            error.kind,
+            ErrorKind::Unreachable { .. } | ErrorKind::DeviceFailed { .. }
         );
         assert!(named, "{error}");
         assert_eq!(
@@ -244,7 +245,10 @@ fn two_programs_on_one_arm_conflict_and_the_first_goes_on() {
         let error = other.ptp(BENT).run().unwrap_err();
         let text = error.to_string();
         assert!(
-            matches!(error, Error::Refused(_) | Error::Conflict { .. }),
+            matches!(
+                error.kind,
+                ErrorKind::Refused(_) | ErrorKind::Conflict { .. }
+            ),
             "{text}"
         );
         assert!(text.contains("left"), "{text}");
@@ -293,9 +297,9 @@ fn lost_controller_ends_every_handle() {
         let handle = left.ptp(far).speed(0.1).begin().unwrap();
         drop(bench);
         let error = handle.wait().unwrap_err();
-        assert!(matches!(error, Error::Lost(_)), "{error}");
+        assert!(matches!(error.kind, ErrorKind::Lost(_)), "{error}");
         let error = left.ptp(BENT).begin().map(drop).unwrap_err();
-        assert!(matches!(error, Error::Lost(_)), "{error}");
+        assert!(matches!(error.kind, ErrorKind::Lost(_)), "{error}");
     });
 }
 

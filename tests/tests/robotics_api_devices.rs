@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use robotics::Bench;
-use takt_api::{Cell, Error, Number, Outcome, Pose};
+use takt_api::{Cell, Error, ErrorKind, Number, Outcome, Pose};
 use takt_tests::steady;
 
 /// Devices by name and kind, with their parameters.
@@ -96,7 +96,7 @@ fn unknown_port_or_device_is_named() {
             plant.set_analogue(1, 0.0).run().unwrap_err(),
         ];
         for error in errors {
-            assert!(matches!(error, Error::NoPort { .. }), "{error}");
+            assert!(matches!(error.kind, ErrorKind::NoPort { .. }), "{error}");
             let text = error.to_string();
             assert!(
                 text.contains("8 digital outputs, 1 analogue input,"),
@@ -104,7 +104,7 @@ fn unknown_port_or_device_is_named() {
             );
         }
         let error = cell.io("platform").unwrap_err();
-        assert!(matches!(error, Error::NoDevice { .. }), "{error}");
+        assert!(matches!(error.kind, ErrorKind::NoDevice { .. }), "{error}");
         assert!(
             error
                 .to_string()
@@ -133,7 +133,9 @@ fn fingers_open_close_and_stop() {
             .with_timeout(Duration::from_millis(50))
             .close()
             .run();
-        let Err(Error::DeviceFailed { device, cause }) = late else {
+        let Err(ErrorKind::DeviceFailed { device, cause }) =
+            late.clone().map_err(|error| error.kind)
+        else {
             panic!("{late:?}");
         };
         assert_eq!(device, "hand");
@@ -144,9 +146,12 @@ fn fingers_open_close_and_stop() {
             hand.force().unwrap_err(),
             hand.holds().unwrap_err(),
         ] {
-            assert!(matches!(error, Error::Invalid(_)), "{error}");
+            assert!(matches!(error.kind, ErrorKind::Invalid(_)), "{error}");
         }
-        assert!(matches!(cell.gripper("left"), Err(Error::NoDevice { .. })));
+        assert!(matches!(
+            cell.gripper("left").unwrap_err().kind,
+            ErrorKind::NoDevice { .. }
+        ));
         cell.close().unwrap();
         assert_eq!(bench.nets(), 0);
     });
@@ -168,8 +173,8 @@ fn servo_gripper_grips_a_part_with_a_force() {
         assert!(cell.holds(&full.holds().unwrap()).unwrap());
         assert_eq!(full.move_to(0.1).run(), Ok(Outcome::Completed));
         assert!(!cell.holds(&full.holds().unwrap()).unwrap());
-        let cause = |outcome| match outcome {
-            Err(Error::DeviceFailed { cause, .. }) => cause,
+        let cause = |outcome: Result<Outcome, Error>| match outcome.map_err(|error| error.kind) {
+            Err(ErrorKind::DeviceFailed { cause, .. }) => cause,
             other => panic!("{other:?}"),
         };
         let blocked = cause(full.close().run());
@@ -233,7 +238,10 @@ fn base_drives_until_its_time_is_over() {
         assert!((0.03..0.2).contains(&x), "{x}");
         let error = platform.drive([0.9, 0.0, 0.0], short).run().unwrap_err();
         assert!(error.to_string().contains("at most 0.8 m/s"), "{error}");
-        assert!(matches!(cell.base("left"), Err(Error::NoDevice { .. })));
+        assert!(matches!(
+            cell.base("left").unwrap_err().kind,
+            ErrorKind::NoDevice { .. }
+        ));
         cell.close().unwrap();
         assert_eq!(bench.nets(), 0);
     });

@@ -7,7 +7,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use takt_api::{Arm, Cell, Error, Pose, deg};
+use takt_api::{Arm, Cell, Error, ErrorKind, Pose, deg};
 
 const BENT: [f64; 7] = [0.0, 30.0, 0.0, -70.0, 0.0, 45.0, 0.0];
 
@@ -133,12 +133,14 @@ fn beside_plans(
             while !is_done.load(Ordering::Relaxed) {
                 arm.lin(goal).plan()?;
             }
-            Ok(())
+            Ok::<(), Error>(())
         });
         let figure = measure();
         is_done.store(true, Ordering::Relaxed);
         let planned = planner.join();
-        planned.unwrap_or_else(|_| Err(Error::Invalid("the planner panicked".to_owned())))?;
+        planned.unwrap_or_else(|_| {
+            Err(ErrorKind::Invalid("the planner panicked".to_owned()).into())
+        })?;
         figure
     })
 }

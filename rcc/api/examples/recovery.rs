@@ -6,7 +6,7 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use takt_api::{Activity, Arm, Cell, Error, Outcome, Pose, deg, either};
+use takt_api::{Activity, Arm, Cell, Error, ErrorKind, Outcome, Pose, deg, either};
 
 /// What went wrong, and how the program went on.
 pub(crate) struct Attempt {
@@ -69,7 +69,7 @@ pub(crate) fn run() -> Result<Vec<Attempt>, Error> {
     let mut done = Vec::new();
     for (name, attempt) in attempts {
         let Err(error) = attempt.run() else {
-            return Err(Error::Invalid(format!("{name}: it was possible")));
+            return Err(ErrorKind::Invalid(format!("{name}: it was possible")).into());
         };
         let moved = (start.inverse() * robot.pose()?).position();
         let moved = moved.iter().map(|part| part * part).sum::<f64>().sqrt();
@@ -91,10 +91,10 @@ fn recover(robot: &Arm, impossible: Activity, home: &[f64]) -> Result<Outcome, E
 
 /// Programs match errors, and have their values: a place, a joint, a limit.
 fn kind(error: &Error) -> String {
-    if let Error::Limit { value, max, .. } = error {
+    if let ErrorKind::Limit { value, max, .. } = &error.kind {
         return format!("{value:.1} > {max:.1}");
     }
-    if let Error::Unreachable { progress, .. } = error {
+    if let ErrorKind::Unreachable { progress, .. } = &error.kind {
         return format!("at {progress:.0} %");
     }
     "invalid".to_owned()

@@ -85,6 +85,7 @@ impl Activity {
     ///
     /// # Errors
     /// If it is invalid, rejected, or what its device does before fails.
+    #[track_caller]
     pub fn begin(self) -> Result<Handle, Error> {
         Composite::from(self).begin()
     }
@@ -93,6 +94,7 @@ impl Activity {
     ///
     /// # Errors
     /// If it is invalid or rejected.
+    #[track_caller]
     pub fn queue(self) -> Result<Handle, Error> {
         Composite::from(self).queue()
     }
@@ -101,6 +103,7 @@ impl Activity {
     ///
     /// # Errors
     /// As [`Self::begin`] and [`Handle::wait`].
+    #[track_caller]
     pub fn run(self) -> Result<Outcome, Error> {
         self.begin()?.wait()
     }
@@ -115,19 +118,21 @@ impl Activity {
     ///
     /// # Errors
     /// If it is invalid, the arm cannot follow, or its path is not known before it runs.
+    #[track_caller]
     pub fn plan(&self) -> Result<Plan, Error> {
         self.order.check()?;
         let begins = self
             .session
             .begins(&self.order, self.when, &Before::new())?;
         self.order.operation.follow(&begins, self.order.speed)?;
-        self.order.operation.plan(&begins, self.order.speed)
+        Ok(self.order.operation.plan(&begins, self.order.speed)?)
     }
 
     /// The text of the net that it becomes.
     ///
     /// # Errors
     /// If it is invalid.
+    #[track_caller]
     pub fn explain(&self) -> Result<String, Error> {
         self.order.check()?;
         let begins = self

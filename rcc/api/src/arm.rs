@@ -1,10 +1,11 @@
 //! Robot arms: what a program reads of them, and the motions that it requests.
 
+use std::panic::Location;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::activity::Activity;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::live::{JointGoal, JointVelocities, Live, SetPoint, Target, Twist};
 use crate::motion::{
@@ -185,25 +186,27 @@ impl Arm {
     ///
     /// # Errors
     /// If the arm is offline, or the connection is lost.
+    #[track_caller]
     pub fn positions(&self) -> Result<Vec<f64>, Error> {
-        self.read("outMeasuredPosition")
+        Ok(self.read("outMeasuredPosition")?)
     }
 
     /// Commanded positions of the joints, rad.
     ///
     /// # Errors
     /// If the arm is offline, or the connection is lost.
+    #[track_caller]
     pub fn commanded(&self) -> Result<Vec<f64>, Error> {
-        self.read("outCommandedPosition")
+        Ok(self.read("outCommandedPosition")?)
     }
 
-    fn read(&self, port: &str) -> Result<Vec<f64>, Error> {
+    fn read(&self, port: &str) -> Result<Vec<f64>, ErrorKind> {
         let joints = self.session.joints(&self.description, port)?;
         joints.ok_or_else(|| self.unknown(&self.description.name))
     }
 
-    fn unknown(&self, name: &str) -> Error {
-        Error::DeviceFailed {
+    fn unknown(&self, name: &str) -> ErrorKind {
+        ErrorKind::DeviceFailed {
             device: name.to_owned(),
             cause:
                 "its positions are not known\nhint: `takt run` and the page say why it is offline"
@@ -215,10 +218,11 @@ impl Arm {
     ///
     /// # Errors
     /// If the arm is offline or has no kinematics, or the connection is lost.
+    #[track_caller]
     pub fn pose(&self) -> Result<Pose, Error> {
         let values = self.session.evaluate(&self.description.pose_reader())?;
         let pose = values.get("outpose").and_then(|text| Pose::read(text));
-        pose.ok_or_else(|| self.unknown(&self.description.name))
+        Ok(pose.ok_or_else(|| self.unknown(&self.description.name))?)
     }
 
     /// Force and torque at the tool.
@@ -249,15 +253,19 @@ impl Arm {
     ///
     /// # Errors
     /// If the connection is lost. How the activities ended is in their handles.
+    #[track_caller]
     pub fn finish(&self) -> Result<(), Error> {
-        self.session.wait_for_rest(&self.description.name)
+        Ok(self.session.wait_for_rest(&self.description.name)?)
     }
 
     /// The same, at most for `timeout`; `None` if the arm still has something to do.
+    #[track_caller]
     pub fn finish_for(&self, timeout: Duration) -> Option<Result<(), Error>> {
         let until = Instant::now() + timeout;
         let name = &self.description.name;
-        self.session.wait_for_rest_until(name, until)
+        let rested = self.session.wait_for_rest_until(name, until)?;
+        let place = Location::caller();
+        Some(rested.map_err(|kind| Error { kind, place }))
     }
 }
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::activity::Activity;
 use crate::description::{Descriptions, Interface};
 use crate::engine::Failure;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::expression::Number;
 use crate::net::{Net, Port, Primitive};
 use crate::order::{Operation, Ports, Requests};
@@ -34,7 +34,7 @@ pub struct Base {
 }
 
 impl Base {
-    pub(crate) fn find(session: &Arc<Session>, name: &str) -> Result<Self, Error> {
+    pub(crate) fn find(session: &Arc<Session>, name: &str) -> Result<Self, ErrorKind> {
         let devices = Descriptions::read(session)?;
         Ok(Self {
             session: Arc::clone(session),
@@ -84,6 +84,7 @@ impl Base {
     ///
     /// # Errors
     /// If the base is offline, or the connection is lost.
+    #[track_caller]
     pub fn pose(&self) -> Result<Pose, Error> {
         let mut net = Net::default();
         let pose = monitor(&mut net, &self.name).out("outPos");
@@ -91,11 +92,12 @@ impl Base {
         net.add("World::FrameNetcommOut", out);
         let values = self.session.evaluate(&net.finish_once())?;
         let pose = values.get("outpose").and_then(|text| Pose::read(text));
-        pose.ok_or_else(|| Error::DeviceFailed {
+        let unknown = || ErrorKind::DeviceFailed {
             device: self.name.clone(),
             cause: "its pose is not known\nhint: `takt run` and the page say why it is offline"
                 .to_owned(),
-        })
+        };
+        Ok(pose.ok_or_else(unknown)?)
     }
 
     /// The measured angle of a wheel since the start, rad, as an expression.
@@ -196,8 +198,8 @@ impl Operation for BaseMotion {
         vec![self.name.clone()]
     }
 
-    fn check(&self) -> Result<(), Error> {
-        let invalid = |what: String| Err(Error::Invalid(format!("{}: {what}", self.name)));
+    fn check(&self) -> Result<(), ErrorKind> {
+        let invalid = |what: String| Err(ErrorKind::Invalid(format!("{}: {what}", self.name)));
         let (velocity, duration) = match self.task {
             Task::To(pose) if !pose.is_finite() => {
                 return invalid("the pose is not finite".to_owned());
@@ -230,7 +232,7 @@ impl Operation for BaseMotion {
         false
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
         let name = &self.name;
         let (lead, arrived) = self.lead(net, requests);
         let arrived = net.known(&arrived);
@@ -331,7 +333,7 @@ mod tests {
         ];
         for task in wrong {
             let error = text_of(motion(task)).unwrap_err();
-            assert!(matches!(error, Error::Invalid(_)), "{error}");
+            assert!(matches!(error, ErrorKind::Invalid(_)), "{error}");
         }
     }
 }

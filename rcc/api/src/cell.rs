@@ -10,7 +10,7 @@ use crate::arm::Arm;
 use crate::base::Base;
 use crate::description::{self, Descriptions};
 use crate::engine::Engine;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::gripper::Gripper;
 use crate::io::Io;
@@ -32,7 +32,8 @@ impl Cell {
     /// Connects to a controller: `host:port`, or the path of its Unix socket.
     ///
     /// # Errors
-    /// If no controller listens there, it requires a token, or it is of another version ([`Error::Version`]).
+    /// If no controller listens there, it requires a token, or it is of another version ([`ErrorKind::Version`]).
+    #[track_caller]
     pub fn connect(address: &str) -> Result<Self, Error> {
         Self::connect_with(address, None)
     }
@@ -41,6 +42,7 @@ impl Cell {
     ///
     /// # Errors
     /// As [`Self::connect`].
+    #[track_caller]
     pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, Error> {
         let client = Client::connect_with(address, token);
         let client = client.map_err(|error| {
@@ -48,22 +50,23 @@ impl Cell {
                 && command == "ver"
             {
                 let (address, reason) = (address.to_owned(), text.clone());
-                return Error::Version { address, reason };
+                return ErrorKind::Version { address, reason };
             }
             error.into()
         })?;
-        Self::begin(client)
+        Ok(Self::begin(client)?)
     }
 
     /// Connects to the controller of this host.
     ///
     /// # Errors
     /// As [`Self::connect`].
+    #[track_caller]
     pub fn connect_here(token: Option<&Token>) -> Result<Self, Error> {
-        Self::begin(Client::connect_here(token)?)
+        Ok(Self::begin(Client::connect_here(token)?)?)
     }
 
-    fn begin(client: Client) -> Result<Self, Error> {
+    fn begin(client: Client) -> Result<Self, ErrorKind> {
         let session = Session::begin_with(client)?;
         Ok(Self { session })
     }
@@ -82,43 +85,49 @@ impl Cell {
     ///
     /// # Errors
     /// If the controller has no arm of that name; the error lists those that it has.
+    #[track_caller]
     pub fn arm(&self, name: &str) -> Result<Arm, Error> {
         let mut arms = self.arms()?;
         let at = arms.iter().position(|arm| arm.description().name == name);
-        at.map(|at| arms.swap_remove(at)).ok_or_else(|| {
+        let arm = at.map(|at| arms.swap_remove(at)).ok_or_else(|| {
             let known = arms.iter().map(|arm| arm.description().name.clone());
-            Error::no_device("arm", name, known.collect())
-        })
+            ErrorKind::no_device("arm", name, known.collect())
+        });
+        Ok(arm?)
     }
 
     /// Inputs and outputs of a device.
     ///
     /// # Errors
     /// If the controller has no such device, or it has neither inputs nor outputs; the error lists those that have.
+    #[track_caller]
     pub fn io(&self, device: &str) -> Result<Io, Error> {
-        Io::find(&self.session, device)
+        Ok(Io::find(&self.session, device)?)
     }
 
     /// A gripper by its name.
     ///
     /// # Errors
     /// If the controller has no gripper of that name; the error lists those that it has.
+    #[track_caller]
     pub fn gripper(&self, name: &str) -> Result<Gripper, Error> {
-        Gripper::find(&self.session, name)
+        Ok(Gripper::find(&self.session, name)?)
     }
 
     /// A mobile base by its name.
     ///
     /// # Errors
     /// If the controller has no mobile base of that name; the error lists those that it has.
+    #[track_caller]
     pub fn base(&self, name: &str) -> Result<Base, Error> {
-        Base::find(&self.session, name)
+        Ok(Base::find(&self.session, name)?)
     }
 
     /// All arms.
     ///
     /// # Errors
     /// If the connection is lost.
+    #[track_caller]
     pub fn arms(&self) -> Result<Vec<Arm>, Error> {
         let devices = Descriptions::read(&self.session)?;
         let is_placed = |device: &Value| device.as_map().is_some_and(|it| it.contains_key("base"));
@@ -142,13 +151,14 @@ impl Cell {
     ///
     /// # Errors
     /// If the factor is not from 0 to 1, or the connection is lost.
+    #[track_caller]
     pub fn set_override(&self, factor: f64) -> Result<(), Error> {
         if !(0.0..=1.0).contains(&factor) {
             let text = format!("the override is {factor}; it is from 0 to 1");
-            return Err(Error::Invalid(text));
+            return Err(ErrorKind::Invalid(text).into());
         }
         self.session.set_speed(factor);
-        self.session.engine().lost().map_or(Ok(()), Err)
+        Ok(self.session.engine().lost().map_or(Ok(()), Err)?)
     }
 
     /// The speed that [`Self::set_override`] has set, 0 to 1.
@@ -161,6 +171,7 @@ impl Cell {
     ///
     /// # Errors
     /// If the controller rejects the expression, or the connection is lost.
+    #[track_caller]
     pub fn value(&self, number: &Number) -> Result<Option<f64>, Error> {
         let mut net = Net::default();
         let value = number.write(&mut net);
@@ -174,6 +185,7 @@ impl Cell {
     ///
     /// # Errors
     /// As [`Self::value`].
+    #[track_caller]
     pub fn holds(&self, condition: &Condition) -> Result<bool, Error> {
         let mut net = Net::default();
         let value = condition.write(&mut net);
@@ -186,6 +198,7 @@ impl Cell {
     ///
     /// # Errors
     /// If the connection is lost, or something still moves after ten seconds; the session is ended in any case.
+    #[track_caller]
     pub fn close(self) -> Result<(), Error> {
         let devices = self.session.engine().busy();
         for device in &devices {
@@ -204,11 +217,11 @@ impl Cell {
             .then(|| busy(&self.session.engine()))
             .flatten();
         self.session.end()?;
-        moving.map_or(Ok(()), |device| {
-            let reason =
-                "it did not come to rest after its cancellation and was aborted".to_owned();
-            Err(Error::Ended { device, reason })
-        })
+        let Some(device) = moving else {
+            return Ok(());
+        };
+        let reason = "it did not come to rest after its cancellation and was aborted".to_owned();
+        Err(ErrorKind::Ended { device, reason }.into())
     }
 }
 
@@ -280,7 +293,7 @@ mod tests {
         });
         let error = Cell::connect(&address).unwrap_err();
         other.join().unwrap();
-        let Error::Version { reason, .. } = &error else {
+        let ErrorKind::Version { reason, .. } = &error.kind else {
             panic!("{error}");
         };
         assert_eq!(reason, "bad handshake");

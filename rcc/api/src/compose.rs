@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::activity::Activity;
 use crate::engine::{self, Failure, Trigger, When};
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::expression::Condition;
 use crate::handle::{self, Handle};
 use crate::net::{Net, Port};
@@ -197,11 +197,11 @@ impl Operation for Wait {
         Vec::new()
     }
 
-    fn check(&self) -> Result<(), Error> {
+    fn check(&self) -> Result<(), ErrorKind> {
         Ok(())
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
         let yes = self.condition.latched(net);
         let no = net.of("Core::BooleanNot", &yes);
         let always = net.of_two("Core::BooleanOr", &yes, &no);
@@ -324,6 +324,7 @@ impl Composite {
     /// # Errors
     /// If an activity is invalid or rejected, two that begin together have the same device, they belong to different
     /// cells, or what their devices do before fails. Nothing was begun then.
+    #[track_caller]
     pub fn begin(self) -> Result<Handle, Error> {
         let handle = self.queue()?;
         handle.wait_for_begin(handle::FOR_EVER).unwrap_or(Ok(()))?;
@@ -334,12 +335,13 @@ impl Composite {
     ///
     /// # Errors
     /// As [`Self::begin`].
+    #[track_caller]
     pub fn queue(self) -> Result<Handle, Error> {
         if let Some(text) = self.invalid {
-            return Err(Error::Invalid(text.to_owned()));
+            return Err(ErrorKind::Invalid(text.to_owned()).into());
         }
         let Some(session) = self.session.clone() else {
-            return Err(Error::Invalid("there is no activity to begin".to_owned()));
+            return Err(ErrorKind::Invalid("there is no activity to begin".to_owned()).into());
         };
         let (kept, parts, goals) = self.compile(&session)?;
         let replaced: Vec<_> = kept
@@ -363,7 +365,7 @@ impl Composite {
 
     /// The parts that are valid, with their numbers: an alternative that is not valid is left out, except the last.
     /// Also where each activity leaves its arms, as far as known.
-    fn compile(&self, session: &Session) -> Result<Compiled, Error> {
+    fn compile(&self, session: &Session) -> Result<Compiled, ErrorKind> {
         let mut before = Before::new();
         let mut goals: Vec<Vec<Goals>> = Vec::new();
         let mut kept: Vec<usize> = Vec::new();
@@ -440,11 +442,11 @@ impl Composite {
     }
 
     /// Checks that the condition that an event names exists.
-    fn check_event(&self, of: usize, key: &str) -> Result<(), Error> {
+    fn check_event(&self, of: usize, key: &str) -> Result<(), ErrorKind> {
         let orders = self.parts.get(of).map(|part| part.orders.as_slice());
         let [order] = orders.unwrap_or_default() else {
             let text = "events are those of one activity, not of several that begin together";
-            return Err(Error::Invalid(text.to_owned()));
+            return Err(ErrorKind::Invalid(text.to_owned()));
         };
         let Some(name) = key.strip_prefix("until_") else {
             return Ok(());
@@ -453,13 +455,14 @@ impl Composite {
             return Ok(());
         }
         let text = format!("no condition `{name}` stops the activity\nhint: add it by `until`");
-        Err(Error::Invalid(text))
+        Err(ErrorKind::Invalid(text))
     }
 
     /// Begins it and waits until all of it has ended.
     ///
     /// # Errors
     /// As [`Self::begin`] and [`Handle::wait`].
+    #[track_caller]
     pub fn run(self) -> Result<Outcome, Error> {
         self.begin()?.wait()
     }

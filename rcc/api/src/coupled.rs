@@ -4,7 +4,7 @@ use std::sync::Arc as Shared;
 
 use crate::activity::Activity;
 use crate::arm::Arm;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::motion::{CartesianLimits, CoupledMotion, Holder, Route};
 use crate::pose::Pose;
 use crate::session::Session;
@@ -24,6 +24,7 @@ pub struct Coupled {
 ///
 /// # Errors
 /// If an arm is offline or its kinematics are not known, or the arms are of different cells.
+#[track_caller]
 pub fn coupled<'a>(
     object: impl Into<Pose>,
     arms: impl IntoIterator<Item = &'a Arm>,
@@ -31,12 +32,10 @@ pub fn coupled<'a>(
     let object = object.into();
     let arms: Vec<_> = arms.into_iter().collect();
     let Some(first) = arms.first() else {
-        return Err(Error::Invalid("no arm holds the object".to_owned()));
+        return Err(ErrorKind::Invalid("no arm holds the object".to_owned()).into());
     };
     if !object.is_finite() {
-        return Err(Error::Invalid(
-            "the pose of the object is not finite".to_owned(),
-        ));
+        return Err(ErrorKind::Invalid("the pose of the object is not finite".to_owned()).into());
     }
     let session = Shared::clone(first.session());
     if !arms
@@ -44,11 +43,11 @@ pub fn coupled<'a>(
         .all(|arm| Shared::ptr_eq(arm.session(), &session))
     {
         let text = "arms of different cells cannot be coupled";
-        return Err(Error::Invalid(text.to_owned()));
+        return Err(ErrorKind::Invalid(text.to_owned()).into());
     }
     let holder = |arm: &&Arm| {
         let description = arm.description();
-        let flange = description.pose(&arm.commanded()?);
+        let flange = description.pose(&arm.commanded().map_err(|error| error.kind)?);
         let flange = flange.ok_or_else(|| description.no_model())?;
         Ok(Holder {
             arm: description.clone(),
@@ -57,7 +56,7 @@ pub fn coupled<'a>(
         })
     };
     Ok(Coupled {
-        holders: arms.iter().map(holder).collect::<Result<_, Error>>()?,
+        holders: arms.iter().map(holder).collect::<Result<_, ErrorKind>>()?,
         session,
         limits: CartesianLimits::default(),
         speed: 1.0,

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use takt_client::Value;
 
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::motion::{ArmDescription, JointLimits};
 use crate::session::Session;
 
@@ -39,7 +39,7 @@ impl Interface {
 }
 
 impl Descriptions {
-    pub(crate) fn read(session: &Session) -> Result<Self, Error> {
+    pub(crate) fn read(session: &Session) -> Result<Self, ErrorKind> {
         let reply = session.client().call("din", [] as [&str; 0])?;
         let Some(Value::Map(devices)) = reply.values.into_iter().next() else {
             return Ok(Self(BTreeMap::new()));
@@ -58,11 +58,11 @@ impl Descriptions {
         name: &str,
         wanted: &'static str,
         interfaces: &[&'static str],
-    ) -> Result<Interface, Error> {
+    ) -> Result<Interface, ErrorKind> {
         let of = |device: &Value| interfaces.iter().find_map(|it| interface(device, it));
         self.0.get(name).and_then(of).ok_or_else(|| {
             let others = self.0.iter().filter(|(_, device)| of(device).is_some());
-            Error::no_device(wanted, name, others.map(|(name, _)| name.clone()).collect())
+            ErrorKind::no_device(wanted, name, others.map(|(name, _)| name.clone()).collect())
         })
     }
 }

@@ -8,7 +8,7 @@ use takt_client::Client;
 use takt_embedded::Embedded;
 
 use crate::cell::Cell;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::session::Session;
 
 impl Cell {
@@ -21,10 +21,13 @@ impl Cell {
     /// `lwr_wsg` (`arm` with Schunk WSG `gripper`).
     ///
     /// # Errors
-    /// [`Error::Invalid`] if there is no cell of that name; it lists those that exist. [`Error::Connection`] if the system
+    /// [`ErrorKind::Invalid`] if there is no cell of that name; it lists those that exist. [`ErrorKind::Connection`] if the system
     /// refuses threads or sockets, or a robot is not operational after one minute.
+    #[track_caller]
     pub fn emulated(name: &str) -> Result<Self, Error> {
-        Self::around(Embedded::emulated(name)?)
+        Ok(Self::around(
+            Embedded::emulated(name).map_err(ErrorKind::from)?,
+        )?)
     }
 
     /// Starts the controller of a cell file in this program and connects to it. It waits for no device.
@@ -33,19 +36,23 @@ impl Cell {
     /// channel. A controller that people rely on is a service: `takt run`.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if the file cannot be read or is no valid cell; [`Error::Connection`] if the system refuses threads,
+    /// [`ErrorKind::Invalid`] if the file cannot be read or is no valid cell; [`ErrorKind::Connection`] if the system refuses threads,
     /// sockets or devices.
+    #[track_caller]
     pub fn embedded(path: impl AsRef<Path>) -> Result<Self, Error> {
         let config = takt_devices::read_cell(path.as_ref());
-        Self::embedded_config(&config.map_err(|error| Error::Invalid(chain(&error)))?)
+        Self::embedded_config(&config.map_err(|error| ErrorKind::Invalid(chain(&error)))?)
     }
 
     /// The same for a configuration that the program made.
     ///
     /// # Errors
     /// As [`Self::embedded`].
+    #[track_caller]
     pub fn embedded_config(config: &takt_embedded::CellConfig) -> Result<Self, Error> {
-        Self::around(Embedded::start(config)?)
+        Ok(Self::around(
+            Embedded::start(config).map_err(ErrorKind::from)?,
+        )?)
     }
 
     /// Where other programs and tools reach the controller in this program; `None` if it runs elsewhere.
@@ -53,7 +60,7 @@ impl Cell {
         self.session().embedded().map(Embedded::address)
     }
 
-    fn around(embedded: Embedded) -> Result<Self, Error> {
+    fn around(embedded: Embedded) -> Result<Self, ErrorKind> {
         let address = embedded.address().to_string();
         let client = Client::connect_with(&address, embedded.token())?;
         Ok(Self::of_session(Session::begin_embedded(client, embedded)?))
@@ -74,7 +81,7 @@ fn chain(error: &dyn std::error::Error) -> String {
     text
 }
 
-impl From<takt_embedded::Error> for Error {
+impl From<takt_embedded::Error> for ErrorKind {
     fn from(error: takt_embedded::Error) -> Self {
         let is_of_the_caller = matches!(error, takt_embedded::Error::UnknownCell { .. });
         let text = chain(&error);

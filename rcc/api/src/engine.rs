@@ -24,7 +24,7 @@ mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::outcome::Outcome;
 pub use activity::{Action, ActivityId, Failure, GroupId, Part, Start, State, Trigger, When};
 use activity::{Activity, Group, GroupLife};
@@ -38,7 +38,7 @@ pub struct Engine {
     rules: BTreeMap<String, GroupId>,
     next: u64,
     /// Why nothing more can be begun.
-    lost: Option<Error>,
+    lost: Option<ErrorKind>,
     actions: Vec<Action>,
     revision: u64,
 }
@@ -87,7 +87,7 @@ impl Engine {
     }
 
     /// The net of an activity was loaded, or rejected.
-    pub fn loaded(&mut self, id: ActivityId, net: Result<String, Error>) {
+    pub fn loaded(&mut self, id: ActivityId, net: Result<String, ErrorKind>) {
         self.revision += 1;
         match (net, self.activities.get_mut(&id)) {
             (Ok(net), Some(activity)) if activity.state == State::Loading => {
@@ -104,7 +104,7 @@ impl Engine {
     }
 
     /// The rule of a group was installed, or refused.
-    pub fn scheduled(&mut self, id: GroupId, rule: Result<String, Error>) {
+    pub fn scheduled(&mut self, id: GroupId, rule: Result<String, ErrorKind>) {
         self.revision += 1;
         match rule {
             Ok(rule) => {
@@ -140,7 +140,7 @@ impl Engine {
                 let device = first.and_then(|id| self.activities.get(&id));
                 let device = device.map(Activity::name);
                 let device = device.unwrap_or_default();
-                self.kill(id, &Err(Error::Conflict { device }));
+                self.kill(id, &Err(ErrorKind::Conflict { device }));
             }
             "INACTIVE" => {
                 self.rules.remove(rule);
@@ -281,7 +281,7 @@ impl Engine {
     }
 
     /// Why nothing more can be begun, if the connection ended.
-    pub fn lost(&self) -> Option<Error> {
+    pub fn lost(&self) -> Option<ErrorKind> {
         self.lost.clone()
     }
 
@@ -291,7 +291,7 @@ impl Engine {
     }
 
     /// The connection ended: nothing is known about the nets any more, except that the controller cancels them.
-    pub fn lose(&mut self, error: &Error) {
+    pub fn lose(&mut self, error: &ErrorKind) {
         self.revision += 1;
         self.lost = Some(error.clone());
         for activity in self.activities.values_mut() {

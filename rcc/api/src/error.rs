@@ -1,10 +1,54 @@
-//! What can go wrong with an activity, as values that a program can match. Texts give the cause first, then a hint.
+//! What can go wrong with an activity, as values that a program can match. Texts give the cause first, with the
+//! line of the program, then a hint.
+
+use std::fmt;
+use std::panic::Location;
+
+/// An error, with the line of the program that it concerns: that of the call, and for an activity that runs that of its
+/// `begin`, `queue` or `run`. Programs match [`Self::kind`].
+#[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::error_impl_error, reason = "the one error type of the crate")]
+pub struct Error {
+    /// What is wrong.
+    pub kind: ErrorKind,
+    /// The line of the program.
+    pub place: &'static Location<'static>,
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (text, place) = (self.kind.to_string(), self.place);
+        let (cause, hint) = text.split_once('\n').unwrap_or((&text, ""));
+        write!(f, "{cause} (at {}:{})", place.file(), place.line())?;
+        if hint.is_empty() {
+            return Ok(());
+        }
+        write!(f, "\n{hint}")
+    }
+}
+
+impl std::error::Error for Error {}
+
+// `?` and `into` pass the caller on, so that the place is that of the program in each function with `#[track_caller]`.
+impl From<ErrorKind> for Error {
+    #[track_caller]
+    fn from(kind: ErrorKind) -> Self {
+        let place = Location::caller();
+        Self { kind, place }
+    }
+}
+
+impl From<takt_client::Error> for Error {
+    #[track_caller]
+    fn from(error: takt_client::Error) -> Self {
+        ErrorKind::from(error).into()
+    }
+}
 
 /// Why something was not begun, or did not end as requested. Positions are in rad.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-#[allow(clippy::error_impl_error, reason = "the one error type of the crate")]
-pub enum Error {
+pub enum ErrorKind {
     /// The controller cannot be reached.
     #[error("{0}")]
     Connection(String),
@@ -128,7 +172,7 @@ pub enum Error {
     },
 }
 
-impl Error {
+impl ErrorKind {
     /// There is no such device; `known` are those of its kind.
     pub(crate) fn no_device(wanted: &'static str, name: &str, known: Vec<String>) -> Self {
         Self::NoDevice {
@@ -143,7 +187,7 @@ impl Error {
     }
 }
 
-impl From<takt_client::Error> for Error {
+impl From<takt_client::Error> for ErrorKind {
     fn from(error: takt_client::Error) -> Self {
         use takt_client::Error as Client;
         let text = error.to_string();

@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::activity::Activity;
 use crate::description::{Descriptions, Interface};
 use crate::engine::Failure;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::net::{Net, Port, Primitive};
 use crate::order::{Operation, Ports, Requests};
@@ -37,7 +37,7 @@ pub struct Gripper {
 }
 
 impl Gripper {
-    pub(crate) fn find(session: &Arc<Session>, name: &str) -> Result<Self, Error> {
+    pub(crate) fn find(session: &Arc<Session>, name: &str) -> Result<Self, ErrorKind> {
         let devices = Descriptions::read(session)?;
         Ok(Self {
             session: Arc::clone(session),
@@ -108,7 +108,8 @@ impl Gripper {
     /// The measured gripping force, N, as an expression.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if the gripper does not measure it.
+    /// [`ErrorKind::Invalid`] if the gripper does not measure it.
+    #[track_caller]
     pub fn force(&self) -> Result<Number, Error> {
         self.needs_servo()?;
         Ok(self.monitor("outForce"))
@@ -117,7 +118,8 @@ impl Gripper {
     /// Whether it holds a part.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if the gripper does not know it.
+    /// [`ErrorKind::Invalid`] if the gripper does not know it.
+    #[track_caller]
     pub fn holds(&self) -> Result<Condition, Error> {
         self.needs_servo()?;
         // The state is a whole number; 4 is holding.
@@ -135,7 +137,7 @@ impl Gripper {
         Number::sensor("schunkwsg::Monitor", parameters, port)
     }
 
-    fn needs_servo(&self) -> Result<(), Error> {
+    fn needs_servo(&self) -> Result<(), ErrorKind> {
         if self.interface.name == SERVO {
             return Ok(());
         }
@@ -143,10 +145,10 @@ impl Gripper {
     }
 }
 
-fn no_force(name: &str) -> Error {
+fn no_force(name: &str) -> ErrorKind {
     let text =
         "it neither measures nor limits its force\nhint: `move_to` moves its fingers to a width";
-    Error::Invalid(format!("{name}: {text}"))
+    ErrorKind::Invalid(format!("{name}: {text}"))
 }
 
 /// What a gripper is to do.
@@ -277,9 +279,9 @@ impl Operation for Grip {
         vec![self.name.clone()]
     }
 
-    fn check(&self) -> Result<(), Error> {
+    fn check(&self) -> Result<(), ErrorKind> {
         let name = &self.name;
-        let invalid = |what: String| Err(Error::Invalid(format!("{name}: {what}")));
+        let invalid = |what: String| Err(ErrorKind::Invalid(format!("{name}: {what}")));
         if self.timeout.is_zero() {
             return invalid("the time-out is 0 s; it is above 0".to_owned());
         }
@@ -311,7 +313,7 @@ impl Operation for Grip {
         false
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
         let (done, mut failures) = if self.is_servo() {
             self.servo(net, requests)
         } else {
@@ -392,7 +394,7 @@ mod tests {
         ];
         for (interface, task) in wrong {
             let error = text_of(grip(interface, task)).unwrap_err();
-            assert!(matches!(error, Error::Invalid(_)), "{error}");
+            assert!(matches!(error, ErrorKind::Invalid(_)), "{error}");
         }
     }
 }

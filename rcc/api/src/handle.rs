@@ -2,13 +2,14 @@
 //! cancellation.
 
 use std::future::{Future, IntoFuture};
+use std::panic::Location;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use crate::engine::{ActivityId, State};
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::outcome::Outcome;
 use crate::session::Session;
 
@@ -18,6 +19,8 @@ use crate::session::Session;
 pub struct Handle {
     pub(crate) session: Arc<Session>,
     parts: Vec<Part>,
+    /// Where the program began it.
+    place: &'static Location<'static>,
 }
 
 /// Longer than any activity.
@@ -34,8 +37,19 @@ pub(crate) struct Part {
 }
 
 impl Handle {
+    #[track_caller]
     pub(crate) const fn new(session: Arc<Session>, parts: Vec<Part>) -> Self {
-        Self { session, parts }
+        let place = Location::caller();
+        Self {
+            session,
+            parts,
+            place,
+        }
+    }
+
+    /// The line of the program that began it; its errors name it.
+    pub const fn place(&self) -> &'static Location<'static> {
+        self.place
     }
 
     pub(crate) fn ids(&self) -> Vec<ActivityId> {
@@ -101,7 +115,7 @@ impl Handle {
     }
 
     /// Writes a value into its nets.
-    pub(crate) fn write(&self, key: &str, text: &str) -> Result<(), Error> {
+    pub(crate) fn write(&self, key: &str, text: &str) -> Result<(), ErrorKind> {
         self.session.write(&self.ids(), key, text)
     }
 
@@ -128,11 +142,13 @@ impl Handle {
             outcomes.map(joint)
         };
         let outcomes: Option<Vec<_>> = self.parts.iter().map(part).collect();
-        outcomes.map(|outcomes| self.total(outcomes))
+        let total = outcomes.map(|outcomes| self.total(outcomes))?;
+        let place = self.place;
+        Some(total.map_err(|kind| Error { kind, place }))
     }
 
     /// The outcome of those parts whose place no other part took.
-    fn total(&self, outcomes: Vec<Result<Outcome, Error>>) -> Result<Outcome, Error> {
+    fn total(&self, outcomes: Vec<Result<Outcome, ErrorKind>>) -> Result<Outcome, ErrorKind> {
         let mut is_replaced = vec![false; outcomes.len()];
         let pairs = self.parts.iter().zip(&outcomes);
         for (part, _) in pairs.filter(|(_, outcome)| **outcome != Ok(Outcome::Skipped)) {
@@ -143,7 +159,7 @@ impl Handle {
                     .for_each(|is| *is = true);
             }
         }
-        let is_cause = |outcome: &&Result<Outcome, Error>| matches!(outcome, Err(error) if !matches!(error, Error::PredecessorFailed(_)));
+        let is_cause = |outcome: &&Result<Outcome, ErrorKind>| matches!(outcome, Err(error) if !matches!(error, ErrorKind::PredecessorFailed(_)));
         let counted = outcomes.iter().zip(is_replaced);
         let counted: Vec<_> = counted
             .filter(|(_, is_replaced)| !is_replaced)
@@ -151,7 +167,7 @@ impl Handle {
             .collect();
         match joint(counted) {
             // The cause, not its consequence.
-            Err(error @ Error::PredecessorFailed(_)) => outcomes
+            Err(error @ ErrorKind::PredecessorFailed(_)) => outcomes
                 .into_iter()
                 .find(|outcome| is_cause(&outcome))
                 .unwrap_or(Err(error)),
@@ -167,7 +183,7 @@ impl Drop for Handle {
 }
 
 /// The outcome of several activities: the first error, else the outcome that is furthest from completion.
-fn joint(outcomes: Vec<Result<Outcome, Error>>) -> Result<Outcome, Error> {
+fn joint(outcomes: Vec<Result<Outcome, ErrorKind>>) -> Result<Outcome, ErrorKind> {
     let outcomes = outcomes.into_iter().collect::<Result<Vec<_>, _>>()?;
     let rank = |outcome: &Outcome| match outcome {
         Outcome::Cancelled => 0,
@@ -219,7 +235,7 @@ mod tests {
             Ok(stopped.clone())
         );
         assert_eq!(joint(vec![Ok(stopped), Ok(Cancelled)]), Ok(Cancelled));
-        let error = Error::Lost("closed".to_owned());
+        let error = ErrorKind::Lost("closed".to_owned());
         assert_eq!(joint(vec![Ok(Cancelled), Err(error.clone())]), Err(error));
     }
 }

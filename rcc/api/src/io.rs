@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::activity::Activity;
 use crate::description::{Descriptions, Interface};
 use crate::engine::Failure;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::net::{Net, Port};
 use crate::order::{Operation, Ports, Requests};
@@ -49,7 +49,7 @@ impl Kind {
 }
 
 impl Io {
-    pub(crate) fn find(session: &Arc<Session>, device: &str) -> Result<Self, Error> {
+    pub(crate) fn find(session: &Arc<Session>, device: &str) -> Result<Self, ErrorKind> {
         let wanted = "device with inputs or outputs";
         let interface = Descriptions::read(session)?.interface(device, wanted, &["io"])?;
         Ok(Self {
@@ -62,33 +62,37 @@ impl Io {
     /// A digital input, as an expression.
     ///
     /// # Errors
-    /// [`Error::NoPort`] if the device has no such input.
+    /// [`ErrorKind::NoPort`] if the device has no such input.
+    #[track_caller]
     pub fn input(&self, port: u32) -> Result<Condition, Error> {
-        self.condition(Kind::DigitalInput, port)
+        Ok(self.condition(Kind::DigitalInput, port)?)
     }
 
     /// An analogue input in the unit of the device, as an expression.
     ///
     /// # Errors
-    /// [`Error::NoPort`] if the device has no such input.
+    /// [`ErrorKind::NoPort`] if the device has no such input.
+    #[track_caller]
     pub fn analogue_input(&self, port: u32) -> Result<Number, Error> {
-        self.number(Kind::AnalogueInput, port)
+        Ok(self.number(Kind::AnalogueInput, port)?)
     }
 
     /// The present state of a digital output, whichever client set it, as an expression.
     ///
     /// # Errors
-    /// [`Error::NoPort`] if the device has no such output.
+    /// [`ErrorKind::NoPort`] if the device has no such output.
+    #[track_caller]
     pub fn output(&self, port: u32) -> Result<Condition, Error> {
-        self.condition(Kind::DigitalOutput, port)
+        Ok(self.condition(Kind::DigitalOutput, port)?)
     }
 
     /// The present value of an analogue output in the unit of the device, as an expression.
     ///
     /// # Errors
-    /// [`Error::NoPort`] if the device has no such output.
+    /// [`ErrorKind::NoPort`] if the device has no such output.
+    #[track_caller]
     pub fn analogue_output(&self, port: u32) -> Result<Number, Error> {
-        self.number(Kind::AnalogueOutput, port)
+        Ok(self.number(Kind::AnalogueOutput, port)?)
     }
 
     /// Sets a digital output. Completed when the device reports it, at most 1 s later.
@@ -119,13 +123,13 @@ impl Io {
         Activity::new(&self.session, write, 1.0)
     }
 
-    fn condition(&self, kind: Kind, port: u32) -> Result<Condition, Error> {
+    fn condition(&self, kind: Kind, port: u32) -> Result<Condition, ErrorKind> {
         let [_, _, primitive] = kind.names();
         self.check(kind, port)?;
         Ok(Condition::port(primitive, &self.device, port))
     }
 
-    fn number(&self, kind: Kind, port: u32) -> Result<Number, Error> {
+    fn number(&self, kind: Kind, port: u32) -> Result<Number, ErrorKind> {
         let [_, _, primitive] = kind.names();
         self.check(kind, port)?;
         let parameters = vec![
@@ -135,7 +139,7 @@ impl Io {
         Ok(Number::sensor(primitive, parameters, "outIO"))
     }
 
-    fn check(&self, kind: Kind, port: u32) -> Result<(), Error> {
+    fn check(&self, kind: Kind, port: u32) -> Result<(), ErrorKind> {
         let [wanted, parameter, _] = kind.names();
         let count = self.interface.number(parameter);
         if f64::from(port) < count {
@@ -157,7 +161,7 @@ impl Io {
             };
             format!("{count} {name}{plural}")
         });
-        Err(Error::NoPort {
+        Err(ErrorKind::NoPort {
             device: self.device.clone(),
             wanted,
             port,
@@ -193,7 +197,7 @@ struct Write {
     port: u32,
     output: Output,
     /// Why there is no such output.
-    unknown: Option<Error>,
+    unknown: Option<ErrorKind>,
 }
 
 impl Write {
@@ -280,8 +284,8 @@ impl Operation for Write {
         vec![self.name()]
     }
 
-    fn check(&self) -> Result<(), Error> {
-        let invalid = |what: String| Err(Error::Invalid(format!("{}: {what}", self.name())));
+    fn check(&self) -> Result<(), ErrorKind> {
+        let invalid = |what: String| Err(ErrorKind::Invalid(format!("{}: {what}", self.name())));
         match (&self.unknown, self.output) {
             (Some(error), _) => Err(error.clone()),
             (None, Output::Analogue(value)) if !value.is_finite() => {
@@ -303,7 +307,7 @@ impl Operation for Write {
         false
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
         let [done, time] = match self.output {
             Output::Digital { state, .. } => self.digital(net, requests, state),
             Output::Analogue(value) => self.analogue(net, requests, value),
@@ -313,7 +317,7 @@ impl Operation for Write {
         let late = net.known(&late);
         let cause = "the device did not report the output as set within 1 s\nhint: `takt run` and the page say whether it \
                      is online";
-        let error = Error::DeviceFailed {
+        let error = ErrorKind::DeviceFailed {
             device: self.name(),
             cause: cause.to_owned(),
         };
@@ -382,7 +386,7 @@ mod tests {
         ];
         for output in wrong {
             let error = text_of(write(output)).unwrap_err();
-            assert!(matches!(error, Error::Invalid(_)), "{error}");
+            assert!(matches!(error, ErrorKind::Invalid(_)), "{error}");
         }
     }
 }

@@ -32,7 +32,7 @@ pub use base::Base;
 pub use cell::Cell;
 pub use compose::{Composite, Event, either, together, when};
 pub use coupled::{Coupled, coupled};
-pub use error::Error;
+pub use error::{Error, ErrorKind};
 pub use expression::{Condition, Number};
 pub use gripper::Gripper;
 pub use handle::Handle;

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use std::ops::Deref;
 
 use crate::activity::Activity;
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::expression::Condition;
 use crate::handle::Handle;
 use crate::motion::{ArmDescription, CartesianLimits};
@@ -19,8 +19,8 @@ pub trait SetPoint: Clone + Send + Sync + std::fmt::Debug {
     /// Checks it, as far as the program can.
     ///
     /// # Errors
-    /// [`Error::Invalid`], [`Error::Limit`] and [`Error::Unreachable`].
-    fn check(&self, target: &Target) -> Result<(), Error>;
+    /// [`ErrorKind::Invalid`], [`ErrorKind::Limit`] and [`ErrorKind::Unreachable`].
+    fn check(&self, target: &Target) -> Result<(), ErrorKind>;
 
     /// Its text in a net.
     fn text(&self) -> String;
@@ -35,8 +35,8 @@ pub struct Target {
 }
 
 impl Target {
-    fn invalid(&self, text: &str) -> Error {
-        Error::Invalid(format!("{}: {text}", self.arm.name))
+    fn invalid(&self, text: &str) -> ErrorKind {
+        ErrorKind::Invalid(format!("{}: {text}", self.arm.name))
     }
 }
 
@@ -67,7 +67,7 @@ impl Twist {
 }
 
 impl SetPoint for Twist {
-    fn check(&self, target: &Target) -> Result<(), Error> {
+    fn check(&self, target: &Target) -> Result<(), ErrorKind> {
         let length = |vector: [f64; 3]| vector.iter().map(|x| x * x).sum::<f64>().sqrt();
         let parts = [
             (length(self.velocity), target.limits.velocity, "m/s"),
@@ -100,7 +100,7 @@ impl<V: Into<Vec<f64>>> From<V> for JointVelocities {
 }
 
 impl SetPoint for JointVelocities {
-    fn check(&self, target: &Target) -> Result<(), Error> {
+    fn check(&self, target: &Target) -> Result<(), ErrorKind> {
         let joints = &target.arm.joints;
         if self.0.len() != joints.len() {
             let text = format!("it has {} joints, not {}", joints.len(), self.0.len());
@@ -134,7 +134,7 @@ impl<V: Into<Vec<f64>>> From<V> for JointGoal {
 }
 
 impl SetPoint for JointGoal {
-    fn check(&self, target: &Target) -> Result<(), Error> {
+    fn check(&self, target: &Target) -> Result<(), ErrorKind> {
         target.arm.check_joints(&self.0)
     }
 
@@ -144,7 +144,7 @@ impl SetPoint for JointGoal {
 }
 
 impl SetPoint for Pose {
-    fn check(&self, target: &Target) -> Result<(), Error> {
+    fn check(&self, target: &Target) -> Result<(), ErrorKind> {
         let arm = &target.arm;
         if !self.is_finite() {
             return Err(target.invalid("the pose is not finite"));
@@ -163,7 +163,7 @@ impl SetPoint for Pose {
         if found.is_ok() {
             return Ok(());
         }
-        Err(Error::Unreachable {
+        Err(ErrorKind::Unreachable {
             device: arm.name.clone(),
             progress: 0.0,
             cause: "the frame is out of reach".to_owned(),
@@ -215,6 +215,7 @@ impl<T: SetPoint> Live<T> {
     ///
     /// # Errors
     /// As [`Activity::begin`].
+    #[track_caller]
     pub fn begin(self) -> Result<LiveHandle<T>, Error> {
         Ok(LiveHandle {
             handle: self.activity.begin()?,
@@ -227,6 +228,7 @@ impl<T: SetPoint> Live<T> {
     ///
     /// # Errors
     /// If it is invalid.
+    #[track_caller]
     pub fn explain(&self) -> Result<String, Error> {
         self.activity.explain()
     }
@@ -247,16 +249,17 @@ impl<T: SetPoint> LiveHandle<T> {
     ///
     /// # Errors
     /// If it is out of its bounds: nothing was sent then, and the last one remains in effect. If the activity has ended: the
-    /// error with which it ended, or [`Error::Ended`]. If the connection is lost.
+    /// error with which it ended, or [`ErrorKind::Ended`]. If the connection is lost.
+    #[track_caller]
     pub fn send(&self, set_point: impl Into<T>) -> Result<(), Error> {
         let set_point = set_point.into();
         set_point.check(&self.target)?;
         if let Some(outcome) = self.handle.outcome() {
             let reason = format!("it has ended: {:?}", outcome?);
             let device = self.target.arm.name.clone();
-            return Err(Error::Ended { device, reason });
+            return Err(ErrorKind::Ended { device, reason }.into());
         }
-        self.handle.write(KEY, &set_point.text())
+        Ok(self.handle.write(KEY, &set_point.text())?)
     }
 }
 

@@ -19,7 +19,7 @@ use takt_motion::plan::FrameBounds;
 use takt_net::device::Kinematics;
 
 use crate::engine::Failure;
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::net::{Argument, Net, Port, Primitive, array};
 use crate::plan::bounds;
 use crate::pose::Pose;
@@ -114,7 +114,7 @@ impl CartesianLimits {
         ]
     }
 
-    fn check(&self, name: &str) -> Result<(), Error> {
+    fn check(&self, name: &str) -> Result<(), ErrorKind> {
         let limits = [
             ("velocity", self.velocity),
             ("acceleration", self.acceleration),
@@ -128,7 +128,7 @@ impl CartesianLimits {
             .find(|(_, limit)| !(*limit > 0.0 && limit.is_finite()));
         wrong.map_or(Ok(()), |(limit, value)| {
             let text = format!("{name}: the limit `{limit}` is {value}; it is above 0");
-            Err(Error::Invalid(text))
+            Err(ErrorKind::Invalid(text))
         })
     }
 }
@@ -229,17 +229,17 @@ impl ArmDescription {
     }
 
     /// Nothing is known about where the arm begins.
-    pub(crate) fn no_start(&self) -> Error {
+    pub(crate) fn no_start(&self) -> ErrorKind {
         let cause = "it is not known where the arm begins: its positions are not known, or the activity before it ends \
                      anywhere\nhint: begin it when the arm is at rest";
-        Error::Unplanned {
+        ErrorKind::Unplanned {
             device: self.name.clone(),
             cause: cause.to_owned(),
         }
     }
 
     /// The program does not know the kinematics of the arm.
-    pub(crate) fn no_model(&self) -> Error {
+    pub(crate) fn no_model(&self) -> ErrorKind {
         let cause = if self.model.is_empty() {
             "the controller describes no kinematics of this arm".to_owned()
         } else {
@@ -248,23 +248,23 @@ impl ArmDescription {
                 self.model
             )
         };
-        Error::Unplanned {
+        ErrorKind::Unplanned {
             device: self.name.clone(),
             cause,
         }
     }
 
     /// Checks joint positions, rad.
-    pub(crate) fn check_joints(&self, to: &[f64]) -> Result<(), Error> {
+    pub(crate) fn check_joints(&self, to: &[f64]) -> Result<(), ErrorKind> {
         let (name, joints) = (&self.name, &self.joints);
         if to.len() != joints.len() {
             let text = format!("{name} has {} joints, not {}", joints.len(), to.len());
-            return Err(Error::Invalid(text));
+            return Err(ErrorKind::Invalid(text));
         }
         for (number, (to, limits)) in to.iter().zip(joints).enumerate() {
             let (min, max) = (limits.position_min, limits.position_max);
             if !(min..=max).contains(to) {
-                return Err(Error::Limit {
+                return Err(ErrorKind::Limit {
                     joint: format!("{name} joint {number}"),
                     value: *to,
                     min,

@@ -6,7 +6,7 @@ use std::fmt::Debug;
 use std::sync::Arc;
 
 use crate::engine::{Failure, Start};
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::expression::Condition;
 use crate::motion::ArmDescription;
 use crate::net::{Net, Port};
@@ -22,7 +22,7 @@ pub(crate) trait Operation: Debug + Send + Sync {
     fn devices(&self) -> Vec<String>;
 
     /// Checks all that can be checked without the controller.
-    fn check(&self) -> Result<(), Error>;
+    fn check(&self) -> Result<(), ErrorKind>;
 
     /// The arms that it moves.
     fn arms(&self) -> Vec<&ArmDescription> {
@@ -35,20 +35,20 @@ pub(crate) trait Operation: Debug + Send + Sync {
     }
 
     /// Checks that its arms can follow, from where they begin; returns where it leaves them, as far as known.
-    fn follow(&self, _begins: &Begins, _speed: f64) -> Result<Goals, Error> {
+    fn follow(&self, _begins: &Begins, _speed: f64) -> Result<Goals, ErrorKind> {
         Ok(Goals::new())
     }
 
     /// Plans it.
-    fn plan(&self, _begins: &Begins, _speed: f64) -> Result<Plan, Error> {
-        Err(Error::Unplanned {
+    fn plan(&self, _begins: &Begins, _speed: f64) -> Result<Plan, ErrorKind> {
+        Err(ErrorKind::Unplanned {
             device: self.devices().into_iter().next().unwrap_or_default(),
             cause: "it has no path that is known before it runs".to_owned(),
         })
     }
 
     /// Writes what it does into a net.
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error>;
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind>;
 }
 
 /// What an operation is requested to do in each cycle.
@@ -101,7 +101,7 @@ pub(crate) fn mark_key(number: usize) -> String {
 
 impl Order {
     /// What the engine begins; the order is checked.
-    pub(crate) fn compile(&self, begins: &Begins) -> Result<Start, Error> {
+    pub(crate) fn compile(&self, begins: &Begins) -> Result<Start, ErrorKind> {
         let mut net = Net::default();
         let cancel = net.add("Cancel", []).out("outCancel");
         let until = self.until.iter();
@@ -156,7 +156,12 @@ impl Order {
     }
 
     /// The result from which a successor may take over in motion; reports the progress.
-    fn blend(&self, net: &mut Net, ports: &Ports, going: &Port) -> Result<Option<String>, Error> {
+    fn blend(
+        &self,
+        net: &mut Net,
+        ports: &Ports,
+        going: &Port,
+    ) -> Result<Option<String>, ErrorKind> {
         let Some(progress) = &ports.progress else {
             let text = "it has no progress, so that `blend` and `Event::Progress` have no meaning";
             return if self.blend.is_some() || !self.marks.is_empty() {
@@ -205,17 +210,17 @@ impl Order {
         self.until.iter().zip(met).map(report).collect()
     }
 
-    fn invalid(&self, what: &str) -> Error {
+    fn invalid(&self, what: &str) -> ErrorKind {
         let device = self.operation.devices().into_iter().next();
         let name = device.unwrap_or_else(|| "wait".to_owned());
-        Error::Invalid(format!("{name}: {what}"))
+        ErrorKind::Invalid(format!("{name}: {what}"))
     }
 
     /// Checks all that can be checked without the controller.
     ///
     /// # Errors
-    /// [`Error::Invalid`] and [`Error::Limit`], which name the argument, its value and its bounds.
-    pub(crate) fn check(&self) -> Result<(), Error> {
+    /// [`ErrorKind::Invalid`] and [`ErrorKind::Limit`], which name the argument, its value and its bounds.
+    pub(crate) fn check(&self) -> Result<(), ErrorKind> {
         self.operation.check()?;
         if !(self.speed > 0.0 && self.speed <= 1.0) {
             let text = format!("the speed is {}; it is above 0, at most 1", self.speed);
@@ -249,7 +254,7 @@ impl Order {
 
 /// The net of an operation that is checked first.
 #[cfg(test)]
-pub(crate) fn text_of(operation: impl Operation + 'static) -> Result<String, Error> {
+pub(crate) fn text_of(operation: impl Operation + 'static) -> Result<String, ErrorKind> {
     let order = Order {
         operation: Arc::new(operation),
         speed: 0.5,

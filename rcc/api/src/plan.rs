@@ -7,7 +7,7 @@ use std::time::Duration;
 use takt_motion::plan::{Bounds, JointSample, PlanError, Unfit};
 use takt_net::device::Kinematics;
 
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::motion::ArmDescription;
 use crate::pose::Pose;
 
@@ -94,7 +94,7 @@ impl Plan {
     }
 
     /// Checks that no joint exceeds a part of its velocity limit; `speed` is that of the plan.
-    pub(crate) fn check(&self, speed: f64, part: f64) -> Result<(), Error> {
+    pub(crate) fn check(&self, speed: f64, part: f64) -> Result<(), ErrorKind> {
         let mut found = None;
         let mut most = 1.0 + ROUNDING;
         let mut worst = most;
@@ -117,7 +117,7 @@ impl Plan {
         let Some((joint, progress, velocity, limit)) = found else {
             return Ok(());
         };
-        Err(Error::TooFast {
+        Err(ErrorKind::TooFast {
             device: self.arm.name.clone(),
             joint,
             progress: progress * 100.0,
@@ -143,13 +143,13 @@ pub(crate) fn bounds([velocity, acceleration, jerk]: [f64; 3], speed: f64) -> Bo
 }
 
 /// Why there is no plan for an arm.
-pub(crate) fn unplanned(arm: &ArmDescription, error: PlanError) -> Error {
-    Error::Invalid(format!("{}: {error}", arm.name))
+pub(crate) fn unplanned(arm: &ArmDescription, error: PlanError) -> ErrorKind {
+    ErrorKind::Invalid(format!("{}: {error}", arm.name))
 }
 
 /// Why an arm cannot follow a plan.
-pub(crate) fn unfit(arm: &ArmDescription, unfit: &Unfit) -> Error {
-    Error::Unreachable {
+pub(crate) fn unfit(arm: &ArmDescription, unfit: &Unfit) -> ErrorKind {
+    ErrorKind::Unreachable {
         device: arm.name.clone(),
         progress: unfit.progress * 100.0,
         cause: unfit.cause.to_string(),

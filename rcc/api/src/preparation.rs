@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use crate::engine::{ActivityId, Start, When};
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::motion::ArmDescription;
 use crate::order::Order;
 use crate::session::Session;
@@ -57,7 +57,7 @@ impl Session {
         order: &Order,
         when: When,
         before: &Before,
-    ) -> Result<(Start, Goals), Error> {
+    ) -> Result<(Start, Goals), ErrorKind> {
         order.check()?;
         let begins = if order.operation.needs_begins() {
             self.begins(order, when, before)?
@@ -78,7 +78,7 @@ impl Session {
         order: &Order,
         when: When,
         before: &Before,
-    ) -> Result<Begins, Error> {
+    ) -> Result<Begins, ErrorKind> {
         let mut begins = Begins::new();
         for arm in order.operation.arms() {
             if let Some(joints) = before.get(&arm.name) {
@@ -107,7 +107,7 @@ impl Session {
         &self,
         arm: &ArmDescription,
         port: &str,
-    ) -> Result<Option<Vec<f64>>, Error> {
+    ) -> Result<Option<Vec<f64>>, ErrorKind> {
         let values = self.evaluate(&arm.reader(port))?;
         let joint = |axis: usize| values.get(&format!("outq{axis}"))?.parse().ok();
         Ok((0..arm.joints.len()).map(joint).collect())

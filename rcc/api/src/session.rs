@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use takt_client::{Client, Message, Value};
 
 use crate::engine::{Action, ActivityId, Engine, GroupId, Part};
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::preparation::{Goals, KnownGoals};
 
 /// Least time between two reports of one value of a net. Results are reported with the end of the net in any case.
@@ -65,7 +65,7 @@ fn distant() -> Instant {
 
 impl Session {
     /// Opens a session that ends with the connection, and starts the receiving thread.
-    pub(crate) fn begin_with(client: Client) -> Result<Arc<Self>, Error> {
+    pub(crate) fn begin_with(client: Client) -> Result<Arc<Self>, ErrorKind> {
         Self::begin_at(
             client,
             #[cfg(feature = "embedded")]
@@ -78,14 +78,14 @@ impl Session {
     pub(crate) fn begin_embedded(
         client: Client,
         embedded: takt_embedded::Embedded,
-    ) -> Result<Arc<Self>, Error> {
+    ) -> Result<Arc<Self>, ErrorKind> {
         Self::begin_at(client, Some(embedded))
     }
 
     fn begin_at(
         client: Client,
         #[cfg(feature = "embedded")] embedded: Option<takt_embedded::Embedded>,
-    ) -> Result<Arc<Self>, Error> {
+    ) -> Result<Arc<Self>, ErrorKind> {
         let session = client.call("nse", ["takt-api", "end"])?;
         let session = Arc::new(Self {
             id: session.text().unwrap_or_default().to_owned(),
@@ -115,7 +115,7 @@ impl Session {
         let thread = std::thread::Builder::new()
             .name("takt-api".to_owned())
             .spawn(receive);
-        thread.map_err(|error| Error::Connection(format!("cannot start a thread: {error}")))?;
+        thread.map_err(|error| ErrorKind::Connection(format!("cannot start a thread: {error}")))?;
         Ok(session)
     }
 
@@ -130,7 +130,7 @@ impl Session {
     }
 
     /// Ends the session; the controller aborts what still runs.
-    pub(crate) fn end(&self) -> Result<(), Error> {
+    pub(crate) fn end(&self) -> Result<(), ErrorKind> {
         self.client.call("ase", [self.id.as_str()])?;
         Ok(())
     }
@@ -144,7 +144,7 @@ impl Session {
         &self,
         parts: Vec<Part>,
         goals: Vec<Vec<Goals>>,
-    ) -> Result<Vec<Vec<ActivityId>>, Error> {
+    ) -> Result<Vec<Vec<ActivityId>>, ErrorKind> {
         let devices = |part: &Part| -> Vec<_> {
             let starts = part.starts.iter();
             starts.map(|start| start.devices.clone()).collect()
@@ -166,7 +166,7 @@ impl Session {
     }
 
     /// Waits until a device has no activity.
-    pub(crate) fn wait_for_rest(&self, device: &str) -> Result<(), Error> {
+    pub(crate) fn wait_for_rest(&self, device: &str) -> Result<(), ErrorKind> {
         self.wait_for_rest_until(device, distant())
             .unwrap_or(Ok(()))
     }
@@ -176,7 +176,7 @@ impl Session {
         &self,
         device: &str,
         until: Instant,
-    ) -> Option<Result<(), Error>> {
+    ) -> Option<Result<(), ErrorKind>> {
         self.wait_until(until, |session| {
             let Some(latest) = session.engine().latest(device) else {
                 return Some(session.engine().lost().map_or(Ok(()), Err));
@@ -243,7 +243,7 @@ impl Session {
     }
 
     /// One cycle of a net with the present state of the devices: its out values by key.
-    pub(crate) fn evaluate(&self, net: &str) -> Result<BTreeMap<String, String>, Error> {
+    pub(crate) fn evaluate(&self, net: &str) -> Result<BTreeMap<String, String>, ErrorKind> {
         let reply = self.client.call("eva", [net])?;
         let Some(Value::Map(values)) = reply.values.into_iter().next() else {
             return Ok(BTreeMap::new());
@@ -283,7 +283,7 @@ impl Session {
         drop(self.write_value(net, "override", &factor.to_string()));
     }
 
-    fn write_value(&self, net: &str, key: &str, text: &str) -> Result<(), Error> {
+    fn write_value(&self, net: &str, key: &str, text: &str) -> Result<(), ErrorKind> {
         let value = Value::map_of([(format!("in{key}"), Value::from(text))]);
         let values = Value::map_of([(net.to_owned(), value)]);
         self.client.call("snc", [values])?;
@@ -291,7 +291,7 @@ impl Session {
     }
 
     /// Writes a value into the nets of activities.
-    pub(crate) fn write(&self, ids: &[ActivityId], key: &str, text: &str) -> Result<(), Error> {
+    pub(crate) fn write(&self, ids: &[ActivityId], key: &str, text: &str) -> Result<(), ErrorKind> {
         let nets = self.engine().loaded_nets(ids);
         let mut nets = nets.iter();
         nets.try_for_each(|net| self.write_value(net, key, text))
@@ -332,7 +332,7 @@ impl Session {
     }
 
     /// Loads a net and subscribes to it.
-    fn load(&self, text: &str) -> Result<String, Error> {
+    fn load(&self, text: &str) -> Result<String, ErrorKind> {
         let reply = self
             .client
             .call("nene", [text, self.id.as_str(), "takt-api"])?;
@@ -340,7 +340,7 @@ impl Session {
         let (state, faults) = self.inspect(&net)?;
         if state == "REJECTED" {
             self.client.call("neun", [net.as_str()])?;
-            return Err(Error::Rejected(faults));
+            return Err(ErrorKind::Rejected(faults));
         }
         let arguments = [net.as_str().into(), REFRESH.into(), Value::from("every")];
         let tag = self.client.call("gne", arguments)?.tag;
@@ -349,7 +349,7 @@ impl Session {
     }
 
     /// State of a net, and its faults or the reason of its end.
-    fn inspect(&self, net: &str) -> Result<(String, Vec<String>), Error> {
+    fn inspect(&self, net: &str) -> Result<(String, Vec<String>), ErrorKind> {
         let reply = self.client.call("nin", [net])?;
         let info = reply
             .values
@@ -387,7 +387,7 @@ impl Session {
             nets(start),
             Value::from("takt-api"),
         ];
-        let rule = self.client.call("nesc", arguments).map_err(Error::from);
+        let rule = self.client.call("nesc", arguments).map_err(ErrorKind::from);
         let rule = rule.map(|reply| reply.text().unwrap_or_default().to_owned());
         self.engine().scheduled(group, rule.clone());
         if let Ok(rule) = rule
@@ -419,7 +419,7 @@ impl Session {
         let Some(subject) = subjects.known.get(&push.tag).cloned() else {
             if subjects.early.len() == EARLY_MAX {
                 let text = "notifications of no subscription".to_owned();
-                return self.engine().lose(&Error::Lost(text));
+                return self.engine().lose(&ErrorKind::Lost(text));
             }
             subjects.early.push(push);
             return;
@@ -456,7 +456,7 @@ impl Session {
     }
 
     /// The connection ended.
-    fn lose(&self, error: &Error) {
+    fn lose(&self, error: &ErrorKind) {
         self.engine().lose(error);
         self.notify();
     }

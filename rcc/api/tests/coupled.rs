@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-use takt_api::{Arm, Cell, Error, Handle, Outcome, Pose, coupled, together};
+use takt_api::{Arm, Cell, ErrorKind, Handle, Outcome, Pose, coupled, together};
 use takt_embedded::Embedded;
 use takt_tests::steady;
 
@@ -72,7 +72,7 @@ fn coupled_partner_rests_on_path_when_arm_fails() {
         let (far, turned) = deviation(&arms[0], start, &handle);
         let error = handle.wait().unwrap_err();
         assert!(
-            matches!(&error, Error::DeviceFailed { device, .. } if device == "right"),
+            matches!(&error.kind, ErrorKind::DeviceFailed { device, .. } if device == "right"),
             "{error}"
         );
         assert!(far < 1e-4 && turned < 1e-4, "{far} m, {turned}");

@@ -24,7 +24,7 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use takt_api::{Cell, Error, Outcome};
+use takt_api::{Cell, ErrorKind, Outcome, together};
 use takt_tests::steady;
 
 const BENT: [f64; 7] = [0.0, 0.6, 0.0, -1.1, 0.0, 0.7, 0.0];
@@ -109,16 +109,16 @@ fn lift_example_keeps_the_grasp() {
 fn recovery_example_goes_on_after_errors() {
     steady(|| {
         let attempts = recovery::run().unwrap();
-        let errors: Vec<_> = attempts.iter().map(|attempt| &attempt.error).collect();
+        let errors: Vec<_> = attempts.iter().map(|attempt| &attempt.error.kind).collect();
         assert!(
             matches!(
                 errors[..],
                 [
-                    Error::Invalid(_),
-                    Error::Limit { .. },
-                    Error::Unreachable { .. } | Error::TooFast { .. },
-                    Error::Unreachable { .. },
-                    Error::Invalid(_),
+                    ErrorKind::Invalid(_),
+                    ErrorKind::Limit { .. },
+                    ErrorKind::Unreachable { .. } | ErrorKind::TooFast { .. },
+                    ErrorKind::Unreachable { .. },
+                    ErrorKind::Invalid(_),
                 ]
             ),
             "{errors:?}"
@@ -175,7 +175,7 @@ fn emulated_factory_has_arms_of_all_makes() {
 #[test]
 fn emulated_cell_unknown_name_lists_known_ones() {
     let error = Cell::emulated("three_lwr").unwrap_err();
-    assert!(matches!(error, Error::Invalid(_)), "{error}");
+    assert!(matches!(error.kind, ErrorKind::Invalid(_)), "{error}");
     let text = error.to_string();
     assert!(text.contains("two_lwr, iiwa, factory, lwr_wsg"), "{text}");
 }
@@ -213,6 +213,51 @@ fn embedded_cell_file_admits_this_program_only() {
     let error = Cell::connect(&address).unwrap_err();
     assert!(error.to_string().contains("token"), "{error}");
     let missing = Cell::embedded(&path).unwrap_err();
-    assert!(matches!(missing, Error::Invalid(_)), "{missing}");
+    assert!(matches!(missing.kind, ErrorKind::Invalid(_)), "{missing}");
     assert!(missing.to_string().contains("No such file"), "{missing}");
+}
+
+#[test]
+fn error_of_a_call_names_the_line_of_its_caller() {
+    steady(|| {
+        let cell = Cell::emulated("two_lwr").unwrap();
+        let left = cell.arm("left").unwrap();
+        let wrong = || left.ptp([0.0; 3]);
+        let line = line!();
+        let errors = [
+            wrong().begin().map(drop).unwrap_err(),
+            wrong().queue().map(drop).unwrap_err(),
+            wrong().run().map(drop).unwrap_err(),
+            wrong().plan().map(drop).unwrap_err(),
+            wrong().explain().map(drop).unwrap_err(),
+            together([wrong()]).run().map(drop).unwrap_err(),
+            cell.arm("middle").map(drop).unwrap_err(),
+            cell.set_override(2.0).unwrap_err(),
+            cell.holds(&left.input(4000)).map(drop).unwrap_err(),
+        ];
+        for (error, line) in errors.iter().zip(line + 2..) {
+            assert_eq!((error.place.file(), error.place.line()), (file!(), line));
+            let place = format!(" (at {}:{line})", file!());
+            assert!(error.to_string().contains(&place), "{error}");
+        }
+        assert!(
+            errors[6].to_string().ends_with("left, right"),
+            "the hint is last"
+        );
+    });
+}
+
+#[test]
+fn error_of_a_motion_names_the_line_that_began_it() {
+    steady(|| {
+        let cell = Cell::emulated("two_lwr").unwrap();
+        let left = cell.arm("left").unwrap();
+        assert_eq!(left.ptp(BENT).run(), Ok(Outcome::Completed));
+        let [x, y, z] = left.pose().unwrap().position();
+        let far = left.lin(takt_api::Pose::xyz(x + 1.0, y, z)).unchecked();
+        let (handle, line) = (far.begin().unwrap(), line!());
+        let error = handle.wait().unwrap_err();
+        assert_eq!((error.place.file(), error.place.line()), (file!(), line));
+        assert_eq!(handle.place(), error.place);
+    });
 }

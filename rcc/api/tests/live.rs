@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use takt_api::{Cell, Error, Outcome, Pose, Twist};
+use takt_api::{Cell, ErrorKind, Outcome, Pose, Twist};
 use takt_tests::steady;
 
 const BENT: [f64; 7] = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
@@ -25,7 +25,7 @@ fn jog_moves_while_sent_and_rests_after() {
             std::thread::sleep(PAUSE);
         }
         let refused = jog.send(Twist::xyz(f64::NAN, 0.0, 0.0)).unwrap_err();
-        assert!(matches!(refused, Error::Invalid(_)), "{refused}");
+        assert!(matches!(refused.kind, ErrorKind::Invalid(_)), "{refused}");
         std::thread::sleep(Duration::from_millis(800));
         let rest = arm.commanded().unwrap();
         std::thread::sleep(Duration::from_millis(100));
@@ -36,7 +36,7 @@ fn jog_moves_while_sent_and_rests_after() {
         jog.cancel();
         assert_eq!(jog.wait(), Ok(Outcome::Cancelled));
         let ended = jog.send(Twist::default()).unwrap_err();
-        assert!(matches!(ended, Error::Ended { .. }), "{ended}");
+        assert!(matches!(ended.kind, ErrorKind::Ended { .. }), "{ended}");
     });
 }
 
@@ -85,7 +85,7 @@ fn streamed_goals_are_followed_by_one_net() {
         }
         goal[0] = 9.0;
         let refused = stream.send(goal).unwrap_err();
-        assert!(matches!(refused, Error::Limit { .. }), "{refused}");
+        assert!(matches!(refused.kind, ErrorKind::Limit { .. }), "{refused}");
         // Another activity takes over in the next cycle.
         let poses = arm.stream_poses().now().begin().unwrap();
         assert_eq!(stream.wait(), Ok(Outcome::TakenOver));
@@ -98,7 +98,7 @@ fn streamed_goals_are_followed_by_one_net() {
             std::thread::sleep(PAUSE);
         }
         let far = poses.send(Pose::xyz(5.0, 0.0, 0.0)).unwrap_err();
-        assert!(matches!(far, Error::Unreachable { .. }), "{far}");
+        assert!(matches!(far.kind, ErrorKind::Unreachable { .. }), "{far}");
         poses.cancel();
         assert_eq!(poses.wait(), Ok(Outcome::Cancelled));
     });

@@ -3,13 +3,17 @@
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use takt_api::Error;
+use takt_api::{Error, ErrorKind};
 
 use crate::place::Place;
 
 /// The exception for an error, with the line of the program that began what failed.
 pub(crate) fn raise(py: Python<'_>, error: &Error, place: Option<&Place>) -> PyErr {
-    instance(py, error, place).map_or_else(|failed| failed, PyErr::from_value)
+    of_kind(py, &error.kind, place)
+}
+
+fn of_kind(py: Python<'_>, kind: &ErrorKind, place: Option<&Place>) -> PyErr {
+    instance(py, kind, place).map_or_else(|failed| failed, PyErr::from_value)
 }
 
 /// The same for an error that concerns the line that is being executed.
@@ -19,7 +23,11 @@ pub(crate) fn raise_here(py: Python<'_>, error: &Error) -> PyErr {
 
 /// An argument that is out of its bounds.
 pub(crate) fn invalid(py: Python<'_>, text: impl Into<String>) -> PyErr {
-    raise_here(py, &Error::Invalid(text.into()))
+    of_kind(
+        py,
+        &ErrorKind::Invalid(text.into()),
+        Place::caller(py).as_ref(),
+    )
 }
 
 /// The use of a connection in a process that does not have it.
@@ -45,15 +53,15 @@ pub(crate) fn timeout(py: Python<'_>, seconds: f64, place: Option<&Place>) -> Py
 )]
 fn instance<'py>(
     py: Python<'py>,
-    error: &Error,
+    error: &ErrorKind,
     place: Option<&Place>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let attributes = PyDict::new(py);
     let class = match error {
-        Error::Connection(_) => "Connection",
-        Error::Lost(_) => "Lost",
-        Error::Invalid(_) => "Invalid",
-        Error::Limit {
+        ErrorKind::Connection(_) => "Connection",
+        ErrorKind::Lost(_) => "Lost",
+        ErrorKind::Invalid(_) => "Invalid",
+        ErrorKind::Limit {
             joint,
             value,
             min,
@@ -65,42 +73,42 @@ fn instance<'py>(
             attributes.set_item("max", max)?;
             "Limit"
         }
-        Error::NoDevice { name, .. } => {
+        ErrorKind::NoDevice { name, .. } => {
             attributes.set_item("name", name)?;
             "NoDevice"
         }
-        Error::NoPort { device, port, .. } => {
+        ErrorKind::NoPort { device, port, .. } => {
             attributes.set_item("device", device)?;
             attributes.set_item("port", port)?;
             "NoPort"
         }
-        Error::Rejected(faults) => {
+        ErrorKind::Rejected(faults) => {
             attributes.set_item("faults", faults.clone())?;
             "Rejected"
         }
-        Error::Refused(_) => "Refused",
-        Error::Conflict { device, .. } => {
+        ErrorKind::Refused(_) => "Refused",
+        ErrorKind::Conflict { device, .. } => {
             attributes.set_item("device", device)?;
             "Conflict"
         }
-        Error::Unreachable {
+        ErrorKind::Unreachable {
             device, progress, ..
         } => {
             attributes.set_item("device", device)?;
             attributes.set_item("progress", progress / 100.0)?;
             "Unreachable"
         }
-        Error::DeviceFailed { device, cause, .. } => {
+        ErrorKind::DeviceFailed { device, cause, .. } => {
             attributes.set_item("device", device)?;
             attributes.set_item("cause", cause)?;
             "DeviceFailed"
         }
-        Error::Version { address, reason } => {
+        ErrorKind::Version { address, reason } => {
             attributes.set_item("address", address)?;
             attributes.set_item("reason", reason)?;
             "Version"
         }
-        Error::TooFast {
+        ErrorKind::TooFast {
             device,
             joint,
             progress,
@@ -116,16 +124,16 @@ fn instance<'py>(
             attributes.set_item("speed", speed)?;
             "TooFast"
         }
-        Error::Unplanned { device, cause } => {
+        ErrorKind::Unplanned { device, cause } => {
             attributes.set_item("device", device)?;
             attributes.set_item("cause", cause)?;
             "Unplanned"
         }
-        Error::PredecessorFailed(before) => {
+        ErrorKind::PredecessorFailed(before) => {
             attributes.set_item("error", instance(py, before, None)?)?;
             "PredecessorFailed"
         }
-        Error::Ended { device, reason, .. } => {
+        ErrorKind::Ended { device, reason, .. } => {
             attributes.set_item("device", device)?;
             attributes.set_item("reason", reason)?;
             "Ended"

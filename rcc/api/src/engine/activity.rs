@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::outcome::Outcome;
 
 /// Number of an activity, unique for its engine.
@@ -32,13 +32,13 @@ pub struct Failure {
     /// Key of the result.
     pub key: String,
     /// The error; progress and the controller's reason are added to it.
-    pub error: Error,
+    pub error: ErrorKind,
 }
 
 impl Failure {
     /// The device fails for a cause.
     pub fn of(key: &str, device: &str, cause: &str) -> Self {
-        let error = Error::DeviceFailed {
+        let error = ErrorKind::DeviceFailed {
             device: device.to_owned(),
             cause: cause.to_owned(),
         };
@@ -46,7 +46,7 @@ impl Failure {
     }
 
     /// One key for each device, so that a net may command several.
-    fn with(key: &str, device: &str, error: Error) -> Self {
+    fn with(key: &str, device: &str, error: ErrorKind) -> Self {
         let key = format!("{key}_{device}");
         Self { key, error }
     }
@@ -69,7 +69,7 @@ impl Failure {
 
     /// Another net commands the device.
     pub fn conflict(device: &str) -> Self {
-        let error = Error::Conflict {
+        let error = ErrorKind::Conflict {
             device: device.to_owned(),
         };
         Self::with("concurrent", device, error)
@@ -87,7 +87,7 @@ impl Failure {
     }
 
     fn off_path(key: &str, device: &str, cause: &str) -> Self {
-        let error = Error::Unreachable {
+        let error = ErrorKind::Unreachable {
             device: device.to_owned(),
             progress: 0.0,
             cause: cause.to_owned(),
@@ -96,12 +96,12 @@ impl Failure {
     }
 
     /// The error with what is known at the end of the net.
-    fn at_end(&self, reason: &str, part: f64) -> Error {
+    fn at_end(&self, reason: &str, part: f64) -> ErrorKind {
         let mut error = self.error.clone();
-        if let Error::Unreachable { progress, .. } = &mut error {
+        if let ErrorKind::Unreachable { progress, .. } = &mut error {
             *progress = part * 100.0;
         }
-        if let Error::DeviceFailed { cause, .. } = &mut error
+        if let ErrorKind::DeviceFailed { cause, .. } = &mut error
             && !reason.is_empty()
         {
             *cause = format!("{cause}: {reason}");
@@ -198,7 +198,7 @@ pub enum State {
     /// Its net runs.
     Running,
     /// It has ended.
-    Ended(Result<Outcome, Error>),
+    Ended(Result<Outcome, ErrorKind>),
 }
 
 #[derive(Debug)]
@@ -216,7 +216,7 @@ pub(super) struct Activity {
     /// Whether a program still refers to it.
     pub(super) is_held: bool,
     /// How it ends if its net is unloaded before it runs: its end was requested after its rule.
-    pub(super) pending: Option<Result<Outcome, Error>>,
+    pub(super) pending: Option<Result<Outcome, ErrorKind>>,
     /// Whether the unloading of its net was requested.
     pub(super) is_unloading: bool,
     /// Whether it has reached its goal and kept it up.
@@ -275,7 +275,7 @@ impl Activity {
     }
 
     /// How it ended, by the results of its net. `is_followed`: another activity takes its place.
-    pub(super) fn outcome(&self, reason: &str, is_followed: bool) -> Result<Outcome, Error> {
+    pub(super) fn outcome(&self, reason: &str, is_followed: bool) -> Result<Outcome, ErrorKind> {
         let device = || self.name();
         let is = |key: &str| self.values.contains(key);
         let mut failures = self.failures.iter();
@@ -309,7 +309,7 @@ impl Activity {
         } else {
             reason
         };
-        Err(Error::Ended {
+        Err(ErrorKind::Ended {
             device: device(),
             reason: reason.to_owned(),
         })

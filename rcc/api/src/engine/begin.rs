@@ -7,14 +7,14 @@ use super::Engine;
 use super::activity::{
     Action, Activity, ActivityId, Group, GroupId, GroupLife, Part, Start, State, When,
 };
-use crate::error::Error;
+use crate::error::ErrorKind;
 
 impl Engine {
     /// Begins activities together.
     ///
     /// # Errors
     /// If two of them have the same device, there is none, or the connection is lost.
-    pub fn begin(&mut self, starts: Vec<Start>, when: When) -> Result<Vec<ActivityId>, Error> {
+    pub fn begin(&mut self, starts: Vec<Start>, when: When) -> Result<Vec<ActivityId>, ErrorKind> {
         let begun = self.begin_all(vec![Part::new(starts, when)])?;
         Ok(begun.into_iter().flatten().collect())
     }
@@ -24,7 +24,7 @@ impl Engine {
     /// # Errors
     /// If two activities of a part have the same device, a part has none, a part refers to one that is not before it, or
     /// the connection is lost. Nothing was begun then.
-    pub fn begin_all(&mut self, parts: Vec<Part>) -> Result<Vec<Vec<ActivityId>>, Error> {
+    pub fn begin_all(&mut self, parts: Vec<Part>) -> Result<Vec<Vec<ActivityId>>, ErrorKind> {
         self.revision += 1;
         if let Some(lost) = &self.lost {
             return Err(lost.clone());
@@ -247,8 +247,8 @@ fn required(after: &[Vec<usize>], before: &[(GroupId, Vec<ActivityId>)]) -> Vec<
     after.iter().flat_map(slots).collect()
 }
 
-fn check(parts: &[Part]) -> Result<(), Error> {
-    let invalid = |text: &str| Err(Error::Invalid(text.to_owned()));
+fn check(parts: &[Part]) -> Result<(), ErrorKind> {
+    let invalid = |text: &str| Err(ErrorKind::Invalid(text.to_owned()));
     if parts.is_empty() {
         return invalid("there is no activity to begin");
     }

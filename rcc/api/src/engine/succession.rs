@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::Engine;
 use super::activity::{Action, ActivityId, Group, GroupId, GroupLife, State, When};
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::outcome::Outcome;
 
 impl Engine {
@@ -275,7 +275,7 @@ impl Engine {
     }
 
     /// Ends an activity, and those that can no longer follow it.
-    pub(super) fn end(&mut self, id: ActivityId, outcome: Result<Outcome, Error>) {
+    pub(super) fn end(&mut self, id: ActivityId, outcome: Result<Outcome, ErrorKind>) {
         let Some(activity) = self.activities.get_mut(&id) else {
             return;
         };
@@ -306,7 +306,7 @@ impl Engine {
         &mut self,
         follower: GroupId,
         id: ActivityId,
-        outcome: &Result<Outcome, Error>,
+        outcome: &Result<Outcome, ErrorKind>,
         values: &BTreeSet<String>,
     ) {
         let Some(group) = self.groups.get(&follower) else {
@@ -333,11 +333,11 @@ impl Engine {
             Ok(_) => self.bind(follower),
             // An alternative takes its place.
             Err(_) if self.has_reserve(id) => {}
-            Err(error @ Error::PredecessorFailed(_)) => {
+            Err(error @ ErrorKind::PredecessorFailed(_)) => {
                 self.kill(follower, &Err(error.clone()));
             }
             Err(error) => {
-                let error = Error::PredecessorFailed(Box::new(error.clone()));
+                let error = ErrorKind::PredecessorFailed(Box::new(error.clone()));
                 self.kill(follower, &Err(error));
             }
         }
@@ -363,8 +363,8 @@ impl Engine {
     }
 
     /// What else ends with a group that does not begin: those that stand in for it, or the rest of its call.
-    fn end_with(&mut self, id: GroupId, call: u64, outcome: &Result<Outcome, Error>) {
-        let cannot = matches!(outcome, Err(error) if !matches!(error, Error::PredecessorFailed(_) | Error::Lost(_)));
+    fn end_with(&mut self, id: GroupId, call: u64, outcome: &Result<Outcome, ErrorKind>) {
+        let cannot = matches!(outcome, Err(error) if !matches!(error, ErrorKind::PredecessorFailed(_) | ErrorKind::Lost(_)));
         let reserve = self
             .groups
             .iter()
@@ -397,7 +397,7 @@ impl Engine {
 
     /// Ends the activities of a group that has not begun. If its rule was requested, it may fire before the nets are
     /// unloaded: they end when the controller confirms it.
-    pub(super) fn kill(&mut self, id: GroupId, outcome: &Result<Outcome, Error>) {
+    pub(super) fn kill(&mut self, id: GroupId, outcome: &Result<Outcome, ErrorKind>) {
         let Some(group) = self.groups.get_mut(&id).filter(|group| group.may_begin()) else {
             return;
         };
@@ -463,7 +463,7 @@ impl Engine {
     }
 
     /// How an activity ended, by the results of its net.
-    pub(super) fn outcome(&self, id: ActivityId, reason: &str) -> Result<Outcome, Error> {
+    pub(super) fn outcome(&self, id: ActivityId, reason: &str) -> Result<Outcome, ErrorKind> {
         let Some(activity) = self.activities.get(&id) else {
             return Ok(Outcome::Cancelled);
         };

@@ -111,7 +111,7 @@ fn running(engine: &mut Engine, device: &str) -> ActivityId {
     id
 }
 
-fn outcome(engine: &Engine, id: ActivityId) -> Result<Outcome, Error> {
+fn outcome(engine: &Engine, id: ActivityId) -> Result<Outcome, ErrorKind> {
     match engine.state(id) {
         Some(State::Ended(outcome)) => outcome.clone(),
         other => panic!("{id:?} has not ended: {other:?}"),
@@ -182,13 +182,13 @@ fn take_over_is_known_when_the_end_comes_first() {
 #[test]
 fn each_result_has_its_outcome() {
     let failed = |cause: &str| {
-        Err(Error::DeviceFailed {
+        Err(ErrorKind::DeviceFailed {
             device: "left".to_owned(),
             cause: cause.to_owned(),
         })
     };
     let stopped = |name: &str| Ok(Outcome::Stopped(name.to_owned()));
-    let table: [(&[&str], Result<Outcome, Error>); 7] = [
+    let table: [(&[&str], Result<Outcome, ErrorKind>); 7] = [
         (&["completed"], Ok(Outcome::Completed)),
         (&["cancelled"], Ok(Outcome::Cancelled)),
         (&["until_touch"], stopped("touch")),
@@ -200,7 +200,7 @@ fn each_result_has_its_outcome() {
         (&["illegal_left"], failed("a joint would leave its range")),
         (
             &["concurrent_left"],
-            Err(Error::Conflict {
+            Err(ErrorKind::Conflict {
                 device: "left".to_owned(),
             }),
         ),
@@ -243,7 +243,7 @@ fn successors_of_a_failed_activity_do_not_begin() {
     let unloaded = serve(&mut engine);
     for id in [second, third] {
         let error = outcome(&engine, id).unwrap_err();
-        assert!(matches!(error, Error::PredecessorFailed(_)), "{error}");
+        assert!(matches!(error, ErrorKind::PredecessorFailed(_)), "{error}");
     }
     for id in [first, second, third] {
         assert!(unloaded.contains(&Action::Unload(net(id))), "{id:?}");
@@ -305,7 +305,7 @@ fn rejected_net_ends_its_group() {
         .unwrap();
     engine.take_actions();
     engine.loaded(ids[0], Ok("n1".to_owned()));
-    let error = Error::Rejected(vec!["no such robot".to_owned()]);
+    let error = ErrorKind::Rejected(vec!["no such robot".to_owned()]);
     engine.loaded(ids[1], Err(error.clone()));
     assert_eq!(outcome(&engine, ids[0]), Err(error.clone()));
     assert_eq!(outcome(&engine, ids[1]), Err(error));
@@ -324,11 +324,11 @@ fn refused_rule_ends_the_activity_and_gives_the_device_back() {
     };
     engine.scheduled(
         group,
-        Err(Error::Refused("left joint 2 is taken".to_owned())),
+        Err(ErrorKind::Refused("left joint 2 is taken".to_owned())),
     );
     assert_eq!(
         outcome(&engine, second),
-        Err(Error::Refused("left joint 2 is taken".to_owned()))
+        Err(ErrorKind::Refused("left joint 2 is taken".to_owned()))
     );
     assert_eq!(engine.latest("left"), Some(first));
 }
@@ -402,7 +402,7 @@ fn coupled_arms_may_not_repeat_a_device() {
         vec![coupled(&["left", "right"]), start("right")],
     ] {
         let error = engine.begin(starts, When::Follow).unwrap_err();
-        assert!(matches!(error, Error::Invalid(_)), "{error}");
+        assert!(matches!(error, ErrorKind::Invalid(_)), "{error}");
     }
 }
 
@@ -426,7 +426,7 @@ fn one_device_twice_is_refused() {
     let error = engine
         .begin(vec![start("left"), start("left")], When::Follow)
         .unwrap_err();
-    assert!(matches!(error, Error::Invalid(_)), "{error}");
+    assert!(matches!(error, ErrorKind::Invalid(_)), "{error}");
     assert!(engine.begin(Vec::new(), When::Follow).is_err());
     assert_eq!(engine.take_actions(), []);
 }
@@ -436,7 +436,7 @@ fn lost_connection_ends_everything() {
     let mut engine = Engine::default();
     let first = running(&mut engine, "left");
     let second = begin(&mut engine, "left");
-    let lost = Error::Lost("closed".to_owned());
+    let lost = ErrorKind::Lost("closed".to_owned());
     engine.lose(&lost);
     for id in [first, second] {
         assert_eq!(outcome(&engine, id), Err(lost.clone()));

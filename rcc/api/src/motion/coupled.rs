@@ -8,7 +8,7 @@ use takt_motion::plan::{FrameSample, Plan as MotionPlan};
 use super::frame::{self, Route};
 use super::{ArmDescription, CartesianLimits};
 use crate::engine::Failure;
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::net::{Net, Port};
 use crate::order::{Operation, Ports, Requests};
 use crate::plan::{Plan, unfit, unplanned};
@@ -61,13 +61,13 @@ pub(crate) struct CoupledMotion {
 }
 
 impl CoupledMotion {
-    fn first(&self) -> Result<&Holder, Error> {
-        let few = || Error::Invalid("no arm holds the object".to_owned());
+    fn first(&self) -> Result<&Holder, ErrorKind> {
+        let few = || ErrorKind::Invalid("no arm holds the object".to_owned());
         self.holders.first().ok_or_else(few)
     }
 
     /// Where the object begins in the world, by the first arm.
-    fn start(&self, begins: &Begins) -> Result<Pose, Error> {
+    fn start(&self, begins: &Begins) -> Result<Pose, ErrorKind> {
         let first = self.first()?;
         let arm = &first.arm;
         let begin = begins.get(&arm.name).ok_or_else(|| arm.no_start())?;
@@ -75,7 +75,7 @@ impl CoupledMotion {
     }
 
     /// The motion of the object in the base of an arm, and that of the arm.
-    fn plan_of(&self, holder: &Holder, begins: &Begins, speed: f64) -> Result<Plan, Error> {
+    fn plan_of(&self, holder: &Holder, begins: &Begins, speed: f64) -> Result<Plan, ErrorKind> {
         let arm = &holder.arm;
         let begin = begins.get(&arm.name).ok_or_else(|| arm.no_start())?;
         let kinematics = arm.kinematics().ok_or_else(|| arm.no_model())?;
@@ -122,21 +122,21 @@ impl Operation for CoupledMotion {
         names.collect()
     }
 
-    fn check(&self) -> Result<(), Error> {
+    fn check(&self) -> Result<(), ErrorKind> {
         let name = &self.first()?.arm.name;
         if self.holders.len() < 2 {
             let text = format!("{name}: only one arm holds the object; two or more are coupled");
-            return Err(Error::Invalid(text));
+            return Err(ErrorKind::Invalid(text));
         }
         for (number, holder) in self.holders.iter().enumerate() {
             let name = &holder.arm.name;
             let before = self.holders.get(..number).unwrap_or_default();
             if before.iter().any(|other| other.arm.name == *name) {
                 let text = format!("{name}: the arm is coupled with itself");
-                return Err(Error::Invalid(text));
+                return Err(ErrorKind::Invalid(text));
             }
             if !(holder.base.is_finite() && holder.grasp.is_finite()) {
-                return Err(Error::Invalid(format!(
+                return Err(ErrorKind::Invalid(format!(
                     "{name}: its base or its grasp is not finite"
                 )));
             }
@@ -149,7 +149,7 @@ impl Operation for CoupledMotion {
         self.holders.iter().map(|holder| &holder.arm).collect()
     }
 
-    fn follow(&self, begins: &Begins, speed: f64) -> Result<Goals, Error> {
+    fn follow(&self, begins: &Begins, speed: f64) -> Result<Goals, ErrorKind> {
         let mut goals = Goals::new();
         let arms = self.arms();
         // Without known starts, or known models, the controller checks the path while it runs.
@@ -170,7 +170,7 @@ impl Operation for CoupledMotion {
         Ok(goals)
     }
 
-    fn plan(&self, begins: &Begins, speed: f64) -> Result<Plan, Error> {
+    fn plan(&self, begins: &Begins, speed: f64) -> Result<Plan, ErrorKind> {
         let plans = self
             .holders
             .iter()
@@ -178,11 +178,11 @@ impl Operation for CoupledMotion {
         let mut plans = plans.collect::<Result<Vec<_>, _>>()?.into_iter();
         let first = plans
             .next()
-            .ok_or_else(|| Error::Invalid("no arm".to_owned()))?;
+            .ok_or_else(|| ErrorKind::Invalid("no arm".to_owned()))?;
         Ok(first.with_partners(plans.collect()))
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
         let first = self.first()?;
         let start = self.start(requests.begins).ok();
         let from = frame::commanded_in(net, &first.arm, &first.base, &first.grasp.inverse());

@@ -5,7 +5,7 @@ use std::time::Duration;
 use takt_motion::plan::{self, FrameBounds, FrameSample, FrameState, PlanError, plan_frame};
 
 use super::{ArmDescription, CartesianLimits};
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::net::{Argument, Net, Port};
 use crate::pose::Pose;
 
@@ -56,8 +56,8 @@ pub(crate) struct InMotion {
 }
 
 impl Route {
-    pub(crate) fn check(&self, name: &str) -> Result<(), Error> {
-        let invalid = |what: &str| Err(Error::Invalid(format!("{name}: {what}")));
+    pub(crate) fn check(&self, name: &str) -> Result<(), ErrorKind> {
+        let invalid = |what: &str| Err(ErrorKind::Invalid(format!("{name}: {what}")));
         match self {
             Self::Line(to) if !to.is_finite() => invalid("the pose is not finite"),
             Self::Arc { via, to } if !(via.is_finite() && to.is_finite()) => {

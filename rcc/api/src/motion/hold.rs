@@ -1,7 +1,7 @@
 //! Holding an arm where it is: it brakes, stays at rest under command, and can be taken over at any time.
 
 use super::ArmDescription;
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::net::Net;
 use crate::order::{Operation, Ports, Requests};
 
@@ -16,11 +16,11 @@ impl Operation for Hold {
         vec![self.arm.name.clone()]
     }
 
-    fn check(&self) -> Result<(), Error> {
+    fn check(&self) -> Result<(), ErrorKind> {
         Ok(())
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
         let arm = &self.arm;
         let positions = arm.joint_array(net, "outCommandedPosition");
         let always = [("Value", "true".into())];

@@ -4,7 +4,7 @@
 use super::frame::{self, InMotion};
 use super::{ArmDescription, CartesianLimits};
 use crate::engine::Failure;
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::live::KEY;
 use crate::net::{Net, Port, array};
 use crate::order::{Operation, Ports, Requests};
@@ -104,7 +104,7 @@ impl Jog {
         net: &mut Net,
         arm: &ArmDescription,
         requests: &Requests<'_>,
-    ) -> Result<Moved, Error> {
+    ) -> Result<Moved, ErrorKind> {
         let zeros = array(&vec![0.0; arm.joints.len()]);
         let sent = [("Key", KEY.into()), ("Value", zeros.into())];
         let sent = net.add("Core::DoubleArrayNetcommIn", sent);
@@ -268,12 +268,12 @@ impl Operation for Jog {
         vec![self.arm().name.clone()]
     }
 
-    fn check(&self) -> Result<(), Error> {
+    fn check(&self) -> Result<(), ErrorKind> {
         match self {
             Self::Centre { arm, limits, tool } => {
                 if !tool.is_finite() {
                     let text = format!("{}: the motion centre is not finite", arm.name);
-                    return Err(Error::Invalid(text));
+                    return Err(ErrorKind::Invalid(text));
                 }
                 limits.check(&arm.name)
             }
@@ -285,7 +285,7 @@ impl Operation for Jog {
         false
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
         let (moved, fault) = match self {
             Self::Centre { arm, limits, tool } => {
                 let (moved, fault) = Self::write_centre(net, (arm, limits, tool), requests);

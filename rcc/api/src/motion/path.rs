@@ -3,7 +3,7 @@
 use super::frame::{self, Course, Route};
 use super::{ArmDescription, CartesianLimits, JointLimits};
 use crate::engine::Failure;
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::net::{Net, array};
 use crate::order::{Operation, Ports, Requests};
 use crate::plan::{Plan, bounds, unfit, unplanned};
@@ -38,9 +38,9 @@ impl Operation for ArmMotion {
         vec![self.arm.name.clone()]
     }
 
-    fn check(&self) -> Result<(), Error> {
+    fn check(&self) -> Result<(), ErrorKind> {
         let name = &self.arm.name;
-        let invalid = |what: &str| Err(Error::Invalid(format!("{name}: {what}")));
+        let invalid = |what: &str| Err(ErrorKind::Invalid(format!("{name}: {what}")));
         if !self.tool.is_finite() {
             return invalid("the motion centre is not finite");
         }
@@ -68,7 +68,7 @@ impl Operation for ArmMotion {
         }
     }
 
-    fn follow(&self, begins: &Begins, speed: f64) -> Result<Goals, Error> {
+    fn follow(&self, begins: &Begins, speed: f64) -> Result<Goals, ErrorKind> {
         let name = &self.arm.name;
         if !matches!(self.path, Path::Frame(_)) {
             return Ok(Goals::from([(name.clone(), self.goal(begins)?)]));
@@ -85,7 +85,7 @@ impl Operation for ArmMotion {
         }
     }
 
-    fn plan(&self, begins: &Begins, speed: f64) -> Result<Plan, Error> {
+    fn plan(&self, begins: &Begins, speed: f64) -> Result<Plan, ErrorKind> {
         let arm = &self.arm;
         let begin = begins.get(&arm.name).ok_or_else(|| arm.no_start())?;
         let Path::Frame(route) = &self.path else {
@@ -109,7 +109,7 @@ impl Operation for ArmMotion {
         Ok(Plan::new(arm, joints))
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
         let arm = &self.arm;
         let mut failures = Vec::new();
         let mut fault = None;
@@ -156,7 +156,7 @@ impl Operation for ArmMotion {
 
 impl ArmMotion {
     /// The joint positions that it ends at, rad, if its goal is one of the joints.
-    fn goal(&self, begins: &Begins) -> Result<Vec<f64>, Error> {
+    fn goal(&self, begins: &Begins) -> Result<Vec<f64>, ErrorKind> {
         let (arm, name) = (&self.arm, &self.arm.name);
         let (to, hint) = match &self.path {
             Path::Ptp(to) => return Ok(to.clone()),
@@ -169,7 +169,7 @@ impl ArmMotion {
         let mut joints = vec![0.0; arm.joints.len()];
         let flange = *to * self.tool.inverse();
         let found = kinematics.inverse(flange.isometry(), &hint, &mut joints);
-        found.map_err(|cause| Error::Unreachable {
+        found.map_err(|cause| ErrorKind::Unreachable {
             device: name.clone(),
             progress: 100.0,
             cause: cause.to_string(),
@@ -177,7 +177,7 @@ impl ArmMotion {
         Ok(joints)
     }
 
-    fn joint_motion(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Course, Error> {
+    fn joint_motion(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Course, ErrorKind> {
         let arm = &self.arm;
         let positions = arm.joint_array(net, "outCommandedPosition");
         let velocities = arm.joint_array(net, "outCommandedVelocity");

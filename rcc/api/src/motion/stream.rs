@@ -3,7 +3,7 @@
 
 use super::{ArmDescription, frame};
 use crate::engine::Failure;
-use crate::error::Error;
+use crate::error::ErrorKind;
 use crate::live::KEY;
 use crate::net::{Net, Port, array};
 use crate::order::{Operation, Ports, Requests};
@@ -68,11 +68,11 @@ impl Operation for Stream {
         vec![self.arm.name.clone()]
     }
 
-    fn check(&self) -> Result<(), Error> {
+    fn check(&self) -> Result<(), ErrorKind> {
         match self.goals {
             Goals::Poses(tool) if !tool.is_finite() => {
                 let text = format!("{}: the motion centre is not finite", self.arm.name);
-                Err(Error::Invalid(text))
+                Err(ErrorKind::Invalid(text))
             }
             Goals::Joints | Goals::Poses(_) => Ok(()),
         }
@@ -82,7 +82,7 @@ impl Operation for Stream {
         false
     }
 
-    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, Error> {
+    fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
         let arm = &self.arm;
         let (goal, beyond) = self.write_goal(net);
         let beyond = beyond.map(|beyond| {

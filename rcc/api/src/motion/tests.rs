@@ -48,7 +48,7 @@ fn flange() -> Pose {
     arm("left").pose(&BENT).unwrap()
 }
 
-fn net(operation: impl Operation + 'static, begins: &Begins) -> Result<String, Error> {
+fn net(operation: impl Operation + 'static, begins: &Begins) -> Result<String, ErrorKind> {
     let order = Order {
         operation: Arc::new(operation),
         speed: 0.5,
@@ -74,7 +74,7 @@ fn arc_begins_where_the_arm_is() {
         "{text}"
     );
     let unknown = net(along(route), &Begins::new()).unwrap_err();
-    assert!(matches!(unknown, Error::Unplanned { .. }), "{unknown}");
+    assert!(matches!(unknown, ErrorKind::Unplanned { .. }), "{unknown}");
 }
 
 #[test]

@@ -58,7 +58,7 @@ fn sequence_with_a_rejected_net_does_not_begin() {
     let ids = begin_all(&mut engine, vec![part("left"), second]);
     engine.take_actions();
     engine.loaded(ids[0], Ok(net(ids[0])));
-    let error = Error::Rejected(vec!["wrong".to_owned()]);
+    let error = ErrorKind::Rejected(vec!["wrong".to_owned()]);
     engine.loaded(ids[1], Err(error.clone()));
     for id in ids {
         assert_eq!(outcome(&engine, id), Err(error.clone()));
@@ -151,7 +151,7 @@ fn alternative_begins_if_the_first_is_rejected() {
     let ids = begin_all(&mut engine, vec![part("left"), other]);
     let loads = engine.take_actions();
     assert_eq!(loads.len(), 1, "the alternative is not loaded: {loads:?}");
-    engine.loaded(ids[0], Err(Error::Rejected(Vec::new())));
+    engine.loaded(ids[0], Err(ErrorKind::Rejected(Vec::new())));
     let actions = serve(&mut engine);
     assert_eq!(rule(&actions), ("t", vec![], vec![net(ids[1]).as_str()]));
     assert_eq!(engine.state(ids[1]), Some(&State::Waiting));
@@ -170,7 +170,7 @@ fn alternative_begins_if_the_rule_is_refused() {
     let Some(Action::Schedule { group, .. }) = engine.take_actions().pop() else {
         panic!("no rule");
     };
-    engine.scheduled(group, Err(Error::Refused("taken".to_owned())));
+    engine.scheduled(group, Err(ErrorKind::Refused("taken".to_owned())));
     let actions = serve(&mut engine);
     assert_eq!(rule(&actions).2, [net(ids[1])]);
 }
@@ -275,7 +275,7 @@ fn part_before_itself_is_refused() {
     ];
     for part in parts {
         let error = engine.begin_all(vec![part]).unwrap_err();
-        assert!(matches!(error, Error::Invalid(_)), "{error}");
+        assert!(matches!(error, ErrorKind::Invalid(_)), "{error}");
     }
     assert!(engine.begin_all(Vec::new()).is_err());
     assert_eq!(engine.take_actions(), []);

@@ -42,7 +42,7 @@ impl Controller {
                     } => {
                         let is_loaded = |net: &String| self.results.contains_key(net);
                         if !stop.iter().chain(&start).all(is_loaded) {
-                            let error = Error::Refused("invalid netname".to_owned());
+                            let error = ErrorKind::Refused("invalid netname".to_owned());
                             engine.scheduled(group, Err(error));
                             continue;
                         }
@@ -215,7 +215,7 @@ proptest! {
                         devices: vec![device.to_string()],
                         net: device.to_string(),
                         results: ["completed", "blend", "until_touch"].map(str::to_owned).to_vec(),
-                        failures: vec![Failure { key: "failed".to_owned(), error: Error::DeviceFailed { device: device.to_string(), cause: "fault".to_owned() } }],
+                        failures: vec![Failure { key: "failed".to_owned(), error: ErrorKind::DeviceFailed { device: device.to_string(), cause: "fault".to_owned() } }],
                     });
                     let when = if now { When::Now } else { When::Follow };
                     ids.extend(engine.begin(starts.collect(), when).unwrap());
