@@ -14,6 +14,7 @@ use crate::motion::{
 use crate::order::Operation;
 use crate::pose::Pose;
 use crate::session::Session;
+use crate::world::{Frame, Goal};
 
 /// An arm of a cell. Clones are the same arm with speeds and limits of their own.
 #[derive(Clone, Debug)]
@@ -23,18 +24,18 @@ pub struct Arm {
     limits: CartesianLimits,
     speed: f64,
     tool: Pose,
-    base: Pose,
+    base: Frame,
 }
 
 impl Arm {
-    pub(crate) fn new(session: Arc<Session>, description: ArmDescription) -> Self {
+    pub(crate) fn new(session: Arc<Session>, description: ArmDescription, base: Frame) -> Self {
         Self {
             session,
             description,
             limits: CartesianLimits::default(),
             speed: 1.0,
             tool: Pose::IDENTITY,
-            base: Pose::IDENTITY,
+            base,
         }
     }
 
@@ -68,14 +69,19 @@ impl Arm {
     /// The same arm with its base at this pose in the world, which coupled arms share.
     #[must_use]
     pub fn with_base(mut self, base: impl Into<Pose>) -> Self {
-        self.base = base.into();
+        self.base = Frame::in_world(self.base.name().to_owned(), base.into());
         self
     }
 
-    /// Its base in the world, where its cell file places it or [`Self::with_base`] did; else the world's origin, also of an
-    /// arm on something that moves.
+    /// Its base in the world, where its cell file places it or [`Self::with_base`] did; of an arm that is placed nowhere the
+    /// world's origin, and of an arm on something that moves its base there.
     pub const fn base(&self) -> Pose {
-        self.base
+        self.base.placement()
+    }
+
+    /// Its base as a frame.
+    pub const fn base_frame(&self) -> &Frame {
+        &self.base
     }
 
     pub(crate) const fn session(&self) -> &Arc<Session> {
@@ -84,37 +90,39 @@ impl Arm {
 
     /// A motion to joint positions, rad: all joints start and arrive together.
     pub fn ptp(&self, to: impl Into<Vec<f64>>) -> Activity {
-        self.motion(Path::Ptp(to.into()))
+        self.motion(Ok(Path::Ptp(to.into())))
     }
 
-    /// A motion of all joints together to a pose of the motion centre in the base of the arm: of all joint positions for
-    /// it, those next to where the arm begins.
-    pub fn ptp_to(&self, to: impl Into<Pose>) -> Activity {
-        let (to, hint) = (to.into(), None);
-        self.motion(Path::Pose { to, hint })
+    /// A motion of all joints together to a pose of the motion centre in the base of the arm, or in a frame: of all joint
+    /// positions for it, those next to where the arm begins.
+    pub fn ptp_to(&self, to: impl Into<Goal>) -> Activity {
+        let hint = None;
+        self.motion(self.goal(to).map(|to| Path::Pose { to, hint }))
     }
 
     /// The same to the joint positions next to a hint, rad.
-    pub fn ptp_near(&self, to: impl Into<Pose>, hint: impl Into<Vec<f64>>) -> Activity {
-        let (to, hint) = (to.into(), Some(hint.into()));
-        self.motion(Path::Pose { to, hint })
+    pub fn ptp_near(&self, to: impl Into<Goal>, hint: impl Into<Vec<f64>>) -> Activity {
+        let hint = Some(hint.into());
+        self.motion(self.goal(to).map(|to| Path::Pose { to, hint }))
     }
 
-    /// A motion of the motion centre along a straight line to a pose in the base of the arm.
-    pub fn lin(&self, to: impl Into<Pose>) -> Activity {
-        self.motion(Path::Frame(Route::Line(to.into())))
+    /// A motion of the motion centre along a straight line to a pose in the base of the arm, or in a frame.
+    pub fn lin(&self, to: impl Into<Goal>) -> Activity {
+        self.motion(self.goal(to).map(|to| Path::Frame(Route::Line(to))))
     }
 
-    /// A motion of the motion centre along the arc through `via` to `to`, both in the base of the arm.
-    pub fn circ(&self, via: impl Into<Pose>, to: impl Into<Pose>) -> Activity {
-        let (via, to) = (via.into(), to.into());
-        self.motion(Path::Frame(Route::Arc { via, to }))
+    /// A motion of the motion centre along the arc through `via` to `to`, both in the base of the arm, or in frames.
+    pub fn circ(&self, via: impl Into<Goal>, to: impl Into<Goal>) -> Activity {
+        let ends = self.goal(via).and_then(|via| Ok((via, self.goal(to)?)));
+        self.motion(ends.map(|(via, to)| Path::Frame(Route::Arc { via, to })))
     }
 
-    /// A motion of the motion centre along a smooth curve through 1 to 63 poses in the base of the arm.
-    pub fn spline<P: Into<Pose>>(&self, through: impl IntoIterator<Item = P>) -> Activity {
-        let points = through.into_iter().map(Into::into).collect();
-        self.motion(Path::Frame(Route::Spline(points)))
+    /// A motion of the motion centre along a smooth curve through 1 to 63 poses in the base of the arm,
+    /// or in frames.
+    pub fn spline<P: Into<Goal>>(&self, through: impl IntoIterator<Item = P>) -> Activity {
+        let points = through.into_iter().map(|point| self.goal(point));
+        let points: Result<Vec<_>, _> = points.collect();
+        self.motion(points.map(|points| Path::Frame(Route::Spline(points))))
     }
 
     /// Brakes the arm within its limits and keeps it under command where it comes to rest, until another activity takes
@@ -172,7 +180,12 @@ impl Arm {
         Live::new(activity, target)
     }
 
-    fn motion(&self, path: Path) -> Activity {
+    /// A goal in the base of the arm.
+    fn goal(&self, goal: impl Into<Goal>) -> Result<Pose, ErrorKind> {
+        goal.into().within(&self.base)
+    }
+
+    fn motion(&self, path: Result<Path, ErrorKind>) -> Activity {
         let motion = ArmMotion {
             arm: self.description.clone(),
             path,

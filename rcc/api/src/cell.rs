@@ -1,10 +1,9 @@
 //! The cell of a controller: how a program connects to it, finds its devices, and leaves it.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use takt_client::{Client, Token, Value};
+use takt_client::{Client, Token};
 
 use crate::arm::Arm;
 use crate::base::Base;
@@ -15,8 +14,8 @@ use crate::expression::{Condition, Number};
 use crate::gripper::Gripper;
 use crate::io::Io;
 use crate::net::Net;
-use crate::pose::Pose;
 use crate::session::Session;
+use crate::world::{Frame, World};
 
 /// How long closing a cell waits until its devices are at rest.
 const REST_TIMEOUT: Duration = Duration::from_secs(10);
@@ -123,6 +122,17 @@ impl Cell {
         Ok(Base::find(&self.session, name)?)
     }
 
+    /// A frame of the cell by its name: one that the cell file names, `world`, and of each device `DEVICE.base`,
+    /// `DEVICE.flange` and its tools, of a mobile base also `DEVICE.odometry`, where it started.
+    ///
+    /// # Errors
+    /// If there is no frame of that name; the error lists all.
+    #[track_caller]
+    pub fn frame(&self, name: &str) -> Result<Frame, Error> {
+        let devices = Descriptions::read(&self.session)?;
+        Ok(World::read(&self.session, &devices)?.frame(name)?)
+    }
+
     /// All arms.
     ///
     /// # Errors
@@ -130,20 +140,13 @@ impl Cell {
     #[track_caller]
     pub fn arms(&self) -> Result<Vec<Arm>, Error> {
         let devices = Descriptions::read(&self.session)?;
-        let is_placed = |device: &Value| device.as_map().is_some_and(|it| it.contains_key("base"));
-        let frames = if devices.all().any(|(_, device)| is_placed(device)) {
-            self.session.client().call("fin", [] as [&str; 0])?.values
-        } else {
-            Vec::new()
-        };
-        let frames = frames.first().and_then(Value::as_map);
+        let world = World::read(&self.session, &devices)?;
         let arms = devices.all().filter_map(|(name, device)| {
-            let base = device.as_map()?.get("base");
-            let base = base.and_then(|base| placed(base, frames));
-            let arm = Arm::new(Arc::clone(&self.session), description::arm(name, device)?);
-            Some(base.into_iter().fold(arm, Arm::with_base))
+            let arm = description::arm(name, device)?;
+            let base = world.frame(&format!("{name}.base"));
+            Some(base.map(|base| Arm::new(Arc::clone(&self.session), arm, base)))
         });
-        Ok(arms.collect())
+        Ok(arms.collect::<Result<_, ErrorKind>>()?)
     }
 
     /// Sets the speed of all activities of this program, 0 to 1, as part of their own speed: also of those that run,
@@ -225,58 +228,12 @@ impl Cell {
     }
 }
 
-/// Most frames between a base and the world: more are a circle.
-const PARENTS_MAX: usize = 64;
-
-/// Where something is in the world, by its parents among the named frames; `None` if one of them moves or is not known.
-fn placed(placement: &Value, frames: Option<&BTreeMap<String, Value>>) -> Option<Pose> {
-    let mut at = Pose::IDENTITY;
-    let mut placement = placement.as_map()?;
-    for _ in 0..PARENTS_MAX {
-        at = Pose::read(placement.get("pose")?.as_str()?)? * at;
-        let parent = placement.get("parent")?.as_str()?;
-        if parent == "world" {
-            return Some(at);
-        }
-        placement = frames?.get(parent)?.as_map()?;
-    }
-    None
-}
-
 #[cfg(test)]
 mod tests {
     use std::io::{BufRead as _, BufReader, Write as _};
     use std::net::TcpListener;
 
     use super::*;
-
-    fn placement(parent: &str, pose: Pose) -> Value {
-        Value::map_of([
-            ("parent", Value::from(parent)),
-            ("pose", pose.text().into()),
-        ])
-    }
-
-    #[test]
-    fn base_is_placed_by_the_frames_between() {
-        let frames = [
-            ("cell", placement("world", Pose::xyz(0.0, 0.0, 1.0))),
-            ("table", placement("cell", Pose::xyz(0.0, 2.0, 0.0))),
-            ("round", placement("round", Pose::IDENTITY)),
-        ];
-        let frames = Value::map_of(frames);
-        let base = |parent: &str| {
-            placed(
-                &placement(parent, Pose::xyz(3.0, 0.0, 0.0)),
-                frames.as_map(),
-            )
-        };
-        assert_eq!(base("world"), Some(Pose::xyz(3.0, 0.0, 0.0)));
-        assert_eq!(base("table"), Some(Pose::xyz(3.0, 2.0, 1.0)));
-        assert_eq!(base("platform.base"), None, "it moves");
-        assert_eq!(base("round"), None);
-        assert_eq!(placed(&Value::from("table"), frames.as_map()), None);
-    }
 
     #[test]
     fn controller_of_another_version_is_refused() {

@@ -23,7 +23,8 @@ pub struct Coupled {
 /// the object.
 ///
 /// # Errors
-/// If an arm is offline or its kinematics are not known, or the arms are of different cells.
+/// If an arm is offline or its kinematics are not known, the arms are of different cells, or their bases are not
+/// connected.
 #[track_caller]
 pub fn coupled<'a>(
     object: impl Into<Pose>,
@@ -44,6 +45,14 @@ pub fn coupled<'a>(
     {
         let text = "arms of different cells cannot be coupled";
         return Err(ErrorKind::Invalid(text.to_owned()).into());
+    }
+    // An arm that is placed nowhere has its base at the origin of what the others are placed in.
+    let mut bases = arms.iter().map(|arm| arm.base_frame());
+    if let Some(base) = bases.find(|base| !base.is_root()) {
+        let others = bases.filter(|other| !other.is_root());
+        others
+            .map(|other| other.placed_in(base))
+            .collect::<Result<Vec<_>, _>>()?;
     }
     let holder = |arm: &&Arm| {
         let description = arm.description();

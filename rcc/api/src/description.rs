@@ -52,6 +52,12 @@ impl Descriptions {
         self.0.iter()
     }
 
+    /// Whether a device has an interface.
+    pub(crate) fn has(&self, device: &str, name: &'static str) -> bool {
+        let device = self.0.get(device);
+        device.and_then(|device| interface(device, name)).is_some()
+    }
+
     /// The first of some interfaces that a device has; `wanted` says in errors what such devices are.
     pub(crate) fn interface(
         &self,
@@ -67,7 +73,8 @@ impl Descriptions {
     }
 }
 
-fn text<'a>(device: &'a Value, key: &str) -> Option<&'a str> {
+/// The text of a member.
+pub(crate) fn text<'a>(device: &'a Value, key: &str) -> Option<&'a str> {
     device.as_map()?.get(key)?.as_str()
 }
 

@@ -102,6 +102,15 @@ pub enum ErrorKind {
         /// How many ports of each kind the device has.
         known: String,
     },
+    /// The pose of one frame in the other changes with motions, or is not known; nothing was begun.
+    #[error(
+        "the frames `{}` and `{}` are not connected: they are placed in `{}` and `{}`\nhint: `[[frame]]` and `[[base]]` of \
+         the cell file place frames and devices in `world`", .frames[0].0, .frames[1].0, .frames[0].1, .frames[1].1
+    )]
+    NotConnected {
+        /// Name of each frame, and of the frame in which it is placed in the end.
+        frames: Box<[(String, String); 2]>,
+    },
     /// The controller rejected the net of an activity.
     #[error("the controller rejected the net: {}", .0.join("; "))]
     Rejected(Vec<String>),

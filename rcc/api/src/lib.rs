@@ -25,6 +25,7 @@ pub mod plan;
 pub mod pose;
 mod preparation;
 mod session;
+pub mod world;
 
 pub use activity::Activity;
 pub use arm::Arm;
@@ -42,3 +43,4 @@ pub use outcome::Outcome;
 pub use plan::Plan;
 pub use pose::{Pose, deg};
 pub use takt_client::{Token, TokenError};
+pub use world::{Frame, Goal};

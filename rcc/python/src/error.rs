@@ -77,6 +77,10 @@ fn instance<'py>(
             attributes.set_item("name", name)?;
             "NoDevice"
         }
+        ErrorKind::NotConnected { frames } => {
+            attributes.set_item("frames", frames.to_vec())?;
+            "NotConnected"
+        }
         ErrorKind::NoPort { device, port, .. } => {
             attributes.set_item("device", device)?;
             attributes.set_item("port", port)?;

@@ -26,7 +26,8 @@ pub(crate) enum Path {
 #[derive(Clone, Debug)]
 pub(crate) struct ArmMotion {
     pub(crate) arm: ArmDescription,
-    pub(crate) path: Path,
+    /// Or why its goals are not known.
+    pub(crate) path: Result<Path, ErrorKind>,
     /// Limits of the motion centre on paths.
     pub(crate) limits: CartesianLimits,
     /// The motion centre in the flange.
@@ -45,7 +46,7 @@ impl Operation for ArmMotion {
             return invalid("the motion centre is not finite");
         }
         self.limits.check(name)?;
-        match &self.path {
+        match self.path()? {
             Path::Ptp(to) => self.arm.check_joints(to),
             Path::Pose { to, .. } if !to.is_finite() => invalid("the pose is not finite"),
             Path::Pose { hint, .. } => match hint {
@@ -62,15 +63,15 @@ impl Operation for ArmMotion {
 
     fn needs_begins(&self) -> bool {
         match &self.path {
-            Path::Ptp(_) => false,
-            Path::Pose { hint, .. } => hint.is_none(),
-            Path::Frame(_) => true,
+            Ok(Path::Ptp(_)) | Err(_) => false,
+            Ok(Path::Pose { hint, .. }) => hint.is_none(),
+            Ok(Path::Frame(_)) => true,
         }
     }
 
     fn follow(&self, begins: &Begins, speed: f64) -> Result<Goals, ErrorKind> {
         let name = &self.arm.name;
-        if !matches!(self.path, Path::Frame(_)) {
+        if !matches!(self.path, Ok(Path::Frame(_))) {
             return Ok(Goals::from([(name.clone(), self.goal(begins)?)]));
         }
         // Without a known start, or a known model, the controller checks the path while it runs.
@@ -88,7 +89,7 @@ impl Operation for ArmMotion {
     fn plan(&self, begins: &Begins, speed: f64) -> Result<Plan, ErrorKind> {
         let arm = &self.arm;
         let begin = begins.get(&arm.name).ok_or_else(|| arm.no_start())?;
-        let Path::Frame(route) = &self.path else {
+        let Path::Frame(route) = self.path()? else {
             let from: Vec<_> = begin.joints.iter().map(|q| State::at_rest(*q)).collect();
             let limit = |joint: &JointLimits| {
                 bounds([joint.velocity, joint.acceleration, joint.jerk], speed)
@@ -113,7 +114,7 @@ impl Operation for ArmMotion {
         let arm = &self.arm;
         let mut failures = Vec::new();
         let mut fault = None;
-        let course = match &self.path {
+        let course = match self.path()? {
             Path::Ptp(_) | Path::Pose { .. } => self.joint_motion(net, requests)?,
             Path::Frame(route) => {
                 let start = requests.begins.get(&arm.name);
@@ -155,10 +156,14 @@ impl Operation for ArmMotion {
 }
 
 impl ArmMotion {
+    fn path(&self) -> Result<&Path, ErrorKind> {
+        self.path.as_ref().map_err(Clone::clone)
+    }
+
     /// The joint positions that it ends at, rad, if its goal is one of the joints.
     fn goal(&self, begins: &Begins) -> Result<Vec<f64>, ErrorKind> {
         let (arm, name) = (&self.arm, &self.arm.name);
-        let (to, hint) = match &self.path {
+        let (to, hint) = match self.path()? {
             Path::Ptp(to) => return Ok(to.clone()),
             Path::Pose { to, hint } => (to, hint),
             Path::Frame(_) => return Err(arm.no_start()),

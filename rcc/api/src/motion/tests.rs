@@ -38,7 +38,7 @@ fn begins(names: &[&str]) -> Begins {
 fn along(route: Route) -> ArmMotion {
     ArmMotion {
         arm: arm("left"),
-        path: Path::Frame(route),
+        path: Ok(Path::Frame(route)),
         limits: CartesianLimits::default(),
         tool: Pose::IDENTITY,
     }

@@ -97,6 +97,24 @@ class NoPort(Error, LookupError):
         self.port = port
 
 
+class NotConnected(Error):
+    """The pose of one frame in another changes with motions, or is not known; nothing was begun.
+
+    `frames` has the name of each frame and that of the frame in which it is placed in the end.
+    """
+
+    def __init__(
+        self,
+        text: str,
+        *,
+        frames: list[tuple[str, str]],
+        filename: str | None = None,
+        lineno: int | None = None,
+    ) -> None:
+        super().__init__(text, filename=filename, lineno=lineno)
+        self.frames = frames
+
+
 class Rejected(Error):
     """The controller rejected the net of an activity; `faults` lists why, with positions in its text."""
 
