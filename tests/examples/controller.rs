@@ -1,4 +1,5 @@
-//! A controller with the simulated arms `left` and `right` for programs in other languages: it prints the address of its
+//! A controller with the simulated arms `left` and `right`, a KUKA youBot (`platform`, `hand`), a Schunk WSG (`gripper`,
+//! with a part of 0.05 m) and inputs and outputs (`plant`), for programs in other languages: it prints the address of its
 //! line protocol, and ends with its standard input. It accepts connections of this host only.
 //!
 //! ```console
@@ -27,6 +28,15 @@ fn main() -> Result<(), Box<dyn Error>> {
             .map(|(key, value)| (key.to_owned(), value))
             .into();
         controller.add_device(arm, "kuka_lwr_sim", &parameters)?;
+    }
+    let part = BTreeMap::from([("part".to_owned(), "0.05".to_owned())]);
+    for (device, kind, parameters) in [
+        ("platform", "kuka_youbot_base_sim", &BTreeMap::new()),
+        ("hand", "kuka_youbot_gripper_sim", &BTreeMap::new()),
+        ("gripper", "schunk_wsg_sim", &part),
+        ("plant", "io_sim", &BTreeMap::new()),
+    ] {
+        controller.add_device(device, kind, parameters)?;
     }
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)

@@ -1,4 +1,4 @@
-//! Prints the nets of some motions of the arm `left`, separated by empty lines. Programs in other languages compare theirs.
+//! Prints the nets of all kinds of activities, separated by empty lines. Programs in other languages compare theirs.
 //!
 //! ```console
 //! $ cargo run -p takt-api --example explain -- 127.0.0.1:8081
@@ -8,7 +8,8 @@ use std::error::Error;
 use std::io::Write as _;
 use std::time::Duration;
 
-use takt_api::{Cell, Pose, deg};
+use takt_api::motion::CartesianLimits;
+use takt_api::{Activity, Arm, Cell, Condition, Pose, coupled, deg};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let address = std::env::args().nth(1).ok_or("no address is given")?;
@@ -26,10 +27,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let waves = (angle.clone().sin() + angle.clone().cos() - angle.clone().tan()).over(0.1)
         | (angle.clone().asin() * angle.clone().acos()).under(angle.sqrt());
     let waves = waves.clone().rises() | waves.falls();
-    let activities = [
+    let motions = [
         left.ptp(goal),
         left.ptp(goal).speed(0.3).blend(0.8),
-        left.lin(pose).speed(0.1).until("touch", touch),
+        left.lin(pose).speed(0.1).until("touch", touch.clone()),
         left.clone()
             .with_speed(0.7)
             .circ(via, pose * via)
@@ -41,10 +42,84 @@ fn main() -> Result<(), Box<dyn Error>> {
             .spline([via, pose])
             .until("mean", mean),
         left.hold().until("waves", waves),
+        left.ptp_to(pose).now(),
     ];
+    let texts = motions.iter().map(Activity::explain);
+    let texts = texts.chain(live(&left, touch)).chain(coupled_arms(&cell)?);
+    let texts = texts.chain(devices(&cell)?);
     let mut out = std::io::stdout();
-    for activity in activities {
-        writeln!(out, "{}\n", activity.explain()?)?;
+    for text in texts {
+        writeln!(out, "{}\n", text?)?;
     }
     Ok(())
+}
+
+/// The net of an activity.
+type Text = Result<String, takt_api::Error>;
+
+/// Activities that follow what a program sends.
+fn live(left: &Arm, touch: Condition) -> [Text; 4] {
+    let slow = CartesianLimits {
+        velocity: 0.1,
+        rot_jerk: 20.0,
+        ..CartesianLimits::default()
+    };
+    let tool = Pose::xyz(0.0, 0.0, 0.1);
+    [
+        left.clone()
+            .with_limits(slow)
+            .with_tool(tool)
+            .jog()
+            .explain(),
+        left.jog_joints().speed(0.3).until("touch", touch).explain(),
+        left.stream().speed(0.5).now().explain(),
+        left.clone().with_tool(tool).stream_poses().explain(),
+    ]
+}
+
+/// Motions of an object that both arms hold.
+fn coupled_arms(cell: &Cell) -> Result<[Text; 3], takt_api::Error> {
+    let arms = [
+        cell.arm("left")?.with_base(Pose::xyz(0.0, 0.3, 0.0)),
+        cell.arm("right")?.with_base(Pose::xyz(0.0, -0.3, 0.0)),
+    ];
+    let object = Pose::xyz(0.5, 0.0, 0.5);
+    let held = coupled(object, &arms)?.with_speed(0.5);
+    let (via, to) = (Pose::xyz(0.5, 0.1, 0.6), Pose::xyz(0.5, 0.0, 0.7));
+    Ok([
+        held.lin(to).explain(),
+        held.circ(via, to).explain(),
+        held.spline([via, to]).speed(0.4).explain(),
+    ])
+}
+
+/// Outputs, grippers and a mobile base.
+fn devices(cell: &Cell) -> Result<Vec<Text>, takt_api::Error> {
+    let (plant, hand) = (cell.io("plant")?, cell.gripper("hand")?);
+    let (gripper, platform) = (cell.gripper("gripper")?, cell.base("platform")?);
+    let full = gripper.force()?.over(10.0) & !gripper.holds()?;
+    let open = gripper.width().over(0.04) & plant.input(1)? | plant.output(2)?;
+    let level = (plant.analogue_input(0)? - plant.analogue_output(1)?).under(0.5);
+    let turned = platform.wheel(3).over(1.0);
+    let quarter = Duration::from_millis(250);
+    let activities = [
+        plant.set(3, true),
+        plant.pulse(0, false, quarter),
+        plant.set_analogue(1, -2.5).until("level", level),
+        hand.open(),
+        hand.move_to(0.02).until("open", hand.width().over(0.01)),
+        hand.clone().with_timeout(quarter).close(),
+        gripper.open(),
+        gripper.clone().with_speed(0.5).close().until("open", open),
+        gripper.grasp(0.05, 30.0).until("full", full),
+        platform.go_to(Pose::xyz(0.3, -0.2, 0.0).abc(0.5, 0.0, 0.0)),
+        platform
+            .clone()
+            .with_speed(0.5)
+            .drive([0.2, 0.0, -0.1], quarter)
+            .speed(0.5)
+            .until("turned", turned)
+            .now(),
+    ];
+    Ok(activities.iter().map(Activity::explain).collect())
 }

@@ -44,6 +44,11 @@ impl Base {
         })
     }
 
+    /// Its name in the cell.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// The same base, slower: the speed of its motions is multiplied by `factor`, above 0 to 1.
     #[must_use]
     pub fn with_speed(mut self, factor: f64) -> Self {

@@ -48,6 +48,11 @@ impl Gripper {
         })
     }
 
+    /// Its name in the cell.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// The same gripper, slower: the speed of its commands is multiplied by `factor`, above 0 to 1. At 1 the fingers of a
     /// gripper with commands of its own move at 0.2 m/s. Fingers that only move to a distance have one speed.
     #[must_use]

@@ -7,7 +7,7 @@ use std::ops::Deref;
 use crate::activity::Activity;
 use crate::error::{Error, ErrorKind};
 use crate::expression::Condition;
-use crate::handle::Handle;
+use crate::handle::{FOR_EVER, Handle};
 use crate::motion::{ArmDescription, CartesianLimits};
 use crate::pose::Pose;
 
@@ -217,8 +217,19 @@ impl<T: SetPoint> Live<T> {
     /// As [`Activity::begin`].
     #[track_caller]
     pub fn begin(self) -> Result<LiveHandle<T>, Error> {
+        let handle = self.queue()?;
+        handle.wait_for_begin(FOR_EVER).unwrap_or(Ok(()))?;
+        Ok(handle)
+    }
+
+    /// Lets it begin after what its arm does, and returns at once. What is sent before its net is loaded is refused.
+    ///
+    /// # Errors
+    /// As [`Activity::queue`].
+    #[track_caller]
+    pub fn queue(self) -> Result<LiveHandle<T>, Error> {
         Ok(LiveHandle {
-            handle: self.activity.begin()?,
+            handle: self.activity.queue()?,
             target: self.target,
             kind: PhantomData,
         })

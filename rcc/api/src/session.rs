@@ -293,6 +293,11 @@ impl Session {
     /// Writes a value into the nets of activities.
     pub(crate) fn write(&self, ids: &[ActivityId], key: &str, text: &str) -> Result<(), ErrorKind> {
         let nets = self.engine().loaded_nets(ids);
+        if nets.is_empty() {
+            let text =
+                "nothing was sent: the activity does not run\nhint: send when `begin` has returned";
+            return Err(ErrorKind::Invalid(text.to_owned()));
+        }
         let mut nets = nets.iter();
         nets.try_for_each(|net| self.write_value(net, key, text))
     }

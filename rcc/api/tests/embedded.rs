@@ -11,6 +11,9 @@ mod figures;
 #[path = "../examples/first.rs"]
 mod first;
 #[allow(dead_code, reason = "tests call what `main` calls")]
+#[path = "../examples/jog.rs"]
+mod jog;
+#[allow(dead_code, reason = "tests call what `main` calls")]
 #[path = "../examples/lift.rs"]
 mod lift;
 #[allow(dead_code, reason = "tests call what `main` calls")]
@@ -19,6 +22,12 @@ mod listing1;
 #[allow(dead_code, reason = "tests call what `main` calls")]
 #[path = "../examples/recovery.rs"]
 mod recovery;
+#[allow(dead_code, reason = "tests call what `main` calls")]
+#[path = "../examples/stream.rs"]
+mod stream;
+#[allow(dead_code, reason = "tests call what `main` calls")]
+#[path = "../examples/youbot.rs"]
+mod youbot;
 
 use std::net::TcpStream;
 use std::path::Path;
@@ -128,6 +137,45 @@ fn recovery_example_goes_on_after_errors() {
             let has_moved = attempt.moved > 1e-3;
             assert_eq!(has_moved, number == 3, "only the unchecked motion begins");
         }
+    });
+}
+
+#[test]
+fn stream_example_follows_goals_closely() {
+    steady(|| {
+        let (turns, outcome) = with_picture("stream", stream::run);
+        assert_eq!(outcome, Outcome::Cancelled);
+        for turn in &turns {
+            assert!(turn.mean < 0.02 && turn.most < 0.05, "{} m", turn.most);
+        }
+    });
+}
+
+#[test]
+fn jog_example_rests_after_each_key() {
+    steady(|| {
+        let (keys, outcome) = jog::run().unwrap();
+        assert_eq!(outcome, Outcome::Cancelled);
+        let [up, left, turn] = &keys[..] else {
+            panic!("{} keys", keys.len());
+        };
+        assert!(up.moved[2] > 0.04 && left.moved[1] > 0.04);
+        assert!(turn.moved.iter().all(|part| part.abs() < 2e-3));
+        assert!(keys.iter().all(|key| key.speed_after < 1e-6));
+    });
+}
+
+#[test]
+fn youbot_example_grips_and_comes_home() {
+    steady(|| {
+        let steps = youbot::run().unwrap();
+        assert!(steps.iter().all(|step| step.outcome == Outcome::Completed));
+        let [there, gripped, .., home] = &steps[..] else {
+            panic!("{} steps", steps.len());
+        };
+        assert!((there.at[0] - 0.3).abs() < 0.02 && (there.at[1] - 0.1).abs() < 0.02);
+        assert!(gripped.width < 0.01 && home.width > 0.02);
+        assert!(home.at.iter().all(|part| part.abs() < 0.02));
     });
 }
 

@@ -1,6 +1,5 @@
 //! Activities that were described and not begun, alone and together.
 
-use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use takt_api as api;
@@ -9,6 +8,7 @@ use crate::compose::{Composite, Event, Next, begin, end, queue};
 use crate::error;
 use crate::expression::Condition;
 use crate::handle::Handle;
+use crate::keywords::Options;
 use crate::outcome::Outcome;
 use crate::owned::Owned;
 use crate::place::Place;
@@ -22,36 +22,41 @@ pub(crate) struct Activity {
     place: Option<Place>,
 }
 
-/// What every activity accepts beside its goal.
-#[derive(Default)]
-pub(crate) struct Options<'a, 'py> {
-    pub(crate) speed: Option<f64>,
-    pub(crate) blend: Option<f64>,
-    pub(crate) until: Option<&'a Bound<'py, PyDict>>,
-    pub(crate) now: bool,
-}
-
 impl Activity {
-    pub(crate) fn new(
+    /// A motion, which another one may blend with.
+    pub(crate) fn motion(
         py: Python<'_>,
-        mut activity: api::Activity,
-        options: &Options<'_, '_>,
+        activity: api::Activity,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
+        Ok(Self::new(py, activity, Options::of_motion(options)?))
+    }
+
+    /// Any other activity.
+    pub(crate) fn without_blend(
+        py: Python<'_>,
+        activity: api::Activity,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        Ok(Self::new(py, activity, Options::without_blend(options)?))
+    }
+
+    fn new(py: Python<'_>, mut activity: api::Activity, options: Options) -> Self {
         if let Some(speed) = options.speed {
             activity = activity.speed(speed);
         }
         if let Some(blend) = options.blend {
             activity = activity.blend(blend);
         }
-        if let Some(until) = options.until {
-            activity = add_conditions(activity, until)?;
+        for (name, condition) in options.until {
+            activity = activity.until(&name, condition);
         }
         if options.now {
             activity = activity.now();
         }
         let place = Place::caller(py);
         let activity = Owned::new(activity);
-        Ok(Self { activity, place })
+        Self { activity, place }
     }
 
     /// A copy of the activity.
@@ -72,27 +77,6 @@ impl Activity {
         let place = self.place.clone();
         Ok(Self { activity, place })
     }
-}
-
-/// Adds the conditions in their order: of several that hold, the first decides.
-fn add_conditions(activity: api::Activity, until: &Bound<'_, PyDict>) -> PyResult<api::Activity> {
-    until
-        .iter()
-        .try_fold(activity, |activity, (name, condition)| {
-            let Ok(name) = name.extract::<String>() else {
-                let text =
-                    "until is a dict of conditions by name: {\"touch\": abs(arm.force.z) > 5}";
-                return Err(PyTypeError::new_err(text));
-            };
-            let Ok(condition) = condition.cast::<Condition>() else {
-                let text = format!(
-                    "until[\"{name}\"] is a {}, not a Condition",
-                    condition.get_type().name()?
-                );
-                return Err(PyTypeError::new_err(text));
-            };
-            Ok(activity.until(&name, condition.get().0.clone()))
-        })
 }
 
 #[pymethods]
@@ -155,12 +139,11 @@ impl Activity {
 
     /// Lets it begin after what the arm does, and returns at once.
     fn queue(&self, py: Python<'_>) -> PyResult<Handle> {
-        let handle = queue(
+        queue(
             py,
             self.activity.get(py)?.clone().into(),
-            self.place.as_ref(),
-        )?;
-        Ok(Handle::new(handle, self.place.clone()))
+            self.place.clone(),
+        )
     }
 
     /// Begins it and waits until it has ended.

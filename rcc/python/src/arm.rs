@@ -5,13 +5,26 @@ use pyo3::types::PyDict;
 use takt_api as api;
 use takt_api::motion::CartesianLimits;
 
-use crate::activity::{Activity, Options};
+use crate::activity::Activity;
 use crate::arrays::array;
 use crate::error;
 use crate::expression::{Condition, Number};
+use crate::frame::{Frame, goal, goals};
+use crate::keywords::Keywords;
+use crate::live::{Described, Live};
 use crate::owned::Owned;
 use crate::pose;
 use crate::wait::{seconds, wait};
+
+/// Names of limits, as keywords.
+const LIMITS: [&str; 6] = [
+    "velocity",
+    "acceleration",
+    "jerk",
+    "rot_velocity",
+    "rot_acceleration",
+    "rot_jerk",
+];
 
 /// An arm of a cell.
 #[pyclass(frozen, module = "takt")]
@@ -32,25 +45,29 @@ impl Arm {
 /// Limits of velocity, acceleration and jerk of the position and the orientation. Those left out are the default.
 pub(crate) fn limits(
     py: Python<'_>,
-    position: [Option<f64>; 3],
-    orientation: [Option<f64>; 3],
+    keywords: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<CartesianLimits> {
-    let mut given = position.iter().chain(&orientation).flatten();
-    if let Some(wrong) = given.find(|limit| !(**limit > 0.0 && limit.is_finite())) {
-        let text = format!("a limit is {wrong}; it is above 0 and finite");
-        return Err(error::invalid(py, text));
+    let keywords = Keywords::of(keywords, &LIMITS)?;
+    let mut limits = CartesianLimits::default();
+    let fields = [
+        &mut limits.velocity,
+        &mut limits.acceleration,
+        &mut limits.jerk,
+        &mut limits.rot_velocity,
+        &mut limits.rot_acceleration,
+        &mut limits.rot_jerk,
+    ];
+    for (name, field) in LIMITS.into_iter().zip(fields) {
+        let Some(limit) = keywords.get::<f64>(name)? else {
+            continue;
+        };
+        if !(limit > 0.0 && limit.is_finite()) {
+            let text = format!("{name} is {limit}; a limit is above 0 and finite");
+            return Err(error::invalid(py, text));
+        }
+        *field = limit;
     }
-    let default = CartesianLimits::default();
-    let [velocity, acceleration, jerk] = position;
-    let [rot_velocity, rot_acceleration, rot_jerk] = orientation;
-    Ok(CartesianLimits {
-        velocity: velocity.unwrap_or(default.velocity),
-        acceleration: acceleration.unwrap_or(default.acceleration),
-        jerk: jerk.unwrap_or(default.jerk),
-        rot_velocity: rot_velocity.unwrap_or(default.rot_velocity),
-        rot_acceleration: rot_acceleration.unwrap_or(default.rot_acceleration),
-        rot_jerk: rot_jerk.unwrap_or(default.rot_jerk),
-    })
+    Ok(limits)
 }
 
 #[pymethods]
@@ -85,6 +102,12 @@ impl Arm {
         Ok(pose::Pose(self.0.get(py)?.base()))
     }
 
+    /// Its base as a frame.
+    #[getter]
+    fn base_frame(&self, py: Python<'_>) -> PyResult<Frame> {
+        Ok(Frame(self.0.get(py)?.base_frame().clone()))
+    }
+
     /// Limits of its joints, from the base.
     #[getter]
     fn joints(&self, py: Python<'_>) -> PyResult<Vec<JointLimits>> {
@@ -104,23 +127,9 @@ impl Arm {
     }
 
     /// The same arm with these limits on lines and arcs.
-    #[pyo3(signature = (*, velocity=None, acceleration=None, jerk=None, rot_velocity=None, rot_acceleration=None, rot_jerk=None))]
-    #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
-    fn with_limits(
-        &self,
-        py: Python<'_>,
-        velocity: Option<f64>,
-        acceleration: Option<f64>,
-        jerk: Option<f64>,
-        rot_velocity: Option<f64>,
-        rot_acceleration: Option<f64>,
-        rot_jerk: Option<f64>,
-    ) -> PyResult<Self> {
-        let limits = limits(
-            py,
-            [velocity, acceleration, jerk],
-            [rot_velocity, rot_acceleration, rot_jerk],
-        )?;
+    #[pyo3(signature = (**limits))]
+    fn with_limits(&self, py: Python<'_>, limits: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let limits = self::limits(py, limits)?;
         Ok(Self::new(self.0.get(py)?.clone().with_limits(limits)))
     }
 
@@ -137,152 +146,103 @@ impl Arm {
     }
 
     /// A motion to joint positions, rad.
-    #[pyo3(signature = (to, *, speed=None, blend=None, until=None, now=false))]
+    #[pyo3(signature = (to, **options))]
     fn ptp(
         &self,
         py: Python<'_>,
         to: Vec<f64>,
-        speed: Option<f64>,
-        blend: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
-        let options = Options {
-            speed,
-            blend,
-            until,
-            now,
-        };
-        Activity::new(py, self.0.get(py)?.ptp(to), &options)
+        Activity::motion(py, self.0.get(py)?.ptp(to), options)
     }
 
     /// A motion of all joints together to a pose of the motion centre.
-    #[pyo3(signature = (to, *, speed=None, blend=None, until=None, now=false))]
+    #[pyo3(signature = (to, **options))]
     fn ptp_to(
         &self,
         to: &Bound<'_, PyAny>,
-        speed: Option<f64>,
-        blend: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
         let py = to.py();
-        let options = Options {
-            speed,
-            blend,
-            until,
-            now,
-        };
-        Activity::new(py, self.0.get(py)?.ptp_to(pose::read(to)?), &options)
+        Activity::motion(py, self.0.get(py)?.ptp_to(goal(to)?), options)
     }
 
     /// The same to the joint positions next to a hint, rad.
-    #[pyo3(signature = (to, hint, *, speed=None, blend=None, until=None, now=false))]
+    #[pyo3(signature = (to, hint, **options))]
     fn ptp_near(
         &self,
         to: &Bound<'_, PyAny>,
         hint: Vec<f64>,
-        speed: Option<f64>,
-        blend: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
         let py = to.py();
-        let options = Options {
-            speed,
-            blend,
-            until,
-            now,
-        };
-        Activity::new(
-            py,
-            self.0.get(py)?.ptp_near(pose::read(to)?, hint),
-            &options,
-        )
+        Activity::motion(py, self.0.get(py)?.ptp_near(goal(to)?, hint), options)
     }
 
     /// A motion of the motion centre along a straight line.
-    #[pyo3(signature = (to, *, speed=None, blend=None, until=None, now=false))]
+    #[pyo3(signature = (to, **options))]
     fn lin(
         &self,
         to: &Bound<'_, PyAny>,
-        speed: Option<f64>,
-        blend: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
         let py = to.py();
-        let options = Options {
-            speed,
-            blend,
-            until,
-            now,
-        };
-        Activity::new(py, self.0.get(py)?.lin(pose::read(to)?), &options)
+        Activity::motion(py, self.0.get(py)?.lin(goal(to)?), options)
     }
 
     /// A motion of the motion centre along the arc through `via` to `to`.
-    #[pyo3(signature = (via, to, *, speed=None, blend=None, until=None, now=false))]
+    #[pyo3(signature = (via, to, **options))]
     fn circ(
         &self,
         via: &Bound<'_, PyAny>,
         to: &Bound<'_, PyAny>,
-        speed: Option<f64>,
-        blend: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
         let py = to.py();
-        let options = Options {
-            speed,
-            blend,
-            until,
-            now,
-        };
-        let arc = self.0.get(py)?.circ(pose::read(via)?, pose::read(to)?);
-        Activity::new(py, arc, &options)
+        let arc = self.0.get(py)?.circ(goal(via)?, goal(to)?);
+        Activity::motion(py, arc, options)
     }
 
     /// A motion of the motion centre along a smooth curve through 1 to 63 poses.
-    #[pyo3(signature = (through, *, speed=None, blend=None, until=None, now=false))]
+    #[pyo3(signature = (through, **options))]
     fn spline(
         &self,
         through: &Bound<'_, PyAny>,
-        speed: Option<f64>,
-        blend: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
         let py = through.py();
-        let options = Options {
-            speed,
-            blend,
-            until,
-            now,
-        };
-        Activity::new(
-            py,
-            self.0.get(py)?.spline(pose::read_all(through)?),
-            &options,
-        )
+        Activity::motion(py, self.0.get(py)?.spline(goals(through)?), options)
     }
 
     /// Brakes the arm and keeps it under command where it comes to rest.
-    #[pyo3(signature = (*, speed=None, until=None, now=false))]
-    fn hold(
-        &self,
-        py: Python<'_>,
-        speed: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
-    ) -> PyResult<Activity> {
-        let options = Options {
-            speed,
-            blend: None,
-            until,
-            now,
-        };
-        Activity::new(py, self.0.get(py)?.hold(), &options)
+    #[pyo3(signature = (**options))]
+    fn hold(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Activity> {
+        Activity::without_blend(py, self.0.get(py)?.hold(), options)
+    }
+
+    /// Jogging of the motion centre by velocities that the program sends.
+    #[pyo3(signature = (**options))]
+    fn jog(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Live> {
+        Live::new(py, Described::Twist(self.0.get(py)?.jog()), options)
+    }
+
+    /// Jogging of the joints by velocities that the program sends, rad/s.
+    #[pyo3(signature = (**options))]
+    fn jog_joints(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Live> {
+        let jog = self.0.get(py)?.jog_joints();
+        Live::new(py, Described::JointVelocities(jog), options)
+    }
+
+    /// A motion to joint positions that the program sends, rad.
+    #[pyo3(signature = (**options))]
+    fn stream(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Live> {
+        Live::new(py, Described::JointGoal(self.0.get(py)?.stream()), options)
+    }
+
+    /// A motion to poses of the motion centre that the program sends.
+    #[pyo3(signature = (**options))]
+    fn stream_poses(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Live> {
+        Live::new(py, Described::Pose(self.0.get(py)?.stream_poses()), options)
     }
 
     /// Measured positions of the joints, rad.

@@ -6,8 +6,12 @@ use pyo3::prelude::*;
 use takt_api as api;
 
 use crate::arm::Arm;
+use crate::base::Base;
 use crate::error;
 use crate::expression::{Condition, Number};
+use crate::frame::Frame;
+use crate::gripper::Gripper;
+use crate::io::Io;
 use crate::owned::Owned;
 use crate::wait::call;
 
@@ -74,6 +78,40 @@ impl Cell {
         let cell = self.open(py)?;
         let arm = py.detach(|| cell.arm(name));
         arm.map(Arm::new)
+            .map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// Inputs and outputs of a device.
+    fn io(&self, py: Python<'_>, device: &str) -> PyResult<Io> {
+        let cell = self.open(py)?;
+        let io = py.detach(|| cell.io(device));
+        io.map(Io::new)
+            .map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// A gripper by its name.
+    fn gripper(&self, py: Python<'_>, name: &str) -> PyResult<Gripper> {
+        let cell = self.open(py)?;
+        let gripper = py.detach(|| cell.gripper(name));
+        gripper
+            .map(Gripper::new)
+            .map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// A mobile base by its name.
+    fn base(&self, py: Python<'_>, name: &str) -> PyResult<Base> {
+        let cell = self.open(py)?;
+        let base = py.detach(|| cell.base(name));
+        base.map(Base::new)
+            .map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// A frame of the cell by its name.
+    fn frame(&self, py: Python<'_>, name: &str) -> PyResult<Frame> {
+        let cell = self.open(py)?;
+        let frame = py.detach(|| cell.frame(name));
+        frame
+            .map(Frame)
             .map_err(|error| error::raise_here(py, &error))
     }
 

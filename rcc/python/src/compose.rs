@@ -1,7 +1,5 @@
 //! Several activities that are begun in one call, and events that start them.
 
-use std::sync::Arc;
-
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -10,11 +8,10 @@ use takt_api as api;
 use crate::activity::Activity;
 use crate::error;
 use crate::expression::Condition;
-use crate::handle::Handle;
+use crate::handle::{Begun, Handle};
 use crate::outcome::Outcome;
 use crate::owned::Owned;
 use crate::place::Place;
-use crate::wait::wait;
 
 /// Several activities that are begun in one call.
 #[pyclass(frozen, module = "takt")]
@@ -185,8 +182,7 @@ impl Composite {
 
     /// The same, but does not wait until they run.
     fn queue(&self, py: Python<'_>) -> PyResult<Handle> {
-        let handle = queue(py, self.composite.get(py)?.clone(), self.place.as_ref())?;
-        Ok(Handle::new(handle, self.place.clone()))
+        queue(py, self.composite.get(py)?.clone(), self.place.clone())
     }
 
     /// Begins them and waits until all have ended.
@@ -202,28 +198,22 @@ impl Composite {
 pub(crate) fn queue(
     py: Python<'_>,
     composite: api::Composite,
-    place: Option<&Place>,
-) -> PyResult<Arc<api::Handle>> {
+    place: Option<Place>,
+) -> PyResult<Handle> {
     let handle = py.detach(|| composite.queue());
-    let handle = handle.map_err(|error| error::raise(py, &error, place))?;
-    Ok(Arc::new(handle))
+    let handle = handle.map_err(|error| error::raise(py, &error, place.as_ref()))?;
+    Ok(Handle::new(Begun::Activity(handle), place))
 }
 
-/// Begins; a signal while it waits for its turn cancels it, since the program never gets its handle.
+/// Begins, and waits until it runs.
 pub(crate) fn begin(
     py: Python<'_>,
     composite: api::Composite,
     place: Option<Place>,
 ) -> PyResult<Handle> {
-    let handle = queue(py, composite, place.as_ref())?;
-    let begun = wait(py, None, |slice| handle.wait_for_begin(slice));
-    if begun.is_err() {
-        py.detach(|| handle.cancel());
-    }
-    if let Some(Err(error)) = begun? {
-        return Err(error::raise(py, &error, place.as_ref()));
-    }
-    Ok(Handle::new(handle, place))
+    let handle = queue(py, composite, place)?;
+    handle.wait_for_begin(py)?;
+    Ok(handle)
 }
 
 /// Waits for the end; a signal cancels the activity, since no handle of it is left.

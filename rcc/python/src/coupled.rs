@@ -4,7 +4,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use takt_api as api;
 
-use crate::activity::{Activity, Options};
+use crate::activity::Activity;
 use crate::arm::{Arm, limits};
 use crate::error;
 use crate::owned::Owned;
@@ -38,93 +38,52 @@ impl Coupled {
     }
 
     /// The same object with these limits on its motions.
-    #[pyo3(signature = (*, velocity=None, acceleration=None, jerk=None, rot_velocity=None, rot_acceleration=None, rot_jerk=None))]
-    #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
-    fn with_limits(
-        &self,
-        py: Python<'_>,
-        velocity: Option<f64>,
-        acceleration: Option<f64>,
-        jerk: Option<f64>,
-        rot_velocity: Option<f64>,
-        rot_acceleration: Option<f64>,
-        rot_jerk: Option<f64>,
-    ) -> PyResult<Self> {
-        let limits = limits(
-            py,
-            [velocity, acceleration, jerk],
-            [rot_velocity, rot_acceleration, rot_jerk],
-        )?;
+    #[pyo3(signature = (**limits))]
+    fn with_limits(&self, py: Python<'_>, limits: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let limits = self::limits(py, limits)?;
         let limited = self.0.get(py)?.clone().with_limits(limits);
         Ok(Self(Owned::new(limited)))
     }
 
     /// A motion of the object along a straight line to a pose in the world.
-    #[pyo3(signature = (to, *, speed=None, blend=None, until=None, now=false))]
+    #[pyo3(signature = (to, **options))]
     fn lin(
         &self,
         to: &Bound<'_, PyAny>,
-        speed: Option<f64>,
-        blend: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
         let py = to.py();
-        let options = Options {
-            speed,
-            blend,
-            until,
-            now,
-        };
-        Activity::new(py, self.0.get(py)?.lin(pose::read(to)?), &options)
+        Activity::motion(py, self.0.get(py)?.lin(pose::read(to)?), options)
     }
 
     /// A motion of the object along the arc through `via` to `to`, both in the world.
-    #[pyo3(signature = (via, to, *, speed=None, blend=None, until=None, now=false))]
+    #[pyo3(signature = (via, to, **options))]
     fn circ(
         &self,
         via: &Bound<'_, PyAny>,
         to: &Bound<'_, PyAny>,
-        speed: Option<f64>,
-        blend: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
         let py = to.py();
-        let options = Options {
-            speed,
-            blend,
-            until,
-            now,
-        };
-        Activity::new(
+        Activity::motion(
             py,
             self.0.get(py)?.circ(pose::read(via)?, pose::read(to)?),
-            &options,
+            options,
         )
     }
 
     /// A motion of the object along a smooth curve through 1 to 63 poses in the world.
-    #[pyo3(signature = (through, *, speed=None, blend=None, until=None, now=false))]
+    #[pyo3(signature = (through, **options))]
     fn spline(
         &self,
         through: &Bound<'_, PyAny>,
-        speed: Option<f64>,
-        blend: Option<f64>,
-        until: Option<&Bound<'_, PyDict>>,
-        now: bool,
+        options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
         let py = through.py();
-        let options = Options {
-            speed,
-            blend,
-            until,
-            now,
-        };
-        Activity::new(
+        Activity::motion(
             py,
             self.0.get(py)?.spline(pose::read_all(through)?),
-            &options,
+            options,
         )
     }
 }

@@ -7,9 +7,11 @@ use std::task::{Context, Wake, Waker};
 
 use pyo3::prelude::*;
 
+use crate::handle::Begun;
+
 /// A callback that waits for the end of an activity.
 struct Pending {
-    handle: Arc<takt_api::Handle>,
+    handle: Arc<Begun>,
     callback: Mutex<Option<Py<PyAny>>>,
     ready: Sender<Arc<Self>>,
 }
@@ -40,11 +42,7 @@ impl Dispatcher {
     }
 
     /// Lets the thread call `callback` once, without arguments, when the activity has ended.
-    pub(crate) fn on_end(
-        &self,
-        handle: Arc<takt_api::Handle>,
-        callback: Py<PyAny>,
-    ) -> std::io::Result<()> {
+    pub(crate) fn on_end(&self, handle: Arc<Begun>, callback: Py<PyAny>) -> std::io::Result<()> {
         let ready = self.sender()?;
         let pending = Arc::new(Pending {
             handle,

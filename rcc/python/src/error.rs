@@ -38,6 +38,14 @@ pub(crate) fn forked(py: Python<'_>) -> PyErr {
     )
 }
 
+/// Whether an exception is one of this package.
+pub(crate) fn is_of_package(error: &PyErr, py: Python<'_>) -> bool {
+    let class = py
+        .import("takt._errors")
+        .and_then(|errors| errors.getattr("Error"));
+    class.is_ok_and(|class| error.is_instance(py, &class))
+}
+
 /// The end of a timeout.
 pub(crate) fn timeout(py: Python<'_>, seconds: f64, place: Option<&Place>) -> PyErr {
     let text = format!(

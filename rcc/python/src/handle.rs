@@ -1,5 +1,6 @@
 //! Handles of activities that were begun.
 
+use std::ops::Deref;
 use std::sync::Arc;
 
 use pyo3::prelude::*;
@@ -12,18 +13,58 @@ use crate::owned::Owned;
 use crate::place::Place;
 use crate::wait::{seconds, wait};
 
+/// What was begun, by what can be sent to it.
+#[derive(Debug)]
+pub(crate) enum Begun {
+    Activity(api::Handle),
+    Twist(api::LiveHandle<api::Twist>),
+    JointVelocities(api::LiveHandle<api::JointVelocities>),
+    JointGoal(api::LiveHandle<api::JointGoal>),
+    Pose(api::LiveHandle<api::Pose>),
+}
+
+impl Deref for Begun {
+    type Target = api::Handle;
+
+    fn deref(&self) -> &api::Handle {
+        match self {
+            Self::Activity(handle) => handle,
+            Self::Twist(handle) => handle,
+            Self::JointVelocities(handle) => handle,
+            Self::JointGoal(handle) => handle,
+            Self::Pose(handle) => handle,
+        }
+    }
+}
+
 /// An activity that was begun, or several that began together.
-#[pyclass(frozen, module = "takt")]
+#[pyclass(frozen, subclass, module = "takt")]
 #[derive(Debug)]
 pub(crate) struct Handle {
-    handle: Owned<Arc<api::Handle>>,
+    handle: Owned<Arc<Begun>>,
     place: Option<Place>,
 }
 
 impl Handle {
-    pub(crate) fn new(handle: Arc<api::Handle>, place: Option<Place>) -> Self {
-        let handle = Owned::new(handle);
+    pub(crate) fn new(begun: Begun, place: Option<Place>) -> Self {
+        let handle = Owned::new(Arc::new(begun));
         Self { handle, place }
+    }
+
+    pub(crate) fn begun(&self, py: Python<'_>) -> PyResult<&Begun> {
+        Ok(self.handle.get(py)?)
+    }
+
+    /// Waits until it runs. A signal cancels it, since the program never gets its handle.
+    pub(crate) fn wait_for_begin(&self, py: Python<'_>) -> PyResult<()> {
+        let handle = self.handle.get(py)?;
+        let begun = wait(py, None, |slice| handle.wait_for_begin(slice));
+        if begun.is_err() {
+            py.detach(|| handle.cancel());
+        }
+        begun?
+            .unwrap_or(Ok(()))
+            .map_err(|error| error::raise(py, &error, self.place.as_ref()))
     }
 
     fn result(

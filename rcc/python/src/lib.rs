@@ -4,13 +4,19 @@
 mod activity;
 mod arm;
 mod arrays;
+mod base;
 mod cell;
 mod compose;
 mod coupled;
 mod dispatch;
 mod error;
 mod expression;
+mod frame;
+mod gripper;
 mod handle;
+mod io;
+mod keywords;
+mod live;
 mod outcome;
 mod owned;
 mod place;
@@ -26,6 +32,8 @@ mod native {
     #[pymodule_export]
     use super::arm::{Arm, Force, JointLimits};
     #[pymodule_export]
+    use super::base::Base;
+    #[pymodule_export]
     use super::cell::{Cell, connect};
     #[cfg(feature = "embedded")]
     #[pymodule_export]
@@ -37,7 +45,15 @@ mod native {
     #[pymodule_export]
     use super::expression::{Condition, Number};
     #[pymodule_export]
+    use super::frame::{Frame, Goal};
+    #[pymodule_export]
+    use super::gripper::Gripper;
+    #[pymodule_export]
     use super::handle::Handle;
+    #[pymodule_export]
+    use super::io::Io;
+    #[pymodule_export]
+    use super::live::{Live, LiveHandle, Twist};
     #[pymodule_export]
     use super::outcome::Outcome;
     #[pymodule_export]

@@ -7,6 +7,7 @@ use takt_api as api;
 
 use crate::arrays::array;
 use crate::error;
+use crate::frame::{Frame, Goal};
 
 /// How far a matrix may be from a rotation.
 const MATRIX_TOLERANCE: f64 = 1e-6;
@@ -70,6 +71,11 @@ impl Pose {
             .map(|row| row.iter().copied().collect())
             .collect();
         array(py, rows)
+    }
+
+    /// This pose in a frame of the cell, as a goal.
+    fn in_(&self, frame: &Bound<'_, Frame>) -> Goal {
+        Goal(self.0.in_(&frame.get().0))
     }
 
     /// The pose of the reference frame in this one.

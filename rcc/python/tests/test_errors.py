@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import pathlib
+import pickle
 import signal
 import subprocess
 import sys
@@ -71,6 +72,13 @@ def test_pose_not_finite_is_invalid(left: takt.Arm) -> None:
 def test_option_out_of_bounds_is_invalid(left: takt.Arm, options: dict[str, Any]) -> None:
     with pytest.raises(takt.Invalid):
         left.ptp(BENT, **options).begin()
+
+
+def test_error_survives_pickle(left: takt.Arm) -> None:
+    with pytest.raises(takt.Limit) as caught:
+        left.ptp([9.0] * 7).begin()
+    copy = pickle.loads(pickle.dumps(caught.value))
+    assert type(copy) is takt.Limit and str(copy) == str(caught.value) and vars(copy) == vars(caught.value)
 
 
 def test_device_unknown_lists_known(cell: takt.Cell) -> None:
@@ -219,6 +227,11 @@ with takt.connect(sys.argv[1]) as cell:
         handle = activity.begin()
         if sys.argv[2] == "wait":
             handle.wait()
+        elif sys.argv[2] == "jog":
+            with right.jog_joints(now=True).begin() as jog:
+                while True:
+                    jog.send([0.2, 0, 0, 0, 0, 0, 0])
+                    time.sleep(0.02)
         elif sys.argv[2] == "begin":
             activity.begin()
         right.finish()
@@ -228,7 +241,7 @@ with takt.connect(sys.argv[1]) as cell:
 """
 
 
-@pytest.mark.parametrize("call", ["run", "wait", "begin", "finish"])
+@pytest.mark.parametrize("call", ["run", "wait", "begin", "finish", "jog"])
 def test_interrupt_reaches_blocked_call(cell: takt.Cell, address: str, call: str) -> None:
     command = [sys.executable, "-c", INTERRUPTED, address, call]
     program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -240,4 +253,9 @@ def test_interrupt_reaches_blocked_call(cell: takt.Cell, address: str, call: str
     out, err = program.communicate(timeout=30.0)
     assert "KeyboardInterrupt" in err and out, err
     print(f"{call}: KeyboardInterrupt after {(float(out) - sent) * 1e3:.0f} ms")
-    wait_for_rest(cell.arm("right"))
+    # The session ended at rest: another program has the arm at once.
+    right = cell.arm("right")
+    rest = right.commanded()
+    time.sleep(0.1)
+    np.testing.assert_array_equal(right.commanded(), rest)
+    assert right.ptp(BENT).run() == takt.Outcome.Completed

@@ -10,7 +10,9 @@ from conftest import ROOT
 import takt
 
 API = ROOT / "rcc" / "api" / "src"
-MODULES = "activity arm cell compose coupled embedded expression handle outcome plan pose".split()
+MODULES = """
+activity arm base cell compose coupled embedded expression gripper handle io live outcome plan pose world
+""".split()
 
 OTHER_NAME = {
     "Arm.description": "Arm.joints",
@@ -28,15 +30,7 @@ OTHER_NAME = {
 
 ABSENT = {
     "Cell.embedded_config": "its argument is a structure of Rust; `takt.embed` reads the same from a file",
-    "Arm.jog": "not bound yet, with its live handle",
-    "Arm.jog_joints": "not bound yet, with its live handle",
-    "Arm.stream": "not bound yet, with its live handle",
-    "Arm.stream_poses": "not bound yet, with its live handle",
-    "Arm.base_frame": "not bound yet, with the frames",
-    "Cell.base": "not bound yet, with the mobile bases",
-    "Cell.frame": "not bound yet, with the frames",
-    "Cell.gripper": "not bound yet, with the grippers",
-    "Cell.io": "not bound yet, with the inputs and outputs",
+    "Handle.place": "exceptions have the line, as `filename` and `lineno`",
     "Handle.wait_for_begin": "`begin` waits with it; a program that queues awaits the outcome",
 }
 """What Python does not have, and why."""
@@ -48,7 +42,7 @@ def functions() -> set[str]:
     for module in MODULES:
         kind = ""
         for line in (API / f"{module}.rs").read_text().splitlines():
-            if block := re.match(r"impl (\w+) \{", line):
+            if block := re.match(r"impl(?:<.*?>)? (\w+)(?:<\w+>)? \{", line):
                 kind = block[1] + "."
             elif line == "}":
                 kind = ""

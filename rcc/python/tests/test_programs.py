@@ -202,3 +202,41 @@ def test_embedded_cell_file_starts_controller(tmp_path: pathlib.Path) -> None:
         assert address is not None and address.startswith("127.0.0.1:")
     with pytest.raises(takt.Invalid):
         takt.embed(tmp_path / "missing.toml")
+
+
+FRAMES = """
+[[device]]
+name = "left"
+type = "kuka_lwr_fri"
+listen = "127.0.0.1:0"
+[[frame]]
+name = "table"
+position = [1, 0, 0.7]
+rotation = [90, 0, 0]
+[[base]]
+device = "left"
+parent = "table"
+position = [0.5, 0, 0]
+"""
+
+
+def test_goal_in_frame_is_that_in_base(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(FRAMES)
+    with takt.embed(path) as cell:
+        left, table = cell.arm("left"), cell.frame("table")
+        assert (table.name, table.root) == ("table", "world") and left.base_frame == cell.frame("left.base")
+        in_base = table.within(left.base_frame)
+        np.testing.assert_allclose(in_base.position, [-0.5, 0, 0], atol=1e-12)
+        pose = Pose.xyz(1.0, 0.1, 0.5).abc(0.1, 0.2, 0.3)
+        goals = pose.in_(table), table.pose(pose.matrix())
+        assert goals[0].__class__ is takt.Goal
+        for goal in goals:
+            net = left.ptp_near(goal, BENT).explain()
+            assert net == left.ptp_near(in_base * pose, BENT).explain()
+        with pytest.raises(takt.NotConnected) as caught:
+            left.lin(pose.in_(cell.frame("left.flange"))).begin()
+        assert caught.value.frames == [("left.flange", "left.flange"), ("left.base", "world")]
+        assert caught.value.filename == __file__
+        with pytest.raises(takt.NoDevice, match="table"):
+            cell.frame("chair")

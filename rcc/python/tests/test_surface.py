@@ -33,10 +33,59 @@ def test_net_text_equals_that_of_rust(cell: takt.Cell, address: str) -> None:
         left.ptp_near(pose, goal),
         left.with_tool(Pose.xyz(0, 0.01, 0.1)).spline([via, pose], until={"mean": mean}),
         left.hold(until={"waves": waves.rises() | waves.falls()}),
+        left.ptp_to(pose, now=True),
     ]
-    ours = "".join(activity.explain() + "\n\n" for activity in activities)
+    nets = [activity.explain() for activity in activities]
+    nets += live(left, touch) + coupled_arms(cell) + devices(cell)
+    ours = "".join(net + "\n\n" for net in nets)
     rust = subprocess.run([program("explain"), address], capture_output=True, check=True)
+    for ours_net, rust_net in zip(nets, rust.stdout.decode().split("\n\n")):
+        assert ours_net == rust_net
     assert ours.encode() == rust.stdout
+
+
+def live(left: takt.Arm, touch: takt.Condition) -> list[str]:
+    """The nets of activities that follow what a program sends."""
+    tool = Pose.xyz(0, 0, 0.1)
+    return [
+        left.with_limits(velocity=0.1, rot_jerk=20).with_tool(tool).jog().explain(),
+        left.jog_joints(speed=0.3, until={"touch": touch}).explain(),
+        left.stream(speed=0.5, now=True).explain(),
+        left.with_tool(tool).stream_poses().explain(),
+    ]
+
+
+def coupled_arms(cell: takt.Cell) -> list[str]:
+    """The nets of motions of an object that both arms hold."""
+    arms = [cell.arm("left").with_base(Pose.xyz(0, 0.3, 0)), cell.arm("right").with_base(Pose.xyz(0, -0.3, 0))]
+    held = takt.coupled(Pose.xyz(0.5, 0, 0.5), arms).with_speed(0.5)
+    via, to = Pose.xyz(0.5, 0.1, 0.6), Pose.xyz(0.5, 0, 0.7)
+    activities = [held.lin(to), held.circ(via, to), held.spline([via, to], speed=0.4)]
+    return [activity.explain() for activity in activities]
+
+
+def devices(cell: takt.Cell) -> list[str]:
+    """The nets of outputs, grippers and a mobile base."""
+    plant, hand = cell.io("plant"), cell.gripper("hand")
+    gripper, platform = cell.gripper("gripper"), cell.base("platform")
+    full = (gripper.force > 10) & ~gripper.holds
+    opened = (gripper.width > 0.04) & plant.input(1) | plant.output(2)
+    level = plant.analogue_input(0) - plant.analogue_output(1) < 0.5
+    turned = platform.wheel(3) > 1
+    activities = [
+        plant.set(3, True),
+        plant.pulse(0, False, 0.25),
+        plant.set_analogue(1, -2.5).until("level", level),
+        hand.open(),
+        hand.move_to(0.02, until={"open": hand.width > 0.01}),
+        hand.with_timeout(0.25).close(),
+        gripper.open(),
+        gripper.with_speed(0.5).close(until={"open": opened}),
+        gripper.grasp(0.05, 30, until={"full": full}),
+        platform.go_to(Pose.xyz(0.3, -0.2, 0).abc(0.5, 0, 0)),
+        platform.with_speed(0.5).drive([0.2, 0, -0.1], 0.25, speed=0.5, until={"turned": turned}, now=True),
+    ]
+    return [activity.explain() for activity in activities]
 
 
 def test_methods_equal_keywords(cell: takt.Cell) -> None:
@@ -55,6 +104,7 @@ def parameters(function: ast.FunctionDef) -> list[str]:
     """The names of a stub's parameters, in order."""
     given = function.args
     every = [*given.posonlyargs, *given.args, *([given.vararg] if given.vararg else []), *given.kwonlyargs]
+    every += [given.kwarg] if given.kwarg else []
     return [argument.arg for argument in every]
 
 
@@ -97,7 +147,7 @@ def test_stub_class_equals_native_one(name: str) -> None:
 
 
 def test_package_exports_every_class() -> None:
-    assert set(CLASSES) - {"_HasMatrix", "_HasQuaternion"} <= set(takt.__all__)
+    assert {name for name in CLASSES if not name.startswith("_")} <= set(takt.__all__)
     for name in takt.__all__:
         value = getattr(takt, name)
         assert value.__doc__, f"{name} has no documentation"

@@ -10,14 +10,14 @@ class Error(Exception):
     error that `wait()` raises names the line of the motion, not that of the call.
     """
 
-    filename: str | None
-    lineno: int | None
+    filename: str | None = None
+    lineno: int | None = None
 
-    def __init__(self, text: str, *, filename: str | None = None, lineno: int | None = None) -> None:
-        line = "" if filename is None else f"\nat {filename}:{lineno}"
+    def __init__(self, text: str, **values: object) -> None:
+        """`values` are the attributes that the class describes."""
+        line = f"\nat {values['filename']}:{values['lineno']}" if "filename" in values else ""
         super().__init__(text + line)
-        self.filename = filename
-        self.lineno = lineno
+        vars(self).update(values)
 
 
 class Connection(Error, ConnectionError):
@@ -27,18 +27,8 @@ class Connection(Error, ConnectionError):
 class Version(Connection):
     """The controller at `address` does not fit this package, for `reason`."""
 
-    def __init__(
-        self,
-        text: str,
-        *,
-        address: str,
-        reason: str,
-        filename: str | None = None,
-        lineno: int | None = None,
-    ) -> None:
-        super().__init__(text, filename=filename, lineno=lineno)
-        self.address = address
-        self.reason = reason
+    address: str
+    reason: str
 
 
 class Lost(Connection):
@@ -52,49 +42,23 @@ class Invalid(Error, ValueError):
 class Limit(Invalid):
     """A joint position is out of its range; nothing was begun. `value`, `min` and `max` in rad."""
 
-    def __init__(
-        self,
-        text: str,
-        *,
-        joint: str,
-        value: float,
-        min: float,
-        max: float,
-        filename: str | None = None,
-        lineno: int | None = None,
-    ) -> None:
-        super().__init__(text, filename=filename, lineno=lineno)
-        self.joint = joint
-        self.value = value
-        self.min = min
-        self.max = max
+    joint: str
+    value: float
+    min: float
+    max: float
 
 
 class NoDevice(Error, LookupError):
     """The controller has no device of this `name`; the text lists those that it has."""
 
-    def __init__(
-        self, text: str, *, name: str, filename: str | None = None, lineno: int | None = None
-    ) -> None:
-        super().__init__(text, filename=filename, lineno=lineno)
-        self.name = name
+    name: str
 
 
 class NoPort(Error, LookupError):
     """`device` has no input or output of this number and kind; the text says what it has. Nothing was begun."""
 
-    def __init__(
-        self,
-        text: str,
-        *,
-        device: str,
-        port: int,
-        filename: str | None = None,
-        lineno: int | None = None,
-    ) -> None:
-        super().__init__(text, filename=filename, lineno=lineno)
-        self.device = device
-        self.port = port
+    device: str
+    port: int
 
 
 class NotConnected(Error):
@@ -103,26 +67,13 @@ class NotConnected(Error):
     `frames` has the name of each frame and that of the frame in which it is placed in the end.
     """
 
-    def __init__(
-        self,
-        text: str,
-        *,
-        frames: list[tuple[str, str]],
-        filename: str | None = None,
-        lineno: int | None = None,
-    ) -> None:
-        super().__init__(text, filename=filename, lineno=lineno)
-        self.frames = frames
+    frames: list[tuple[str, str]]
 
 
 class Rejected(Error):
     """The controller rejected the net of an activity; `faults` lists why, with positions in its text."""
 
-    def __init__(
-        self, text: str, *, faults: list[str], filename: str | None = None, lineno: int | None = None
-    ) -> None:
-        super().__init__(text, filename=filename, lineno=lineno)
-        self.faults = faults
+    faults: list[str]
 
 
 class Refused(Error):
@@ -130,11 +81,7 @@ class Refused(Error):
 
 
 class _OfDevice(Error):
-    def __init__(
-        self, text: str, *, device: str, filename: str | None = None, lineno: int | None = None
-    ) -> None:
-        super().__init__(text, filename=filename, lineno=lineno)
-        self.device = device
+    device: str
 
 
 class Conflict(_OfDevice):
@@ -144,99 +91,41 @@ class Conflict(_OfDevice):
 class Unreachable(_OfDevice):
     """The path leaves the reach of `device` after the part `progress` of it, 0 to 1."""
 
-    def __init__(
-        self,
-        text: str,
-        *,
-        device: str,
-        progress: float,
-        filename: str | None = None,
-        lineno: int | None = None,
-    ) -> None:
-        super().__init__(text, device=device, filename=filename, lineno=lineno)
-        self.progress = progress
+    progress: float
 
 
 class TooFast(_OfDevice):
     """A `joint` of `device` would move at `velocity`, beyond its `limit`, rad/s; at `speed` the path fits. Nothing was begun."""
 
-    def __init__(
-        self,
-        text: str,
-        *,
-        device: str,
-        joint: int,
-        progress: float,
-        velocity: float,
-        limit: float,
-        speed: float,
-        filename: str | None = None,
-        lineno: int | None = None,
-    ) -> None:
-        super().__init__(text, device=device, filename=filename, lineno=lineno)
-        self.joint = joint
-        self.progress = progress
-        self.velocity = velocity
-        self.limit = limit
-        self.speed = speed
+    joint: int
+    progress: float
+    velocity: float
+    limit: float
+    speed: float
 
 
 class Unplanned(_OfDevice):
     """A motion of `device` cannot be planned, for `cause`; nothing was begun."""
 
-    def __init__(
-        self,
-        text: str,
-        *,
-        device: str,
-        cause: str,
-        filename: str | None = None,
-        lineno: int | None = None,
-    ) -> None:
-        super().__init__(text, device=device, filename=filename, lineno=lineno)
-        self.cause = cause
+    cause: str
 
 
 class DeviceFailed(_OfDevice):
     """`device` does not follow its commands, for `cause`."""
 
-    def __init__(
-        self,
-        text: str,
-        *,
-        device: str,
-        cause: str,
-        filename: str | None = None,
-        lineno: int | None = None,
-    ) -> None:
-        super().__init__(text, device=device, filename=filename, lineno=lineno)
-        self.cause = cause
+    cause: str
 
 
 class PredecessorFailed(Error):
     """What was to run before ended with `error`; nothing was begun."""
 
-    def __init__(
-        self, text: str, *, error: Error, filename: str | None = None, lineno: int | None = None
-    ) -> None:
-        super().__init__(text, filename=filename, lineno=lineno)
-        self.error = error
+    error: Error
 
 
 class Ended(_OfDevice):
     """The net of an activity of `device` ended without a result, for `reason`."""
 
-    def __init__(
-        self,
-        text: str,
-        *,
-        device: str,
-        reason: str,
-        filename: str | None = None,
-        lineno: int | None = None,
-    ) -> None:
-        super().__init__(text, device=device, filename=filename, lineno=lineno)
-        self.reason = reason
+    reason: str
 
 
 class Timeout(Error, TimeoutError):

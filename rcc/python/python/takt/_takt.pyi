@@ -3,10 +3,11 @@
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from os import PathLike
 from types import TracebackType
-from typing import Any, ClassVar, Literal, Protocol, final
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypedDict, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import Unpack
 
 class _HasMatrix(Protocol):
     def as_matrix(self) -> Any: ...
@@ -17,6 +18,25 @@ class _HasQuaternion(Protocol):
 _Numbers = Sequence[float] | NDArray[Any]
 _Orientation = _Numbers | _HasQuaternion
 _PoseLike = Pose | NDArray[Any] | Sequence[Sequence[float]] | tuple[_Numbers, _Orientation] | _HasMatrix
+
+_T = TypeVar("_T", contravariant=True)
+
+class _Options(TypedDict, total=False):
+    speed: float | None
+    until: Mapping[str, Condition] | None
+    now: bool
+
+class _MotionOptions(_Options, total=False):
+    blend: float | None
+
+class _Limits(TypedDict, total=False):
+    velocity: float | None
+    acceleration: float | None
+    jerk: float | None
+    rot_velocity: float | None
+    rot_acceleration: float | None
+    rot_jerk: float | None
+_GoalLike = _PoseLike | Goal
 
 def connect(address: str | None = None, token: str | None = None) -> Cell:
     """Connects to a controller.
@@ -79,6 +99,17 @@ class Cell:
         """An arm by its name.
 
         Raises `NoDevice` if the controller has no arm of that name; the text lists those that it has.
+        """
+    def io(self, device: str) -> Io:
+        """Inputs and outputs of a device. Raises `NoDevice`, which lists the devices that have any."""
+    def gripper(self, name: str) -> Gripper:
+        """A gripper by its name. Raises `NoDevice`, which lists those that the controller has."""
+    def base(self, name: str) -> Base:
+        """A mobile base by its name. Raises `NoDevice`, which lists those that the controller has."""
+    def frame(self, name: str) -> Frame:
+        """A frame of the cell by its name: one of the cell file, `world`, `DEVICE.base`, `DEVICE.flange` or a tool of it.
+
+        Of a mobile base also `DEVICE.odometry`, where it started. Raises `NoDevice`, which lists all frames.
         """
     def arms(self) -> list[Arm]:
         """All arms. Raises `Lost` if the connection is lost."""
@@ -181,6 +212,9 @@ class Arm:
     def base(self) -> Pose:
         """Its base in the world; the world's origin, unless set by `with_base`."""
     @property
+    def base_frame(self) -> Frame:
+        """Its base as a frame."""
+    @property
     def joints(self) -> list[JointLimits]:
         """Limits of its joints, from the base."""
     @property
@@ -188,16 +222,7 @@ class Arm:
         """Force and torque at the tool, as expressions."""
     def with_speed(self, factor: float) -> Arm:
         """The same arm, slower: the speed of its motions is multiplied by `factor`, above 0 to 1."""
-    def with_limits(
-        self,
-        *,
-        velocity: float | None = None,
-        acceleration: float | None = None,
-        jerk: float | None = None,
-        rot_velocity: float | None = None,
-        rot_acceleration: float | None = None,
-        rot_jerk: float | None = None,
-    ) -> Arm:
+    def with_limits(self, **limits: Unpack[_Limits]) -> Arm:
         """The same arm with these limits on lines and arcs, m/s, m/s², m/s³, rad/s, rad/s², rad/s³.
 
         Those left out are 0.25, 1, 10, 0.5, 2.5 and 25. Raises `Invalid` for a limit that is not above 0.
@@ -206,90 +231,53 @@ class Arm:
         """The same arm with another motion centre, given in the flange: motions lead it, such as the tip of a tool."""
     def with_base(self, base: _PoseLike) -> Arm:
         """The same arm with its base at this pose in the world, which coupled arms share."""
-    def ptp(
-        self,
-        to: _Numbers,
-        *,
-        speed: float | None = None,
-        blend: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
+    def ptp(self, to: _Numbers, **options: Unpack[_MotionOptions]) -> Activity:
         """A motion to joint positions, rad, one for each joint: all joints start and arrive together."""
-    def ptp_to(
-        self,
-        to: _PoseLike,
-        *,
-        speed: float | None = None,
-        blend: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
-        """A motion of all joints together to a pose of the motion centre in the base of the arm.
+    def ptp_to(self, to: _GoalLike, **options: Unpack[_MotionOptions]) -> Activity:
+        """A motion of all joints together to a pose of the motion centre in the base of the arm, or in frames.
 
         Of all joint positions for it, those next to where the arm begins. Raises `Invalid` if a matrix is no pose.
         """
-    def ptp_near(
-        self,
-        to: _PoseLike,
-        hint: _Numbers,
-        *,
-        speed: float | None = None,
-        blend: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
+    def ptp_near(self, to: _GoalLike, hint: _Numbers, **options: Unpack[_MotionOptions]) -> Activity:
         """The same to the joint positions next to `hint`, rad, one for each joint."""
-    def lin(
-        self,
-        to: _PoseLike,
-        *,
-        speed: float | None = None,
-        blend: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
-        """A motion of the motion centre along a straight line to a pose in the base of the arm.
+    def lin(self, to: _GoalLike, **options: Unpack[_MotionOptions]) -> Activity:
+        """A motion of the motion centre along a straight line to a pose in the base of the arm, or in frames.
 
         Raises `Invalid` if a matrix or quaternion is no pose.
         """
-    def circ(
-        self,
-        via: _PoseLike,
-        to: _PoseLike,
-        *,
-        speed: float | None = None,
-        blend: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
-        """A motion of the motion centre along the arc through `via` to `to`, both in the base of the arm.
+    def circ(self, via: _GoalLike, to: _GoalLike, **options: Unpack[_MotionOptions]) -> Activity:
+        """A motion of the motion centre along the arc through `via` to `to`, both in the base of the arm, or in frames.
 
         Raises `Invalid` if a matrix or quaternion is no pose.
         """
-    def spline(
-        self,
-        through: Iterable[_PoseLike],
-        *,
-        speed: float | None = None,
-        blend: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
-        """A motion of the motion centre along a smooth curve through 1 to 63 poses in the base of the arm.
+    def spline(self, through: Iterable[_GoalLike], **options: Unpack[_MotionOptions]) -> Activity:
+        """A motion of the motion centre along a smooth curve through 1 to 63 poses in the base of the arm, or in frames.
 
         Raises `Invalid` if a matrix or quaternion is no pose.
         """
-    def hold(
-        self,
-        *,
-        speed: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
+    def hold(self, **options: Unpack[_Options]) -> Activity:
         """Brakes the arm and keeps it under command where it comes to rest: `Outcome.Maintaining`.
 
         It ends when another activity takes over, or it is cancelled.
+        """
+    def jog(self, **options: Unpack[_Options]) -> Live[Twist | _Numbers]:
+        """Jogging of the motion centre: it moves at the velocity that the program sends, and brakes without a new one for 0.1 s.
+
+        Send a `Twist`, or 6 numbers (m/s, rad/s) in the axes of the base, at 20 Hz or more, within the limits of
+        `with_limits`. Where the arm cannot follow, it brakes on its path, and the activity fails with `Unreachable`.
+        """
+    def jog_joints(self, **options: Unpack[_Options]) -> Live[_Numbers]:
+        """The same for velocities of the joints, rad/s, one for each joint. A joint brakes before the end of its range."""
+    def stream(self, **options: Unpack[_Options]) -> Live[_Numbers]:
+        """A motion to joint positions that the program sends, rad, one for each joint, at 10 to 100 Hz or when it likes.
+
+        Every joint moves to its latest goal as fast as its limits and `speed` allow, and rests there. The override does
+        not slow it.
+        """
+    def stream_poses(self, **options: Unpack[_Options]) -> Live[_PoseLike]:
+        """The same for poses of the motion centre in the base of the arm: the joint positions next to those of the arm.
+
+        Where the arm cannot reach a pose, it brakes, and the activity fails with `Unreachable`.
         """
     def positions(self) -> NDArray[np.float64]:
         """Measured positions of the joints, rad, one for each joint. Raises `DeviceFailed` if the arm is offline."""
@@ -409,47 +397,13 @@ class Coupled:
 
     def with_speed(self, factor: float) -> Coupled:
         """The same object, slower: the speed of its motions is multiplied by `factor`, above 0 to 1."""
-    def with_limits(
-        self,
-        *,
-        velocity: float | None = None,
-        acceleration: float | None = None,
-        jerk: float | None = None,
-        rot_velocity: float | None = None,
-        rot_acceleration: float | None = None,
-        rot_jerk: float | None = None,
-    ) -> Coupled:
+    def with_limits(self, **limits: Unpack[_Limits]) -> Coupled:
         """The same object with these limits on its motions, in the units and with the defaults of `Arm.with_limits`."""
-    def lin(
-        self,
-        to: _PoseLike,
-        *,
-        speed: float | None = None,
-        blend: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
+    def lin(self, to: _PoseLike, **options: Unpack[_MotionOptions]) -> Activity:
         """A motion of the object along a straight line to a pose in the world."""
-    def circ(
-        self,
-        via: _PoseLike,
-        to: _PoseLike,
-        *,
-        speed: float | None = None,
-        blend: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
+    def circ(self, via: _PoseLike, to: _PoseLike, **options: Unpack[_MotionOptions]) -> Activity:
         """A motion of the object along the arc through `via` to `to`, both in the world."""
-    def spline(
-        self,
-        through: Iterable[_PoseLike],
-        *,
-        speed: float | None = None,
-        blend: float | None = None,
-        until: Mapping[str, Condition] | None = None,
-        now: bool = False,
-    ) -> Activity:
+    def spline(self, through: Iterable[_PoseLike], **options: Unpack[_MotionOptions]) -> Activity:
         """A motion of the object along a smooth curve through 1 to 63 poses in the world."""
 
 @final
@@ -484,6 +438,137 @@ class Plan:
         """The motion by cycles: times (n), progress (n), joint positions, rad (n x joints)."""
 
 @final
+class Live(Generic[_T]):
+    """An activity that follows what a program sends, by `Arm.jog` or `Arm.stream`, described and not begun."""
+
+    def speed(self, factor: float) -> Live[_T]:
+        """The same, with its speed multiplied by `factor`, above 0 to 1."""
+    def until(self, name: str, condition: Condition) -> Live[_T]:
+        """The same, stopped when the condition holds; the outcome names it."""
+    def now(self) -> Live[_T]:
+        """The same, to begin in the next cycle, in place of what the arm does, at rest or in motion."""
+    def begin(self) -> LiveHandle[_T]:
+        """Begins it, and returns when it runs: the arm brakes, and waits for set-points. Raises as `Activity.begin`."""
+    def queue(self) -> LiveHandle[_T]:
+        """Lets it begin after what the arm does, and returns at once. What is sent before its net is loaded is `Invalid`."""
+    def explain(self) -> str:
+        """The text of the net that it becomes. Raises `Invalid`."""
+
+@final
+class Twist:
+    """Velocity of a motion centre, in the axes of the base of its arm."""
+
+    @staticmethod
+    def xyz(x: float, y: float, z: float) -> Twist:
+        """A velocity without rotation, m/s."""
+    def turning(self, x: float, y: float, z: float) -> Twist:
+        """The same with a rotational velocity about x, y and z, rad/s."""
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """Velocity, m/s: array of 3."""
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """Rotational velocity about x, y and z, rad/s: array of 3."""
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Io:
+    """Digital and analogue inputs and outputs of a device, by `Cell.io`. Ports count from 0.
+
+    Inputs are expressions, outputs are set by activities. Each output is a device of its own: activities of different outputs
+    do not wait for each other. An output stays as it is set. A port that the device does not have is `NoPort`.
+    """
+
+    def input(self, port: int) -> Condition:
+        """A digital input."""
+    def analogue_input(self, port: int) -> Number:
+        """An analogue input, in the unit of the device."""
+    def output(self, port: int) -> Condition:
+        """The present state of a digital output, whichever client set it."""
+    def analogue_output(self, port: int) -> Number:
+        """The present value of an analogue output, in the unit of the device, whichever client set it."""
+    def set(self, port: int, state: bool) -> Activity:
+        """Sets a digital output. Completed when the device reports it; `DeviceFailed` if it does not within 1 s."""
+    def pulse(self, port: int, state: bool, duration: float) -> Activity:
+        """Sets a digital output to `state` for `duration`, s, above 0 to 3600, and then to the contrary.
+
+        At once if it is cancelled. After an abort the output keeps its state.
+        """
+    def set_analogue(self, port: int, value: float) -> Activity:
+        """Sets an analogue output, in the unit of the device. `Invalid` if `value` is not finite."""
+
+@final
+class Gripper:
+    """A gripper of a cell, by `Cell.gripper`: fingers that move to a width, or one with commands of its own (Schunk WSG).
+
+    Widths are distances between the fingers, m. Its activities take `speed`, `until` and `now` as those of an arm do. They
+    raise `Invalid` for a width or force out of its bounds, `DeviceFailed` if the gripper does not execute the command in time.
+    """
+
+    @property
+    def name(self) -> str:
+        """Its name in the cell."""
+    def with_speed(self, factor: float) -> Gripper:
+        """The same gripper, slower: the speed of its commands is multiplied by `factor`, above 0 to 1.
+
+        At 1 the fingers of a gripper with commands of its own move at 0.2 m/s. Others have one speed.
+        """
+    def with_timeout(self, timeout: float) -> Gripper:
+        """The same gripper with another time-out of its commands at the speed 1, s; by default 5."""
+    def open(self, **options: Unpack[_Options]) -> Activity:
+        """Opens it wide: at its outer end stop, which a gripper with commands of its own needs once after power-on."""
+    def close(self, **options: Unpack[_Options]) -> Activity:
+        """Closes it without a part. Fails with `DeviceFailed` if a part blocks a gripper with commands of its own."""
+    def move_to(self, width: float, **options: Unpack[_Options]) -> Activity:
+        """Moves the fingers to a width, m."""
+    def grasp(self, width: float, force: float, **options: Unpack[_Options]) -> Activity:
+        """Grips a part of a width, m, with at most a force, N; `DeviceFailed` if there is none.
+
+        Only grippers with commands of their own can (else `Invalid`): they keep the force up when the activity has ended.
+        """
+    @property
+    def width(self) -> Number:
+        """The measured width, m, as an expression."""
+    @property
+    def force(self) -> Number:
+        """The measured gripping force, N, as an expression. Raises `Invalid` if the gripper does not measure it."""
+    @property
+    def holds(self) -> Condition:
+        """Whether it holds a part. Raises `Invalid` if the gripper does not know it."""
+    def cancel(self) -> None:
+        """Requests that what the gripper does end, and everything that waits for it. Returns at once."""
+
+@final
+class Base:
+    """A mobile base of a cell, by `Cell.base`. Its motions take `speed`, `until` and `now` as those of an arm do."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the cell."""
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Its largest speed, m/s, and rotational speed, rad/s."""
+    def with_speed(self, factor: float) -> Base:
+        """The same base, slower: the speed of its motions is multiplied by `factor`, above 0 to 1."""
+    def go_to(self, pose: _PoseLike, **options: Unpack[_Options]) -> Activity:
+        """Moves straight to a pose in the frame in which the base started; its height and tilt do not matter.
+
+        At the speed 1 with half of its largest speed in x and y. Completed when less than 0.01 m and 0.01 rad are left, and it
+        is at rest.
+        """
+    def drive(self, velocity: _Numbers, duration: float, **options: Unpack[_Options]) -> Activity:
+        """Moves at a velocity in its own frame (x and y, m/s; the turn about z, rad/s) for `duration`, s, above 0 to 3600.
+
+        Then it brakes to rest. A program that requests it again with `now` before the time is over keeps the base in
+        motion. Raises `Invalid` for a velocity beyond `limits`.
+        """
+    def pose(self) -> Pose:
+        """The measured pose in the frame in which the base started. Raises `DeviceFailed` if it is offline."""
+    def wheel(self, wheel: int) -> Number:
+        """The measured angle of a wheel, from 0, since the start, rad, as an expression."""
+    def cancel(self) -> None:
+        """Requests that what the base does end, and everything that waits for it. Returns at once."""
+
 class Handle:
     """An activity that was begun, or several that began together. `await` gives its outcome in asyncio.
 
@@ -511,6 +596,30 @@ class Handle:
         """
     def _wake(self, callback: Callable[[], object]) -> None: ...
     def __await__(self) -> Generator[Any, None, Outcome]: ...
+
+@final
+class LiveHandle(Handle, Generic[_T]):
+    """An activity that follows what the program sends, and was begun; it goes on until it is cancelled, a condition stops it,
+    or another activity takes over with `now`.
+
+    As a context manager it is cancelled at the end of the block, also after an exception and Ctrl-C, and waited for: the
+    arm is at rest then. Its error is raised there, unless the program has it from `send`.
+    """
+
+    def send(self, set_point: _T) -> None:
+        """Sends a set-point, which takes effect in the next cycle of the controller; returns when the controller has it.
+
+        Raises `Invalid`, `Limit` or `Unreachable` if it is out of its bounds (the last one remains in effect, for 0.1 s if
+        it is a velocity), the error with which the activity ended, or `Ended`, or `Lost`.
+        """
+    def __enter__(self) -> LiveHandle[_T]: ...
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        _traceback: TracebackType | None,
+        /,
+    ) -> None: ...
 
 @final
 class Outcome:
@@ -566,11 +675,38 @@ class Pose:
         """Orientation as a quaternion (x, y, z, w): array of 4."""
     def matrix(self) -> NDArray[np.float64]:
         """The homogeneous matrix, 4x4."""
+    def in_(self, frame: Frame) -> Goal:
+        """This pose in a frame of the cell, as a goal of motions."""
     def inverse(self) -> Pose:
         """The pose of the reference frame in this one."""
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
     def __mul__(self, other: Pose, /) -> Pose: ...
     def __matmul__(self, other: Pose, /) -> Pose: ...
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Frame:
+    """A named frame of a cell, by `Cell.frame`, where it was placed when the program requested it."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+    @property
+    def root(self) -> str:
+        """The frame in which it is placed in the end, such as `world` or `left.flange`."""
+    def pose(self, pose: _PoseLike) -> Goal:
+        """A pose in this frame, as a goal of motions."""
+    def within(self, other: Frame) -> Pose:
+        """Its pose in another frame. Raises `NotConnected` if that changes with motions, or is not known."""
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Goal:
+    """A pose in a frame, by `Pose.in_` or `Frame.pose`, wherever a motion of an arm expects a pose.
+
+    The activity raises `NotConnected` when it begins if the frame is not connected with the base of the arm.
+    """
+
     def __eq__(self, other: object, /) -> bool: ...
 
 @final
