@@ -1,11 +1,11 @@
-"""The first program: two emulated arms move, and one of them blends two lines."""
+"""The first program: two emulated arms lift a box together."""
 
 import takt
 
-with takt.emulate("two_lwr") as cell:
-    left, right = cell.arm("left"), cell.arm("right")
-    bent = [0, takt.deg(30), 0, takt.deg(-70), 0, takt.deg(45), 0]
-    takt.together(left.ptp(bent, speed=0.5), right.ptp(bent, speed=0.5)).run()
-    start = left.pose()
-    first = left.lin(takt.Pose.xyz(0, 0.1, 0) * start, blend=0.8).begin()
-    print(left.lin(start).run(), first.wait())
+bent = [0, 0.6, 0, -1.1, 0, 0.7, 0]
+with takt.emulate("two_lwr") as cell:  # or takt.connect("host:8081")
+    left = cell.arm("left").with_base(takt.Pose.xyz(0, 0.3, 0))
+    right = cell.arm("right").with_base(takt.Pose.xyz(0, -0.3, 0))
+    takt.together(left.ptp(bent), right.ptp(bent)).run()
+    table = takt.Pose.xyz(0.6, 0, 0.5)  # of the box between the flanges
+    print(takt.coupled(table, [left, right]).lin(takt.Pose.xyz(0, 0, 0.1) * table).run())

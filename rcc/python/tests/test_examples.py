@@ -13,6 +13,8 @@ import pytest
 from conftest import ROOT
 
 EXAMPLES = sorted((ROOT / "rcc" / "python" / "examples").glob("*.py"))
+FIRST = ROOT / "rcc" / "python" / "examples" / "first.py"
+READMES = [ROOT / "README.md", ROOT / "rcc" / "python" / "README.md"]
 DOCUMENTS = [ROOT / "docs" / "tutorial.md", ROOT / "rcc" / "python" / "README.md"]
 
 
@@ -29,6 +31,17 @@ def test_example_ends_with_output(path: pathlib.Path) -> None:
     printed = run(str(path))
     print(printed)
     assert printed.strip()
+
+
+def test_first_program_of_readmes_lifts_box() -> None:
+    program = FIRST.read_text().split('"""\n\n')[1]
+    for document in READMES:
+        assert f"```python\n{program}```" in document.read_text(), document
+    *lines, lift = program.splitlines()
+    assert len([line for line in lines if line]) == 7, "it has eight lines"
+    height = "    print((left.pose().position + right.pose().position)[2] / 2)"
+    before, outcome, after = run("-c", "\n".join([*lines, height, lift, height])).split()
+    assert outcome == "Outcome.Completed" and abs(float(after) - float(before) - 0.1) < 1e-3
 
 
 def test_notebook_runs_and_plots(tmp_path: pathlib.Path) -> None:

@@ -157,33 +157,35 @@ def test_option_unknown_lists_known(left: takt.Arm) -> None:
 def test_interpreter_lock_held_releases_dead_man(left: takt.Arm) -> None:
     """Another thread would send all the while, but has no turn."""
     stop = threading.Event()
+    held = 2.0
 
     def hold_key(jog: takt.LiveHandle[Twist]) -> None:
         while not stop.is_set():
             jog.send(UP)
             time.sleep(0.02)
 
+    start = left.pose().position[2]
     with left.jog().begin() as jog:
         thread = threading.Thread(target=hold_key, args=(jog,))
+        pressed = time.monotonic()
         thread.start()
+        time.sleep(0.3)
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(60.0)
         try:
-            time.sleep(0.3)
-            interval = sys.getswitchinterval()
-            sys.setswitchinterval(10.0)
-            try:
-                until = time.monotonic() + 1.5
-                while time.monotonic() < until:
-                    pass
-                # Read without a turn for the other thread: reading lets it send again, which takes a while to move the arm.
-                rest = left.commanded()
-            finally:
-                sys.setswitchinterval(interval)
+            pressed = time.monotonic() - pressed
+            until = time.monotonic() + held
+            while time.monotonic() < until:
+                pass
+            stop.set()
+            # The first moment in which the other thread may have a turn.
+            moved = left.pose().position[2] - start
         finally:
+            sys.setswitchinterval(interval)
             stop.set()
             thread.join()
-        wait_for_rest(left)
-        height = left.pose().position[2]
-    assert rest.shape == (7,) and height > 0
+    # At 0.1 m/s; without the dead man it would have moved while the lock was held.
+    assert 0.01 < moved < 0.1 * (pressed + held / 2), moved
     assert jog.outcome() == Outcome.Cancelled
 
 

@@ -89,7 +89,9 @@ fn failure(line: &str) -> Option<String> {
     test.contains("::").then(|| test.to_owned())
 }
 
-/// Builds the wheel and installs it.
+/// Builds the wheel and installs it. Cargo compiles its crates apart from those of the workspace: with the features that the
+/// package requests, as a user's `pip install` does, and not those that other crates and tests add; and pyo3 once more, since
+/// maturin describes the interpreter to it.
 fn install(root: &Path, python: &Path) -> anyhow::Result<bool> {
     let wheels = cargo::target_dir(root).join("python/wheels");
     // A wheel of an earlier version must not be taken for the new one.
