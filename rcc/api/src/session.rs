@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::task::Waker;
 use std::time::{Duration, Instant};
 
-use takt_client::{Client, Message, Value};
+use takt_client::{Client, Message, Reply, Value};
 
 use crate::engine::{Action, ActivityId, Engine, GroupId, Part};
 use crate::error::ErrorKind;
@@ -14,6 +14,9 @@ use crate::preparation::{Goals, KnownGoals};
 
 /// Least time between two reports of one value of a net. Results are reported with the end of the net in any case.
 const REFRESH: f64 = 0.05;
+
+/// Nets have the period of the controller's first net thread.
+const CONTROLLER_PERIOD: f64 = 0.0;
 
 /// Most pushes that wait for the reply to their subscription: a few of each one in progress.
 const EARLY_MAX: usize = 4096;
@@ -52,6 +55,8 @@ struct Subjects {
 enum Subject {
     Net(String),
     Rule(String),
+    /// A net that the controller rejected; it is unloaded at once.
+    Rejected,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -338,18 +343,24 @@ impl Session {
 
     /// Loads a net and subscribes to it.
     fn load(&self, text: &str) -> Result<String, ErrorKind> {
-        let reply = self
-            .client
-            .call("nene", [text, self.id.as_str(), "takt-api"])?;
+        let arguments = [
+            Value::from(text),
+            self.id.as_str().into(),
+            "takt-api".into(),
+            CONTROLLER_PERIOD.into(),
+            Value::Integer(1),
+            REFRESH.into(),
+            "every".into(),
+        ];
+        let reply = self.client.call("nene", arguments)?;
         let net = reply.text().unwrap_or_default().to_owned();
-        let (state, faults) = self.inspect(&net)?;
-        if state == "REJECTED" {
+        if reply.values.get(1).and_then(Value::as_str) == Some("REJECTED") {
+            let (_, faults) = self.inspect(&net)?;
+            self.subscribe(reply.tag, Subject::Rejected);
             self.client.call("neun", [net.as_str()])?;
             return Err(ErrorKind::Rejected(faults));
         }
-        let arguments = [net.as_str().into(), REFRESH.into(), Value::from("every")];
-        let tag = self.client.call("gne", arguments)?.tag;
-        self.subscribe(tag, Subject::Net(net.clone()));
+        self.subscribe(reply.tag, Subject::Net(net.clone()));
         Ok(net)
     }
 
@@ -391,14 +402,16 @@ impl Session {
             nets(&[]),
             nets(start),
             Value::from("takt-api"),
+            // Subscribes to the rule.
+            Value::Integer(1),
         ];
-        let rule = self.client.call("nesc", arguments).map_err(ErrorKind::from);
-        let rule = rule.map(|reply| reply.text().unwrap_or_default().to_owned());
-        self.engine().scheduled(group, rule.clone());
-        if let Ok(rule) = rule
-            && let Ok(reply) = self.client.call("gsy", [rule.as_str()])
-        {
-            self.subscribe(reply.tag, Subject::Rule(rule));
+        let reply = self.client.call("nesc", arguments).map_err(ErrorKind::from);
+        let rule = |reply: &Reply| reply.text().unwrap_or_default().to_owned();
+        let rules = reply.as_ref().map(rule).map_err(Clone::clone);
+        self.engine().scheduled(group, rules);
+        if let Ok(reply) = reply {
+            let rule = Subject::Rule(rule(&reply));
+            self.subscribe(reply.tag, rule);
         }
     }
 
@@ -442,6 +455,9 @@ impl Session {
                 if state == "UNLOADED" {
                     subjects.known.remove(&push.tag);
                 }
+            }
+            (Subject::Rejected, "ns", Some(Value::String(state))) if state == "UNLOADED" => {
+                subjects.known.remove(&push.tag);
             }
             (Subject::Net(net), "nc", Some(Value::Map(values))) => {
                 let mut engine = self.engine();

@@ -3,6 +3,7 @@
 
 mod access;
 mod admission;
+mod changed;
 mod clock;
 mod device_set;
 mod devices;
@@ -36,6 +37,7 @@ use std::time::Duration;
 
 use crate::cell::CellConfig;
 use crate::error::Error;
+use crate::executor::report::Notifier;
 use crate::executor::stop::EmergencyStop;
 use crate::record::{Recorder, Tap};
 use crate::stop_channel::StopSwitch;
@@ -53,6 +55,7 @@ use device_set::DeviceSet;
 pub use crate::executor::{figures::NetCounts, rules::RuleState};
 pub use crate::ids::{NetId, NetState, SessionId};
 pub use admission::limits_for;
+pub use changed::Changed;
 pub use clock::ClockInfo;
 pub use device_set::{DeviceDetails, DeviceInfo};
 pub use driver_log::{DriverReport, EventCounts};
@@ -147,7 +150,8 @@ impl Controller {
         let (recorder, tap) = recording.unzip();
         let clock = FollowedClock::of(cell);
         let stop = Arc::new(EmergencyStop::under(cell.controller.need_estop, switch));
-        let threads = NetThreads::start(cell, clock.as_ref(), &stop, tap)?;
+        let notifier = Arc::new(Notifier::default());
+        let threads = NetThreads::start(cell, clock.as_ref(), &stop, &notifier, tap)?;
         let admission = Admission::of_mib(cell.controller.nets_memory_mib);
         let (devices, permission) = (DeviceSet::new(clock), Permission::new(stop));
         let mut registry = Registry::new(threads, devices, permission, recorder, admission);
@@ -168,7 +172,7 @@ impl Controller {
         let name = "takt-supervisor".to_owned();
         let supervisor = std::thread::Builder::new()
             .name(name.clone())
-            .spawn(move || supervise(&supervised))
+            .spawn(move || supervise(&supervised, &notifier))
             .map_err(|source| Error::Thread { name, source })?;
         let life = Life {
             inner: Arc::clone(&inner),
@@ -180,9 +184,9 @@ impl Controller {
         })
     }
 
-    /// Calls `wake` after each change of nets, sessions or devices, from a thread of the
-    /// controller; `wake` must not call the controller. Changes of out values do not call it.
-    pub fn on_change(&self, wake: impl Fn() + Send + Sync + 'static) -> Watch {
+    /// Calls `wake` after each change of nets, sessions, devices or Boolean out values, from a thread of the
+    /// controller; `wake` must not call the controller. Changes of other out values do not call it.
+    pub fn on_change(&self, wake: impl Fn(Changed) + Send + Sync + 'static) -> Watch {
         let mut registry = self.inner.lock();
         let number = registry.watches.add(Box::new(wake));
         Watch {

@@ -7,6 +7,7 @@ pub mod flight;
 mod image;
 mod life;
 pub mod links;
+pub mod report;
 mod resources;
 pub mod rules;
 mod running;

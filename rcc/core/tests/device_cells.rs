@@ -12,11 +12,13 @@ mod fixtures;
 mod cell;
 
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use fixtures::Fixture;
 use takt_core::controller::{LoadRequest, NetState};
+use takt_core::executor::report::Notifier;
 use takt_core::record::{Recorder, replay};
 use takt_core::{CellConfig, Controller, SessionId};
 use takt_rt::alloc::{CountingAllocator, enter_real_time, real_time_allocations};
@@ -155,4 +157,33 @@ fn devices_list_interfaces_that_clients_know() {
         interfaces("io"),
         ["io{\"anin\": \"2\", \"anout\": \"2\", \"digin\": \"8\", \"digout\": \"8\"}"]
     );
+}
+
+#[test]
+fn notify_of_waiting_thread_allocates_nothing() {
+    let _alone = COUNTER.lock().unwrap_or_else(PoisonError::into_inner);
+    let (notifier, ended) = (
+        Arc::new(Notifier::default()),
+        Arc::new(AtomicBool::new(false)),
+    );
+    let (waits, ends) = (Arc::clone(&notifier), Arc::clone(&ended));
+    let receiver = std::thread::spawn(move || {
+        waits.attach();
+        while !ends.load(Ordering::Relaxed) {
+            waits.wait(Duration::from_secs(10));
+            waits.take();
+        }
+    });
+    let before = real_time_allocations();
+    let scope = enter_real_time();
+    for round in 0..1000 {
+        notifier.notify(round % 2 == 0);
+    }
+    drop(scope);
+    assert_eq!(real_time_allocations() - before, 0);
+    ended.store(true, Ordering::Relaxed);
+    while !receiver.is_finished() {
+        notifier.notify(false);
+        std::thread::yield_now();
+    }
 }

@@ -135,6 +135,8 @@ pub struct Mailbox {
     pub(crate) directory: Arc<Directory>,
     pub(crate) words: Box<[Cell<u64>]>,
     pub(crate) changed: Cell<bool>,
+    /// Whether a Boolean value that programs see changed.
+    pub(crate) results: Cell<bool>,
 }
 
 impl Mailbox {
@@ -144,18 +146,20 @@ impl Mailbox {
             directory: Arc::new(directory),
             words,
             changed: Cell::new(false),
+            results: Cell::new(false),
         }
     }
 
-    /// Stores an out value; `time` is the time of its last change. Words are compared before they
-    /// are written, so that an unchanged box need not be handed over.
-    pub(crate) fn store<T: Value>(&self, at: usize, value: T, time: u64) {
+    /// Stores an out value and returns whether it changed; `time` is the time of its last change. Words are compared
+    /// before they are written, so that an unchanged box need not be handed over.
+    pub(crate) fn store<T: Value>(&self, at: usize, value: T, time: u64) -> bool {
         let mut changed = self.replace(at, 1);
         value.put(|i, w| changed |= self.replace(at + HEAD + i, w));
         if changed {
             self.words[at + 1].set(time);
             self.changed.set(true);
         }
+        changed
     }
 
     /// Stores one element of an out array; returns whether it changed.

@@ -139,6 +139,11 @@ impl Plan {
         self.outbox.changed.replace(false)
     }
 
+    /// Whether a Boolean out value for programs changed since the last call.
+    pub fn take_results_changed(&self) -> bool {
+        self.outbox.results.replace(false)
+    }
+
     /// Exports the out-box of [`Self::outbox`].
     pub fn export(&self, words: &mut [u64]) {
         self.outbox.export(words);

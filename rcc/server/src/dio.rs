@@ -23,7 +23,7 @@ use std::time::Duration;
 use std::sync::Arc;
 
 use takt_client::wire::Message;
-use takt_core::controller::{DeviceInfo, RuleId};
+use takt_core::controller::{Changed, DeviceInfo, RuleId};
 use takt_core::device::DeviceStatus;
 use takt_core::{Controller, NetId, OnLoss, SessionId};
 
@@ -58,6 +58,8 @@ pub(crate) struct Connection {
     devices: Option<DeviceWatch>,
     opened: Vec<SessionId>,
     changed: bool,
+    /// Whether Boolean values may have changed.
+    has_results: bool,
     /// Default for sessions that are opened without it.
     on_loss: OnLoss,
     /// Checks tokens; `None` if there is no gate.
@@ -103,6 +105,7 @@ impl Connection {
             devices: None,
             opened: Vec::new(),
             changed: false,
+            has_results: false,
             on_loss: OnLoss::End,
             token_check: None,
             needs_token: false,
@@ -211,9 +214,12 @@ impl Connection {
         out.iter().map(Message::to_string).collect()
     }
 
-    /// Records that nets, sessions or devices of the controller changed.
-    pub(crate) const fn handle_change(&mut self) {
-        self.changed = true;
+    /// Records what changed in the controller.
+    pub(crate) const fn handle_change(&mut self, changed: Changed) {
+        self.has_results = true;
+        if matches!(changed, Changed::States) {
+            self.changed = true;
+        }
     }
 
     /// The pushes of all subscriptions that are due now.
@@ -225,16 +231,22 @@ impl Connection {
             Vec::new()
         };
         let values = self.values(now);
+        let results = if std::mem::take(&mut self.has_results) {
+            self.results(now)
+        } else {
+            Vec::new()
+        };
         changes
             .iter()
             .chain(&values)
+            .chain(&results)
             .map(Message::to_string)
             .collect()
     }
 
     /// When [`poll_pushes`](Self::poll_pushes) must be called next, unless something happens earlier.
     pub(crate) fn poll_timeout(&self) -> Option<Duration> {
-        if self.changed {
+        if self.changed || self.has_results {
             return Some(Duration::ZERO);
         }
         let values = self.nets.values().filter_map(NetWatch::values_timeout);
@@ -287,6 +299,16 @@ impl Connection {
             out.extend(watch.handle_devices(all_devices(controller)));
         }
         out
+    }
+
+    /// Pushes for Boolean values that changed.
+    fn results(&mut self, now: Duration) -> Vec<Message> {
+        let controller = &self.controller;
+        let nets = self.nets.iter_mut();
+        let pushes = nets.filter_map(|(id, watch)| {
+            watch.handle_results(|seen| controller.new_results(*id, seen), now)
+        });
+        pushes.collect()
     }
 
     fn values(&mut self, now: Duration) -> Vec<Message> {

@@ -70,7 +70,7 @@ impl<'a> Service<'a> {
         let changed = Arc::new(AtomicBool::new(true));
         let changed_by_event = Arc::clone(&changed);
         let notifier = Notifier {
-            _watch: controller.on_change(move || changed_by_event.store(true, Ordering::Relaxed)),
+            _watch: controller.on_change(move |_| changed_by_event.store(true, Ordering::Relaxed)),
             changed,
             began: Instant::now(),
             watchdog: sd_notify::watchdog_enabled().map(Watchdog::new),

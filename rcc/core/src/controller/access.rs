@@ -85,6 +85,14 @@ impl Controller {
             .unwrap_or_default()
     }
 
+    /// The same of Boolean values alone, if any out value changed since the version `seen`, which becomes the present one.
+    #[must_use]
+    pub fn new_results(&self, id: NetId, seen: &mut Option<u64>) -> Vec<(String, String)> {
+        let mut registry = self.inner.lock();
+        let net = registry.nets.get_mut(id);
+        net.map(|net| net.new_results(seen)).unwrap_or_default()
+    }
+
     /// In values of a net as last written, as key and text.
     #[must_use]
     pub fn in_values(&self, id: NetId) -> Vec<(String, String)> {

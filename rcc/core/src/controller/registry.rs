@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use crate::controller::admission::Admission;
+use crate::controller::changed::Changed;
 use crate::controller::device_set::DeviceSet;
 use crate::controller::monitor::Monitor;
 use crate::controller::nets::Nets;
@@ -17,7 +18,7 @@ use crate::error::Error;
 use crate::executor::thread::Command;
 use crate::record::Recorder;
 
-type Wake = Box<dyn Fn() + Send + Sync>;
+type Wake = Box<dyn Fn(Changed) + Send + Sync>;
 
 /// What is called after changes.
 #[derive(Default)]
@@ -37,8 +38,8 @@ impl Watches {
         self.wakes.remove(&number);
     }
 
-    pub(super) fn wake(&self) {
-        self.wakes.values().for_each(|wake| wake());
+    pub(super) fn wake(&self, changed: Changed) {
+        self.wakes.values().for_each(|wake| wake(changed));
     }
 }
 

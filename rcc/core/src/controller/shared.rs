@@ -5,6 +5,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use crate::controller::changed::Changed;
 use crate::controller::registry::Registry;
 use crate::error::Error;
 
@@ -33,7 +34,7 @@ impl Shared {
     /// Wakes waiting callers and watchers.
     pub(super) fn announce(&self, registry: &Registry) {
         self.changed.notify_all();
-        registry.watches.wake();
+        registry.watches.wake(Changed::States);
     }
 
     /// Waits for a thread's answer.

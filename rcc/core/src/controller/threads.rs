@@ -16,6 +16,7 @@ use crate::device::Device;
 use crate::error::Error;
 use crate::executor::figures::budget;
 use crate::executor::flight;
+use crate::executor::report::Notifier;
 use crate::executor::serve::{DeviceEnd, Driver};
 use crate::executor::stop::{EmergencyStop, StopPart};
 use crate::executor::thread::{COMMANDS, Command, Event, NetThread, NetThreadConfig};
@@ -70,6 +71,7 @@ impl NetThreads {
         cell: &CellConfig,
         clock: Option<&FollowedClock>,
         stop: &Arc<EmergencyStop>,
+        notifier: &Arc<Notifier>,
         tap: Option<Tap>,
     ) -> Result<Self, Error> {
         let controller = &cell.controller;
@@ -92,6 +94,7 @@ impl NetThreads {
                 base,
                 follow: clock.and_then(|clock| clock.follow(threads.len())),
                 stop: StopPart::new(Arc::clone(stop), threads.len()),
+                notifier: Arc::clone(notifier),
                 thread,
             };
             stop.switch().register(threads.len(), period.into());

@@ -15,6 +15,7 @@ use takt_rt::thread::{Thread, ThreadConfig};
 use crate::error::Error;
 use crate::executor::figures::budget;
 use crate::executor::flight::{self, FlightReader, FlightWriter};
+use crate::executor::report::{Notifier, Reports};
 use crate::executor::rules::{Literal, Rule, RuleError, WORK_MAX};
 use crate::executor::serve::{DeviceEnd, Served};
 use crate::executor::stop::StopPart;
@@ -123,6 +124,8 @@ pub struct NetThreadConfig {
     pub follow: Option<Follow>,
     /// Its part of the controller's emergency stop.
     pub stop: StopPart,
+    /// Wakes the thread that takes its events.
+    pub notifier: Arc<Notifier>,
     /// Name, priority and processors.
     pub thread: ThreadConfig,
 }
@@ -169,7 +172,7 @@ impl NetThread {
             executor: Executor::within(budget(config.period).into()),
             served: Served::new(config.period.into(), hand_over).under(config.stop),
             commands: command_end,
-            events: event_end,
+            events: Reports::new(event_end, config.notifier),
             tap,
             flight,
             clock: takt_rt::monotonic,
@@ -276,7 +279,7 @@ struct Cycle {
     executor: Executor,
     served: Served,
     commands: Consumer<Command>,
-    events: Producer<Event>,
+    events: Reports,
     tap: Option<Tap>,
     flight: FlightWriter,
     clock: fn() -> takt_rt::Nanos,
@@ -310,8 +313,11 @@ impl Cycle {
         self.executor.cycle_timed(moment, self.clock);
         self.served.write(&mut self.executor, moment, slot.begin);
         self.served.stop().answer(halted, self.clock);
-        let (tap, flight) = (&mut self.tap, &mut self.flight);
+        let (tap, flight, events) = (&mut self.tap, &mut self.flight, &mut self.events);
         self.executor.publish(|net| {
+            if net.plan.take_results_changed() {
+                events.note_results();
+            }
             flight.write_net(net, slot.begin);
             if let Some(tap) = tap {
                 tap.outbox(net);
@@ -334,6 +340,8 @@ impl Cycle {
         if let Some(tap) = &mut self.tap {
             tap.finish();
         }
+        // Last of all: nothing of the cycle waits for it.
+        self.events.flush();
     }
 
     /// Ends all nets if the controller is stopped; returns how many.

@@ -5,8 +5,8 @@ use crate::fault::Fault;
 use crate::plan::Cycle;
 use crate::primitives::generic::zero;
 use crate::slots::{ArrayIn, ArrayOut, In, Out};
-use crate::value::Nanos;
 use crate::value::text::TextValue;
+use crate::value::{Element, Nanos};
 
 struct NetcommIn<T> {
     at: usize,
@@ -37,9 +37,11 @@ impl<T: TextValue> Primitive for NetcommOut<T> {
     fn step(&mut self, cycle: &Cycle<'_>) {
         match self.value.get(cycle) {
             Some(value) => {
-                cycle
-                    .outbox
-                    .store(self.at, value, cycle.moment.time.0.cast_unsigned());
+                let time = cycle.moment.time.0.cast_unsigned();
+                let changed = cycle.outbox.store(self.at, value, time);
+                if changed && T::ELEMENT == Element::Bool {
+                    cycle.outbox.results.set(true);
+                }
             }
             None => cycle.outbox.hold(self.at),
         }

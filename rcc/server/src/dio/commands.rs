@@ -63,7 +63,7 @@ impl Connection {
             "ase" => self.end_session(args, now, out),
             "gse" => self.watch_session(args, tag()),
             "gde" => self.watch_devices(tag()),
-            "nene" => self.load(args),
+            "nene" => self.load(args, tag()),
             "nest" => self.start(args),
             "neca" => self.cancel(args),
             "neab" => self.abort(args),
@@ -77,7 +77,7 @@ impl Connection {
             "din" => self.describe_devices(args),
             "fin" => Ok(vec![details::frames(&self.controller.frames())]),
             "eva" => self.evaluate(args),
-            "nesc" => self.schedule(args),
+            "nesc" => self.schedule(args, tag()),
             "gsy" => self.watch_rule(args, tag()),
             _ => Err(CommandError::UnknownCommand),
         }
@@ -176,8 +176,14 @@ impl Connection {
         Ok(Vec::new())
     }
 
-    /// A rejected net also gets a name, unless its text has a syntax error.
-    fn load(&mut self, args: Args<'_>) -> Outcome {
+    /// A rejected net also gets a name, unless its text has a syntax error. With a refresh interval, it subscribes to the
+    /// net, and the reply names its state too.
+    fn load(&mut self, args: Args<'_>, tag: String) -> Outcome {
+        let refresh = args.optional(5, Args::seconds)?;
+        let pace = args.pace(6)?;
+        if refresh.is_some() {
+            self.check_quota(false)?;
+        }
         let session = args
             .optional(1, Args::text)?
             .and_then(|s| self.known_session(s));
@@ -194,13 +200,19 @@ impl Connection {
                 .to_owned(),
             period,
         })?;
-        match self.controller.net(net).as_ref().and_then(syntax_faults) {
-            None => Ok(vec![net.to_string().into()]),
-            Some(reason) => {
-                self.controller.unload(net)?;
-                Err(CommandError::NetSyntax { reason })
-            }
+        let info = self.controller.net(net);
+        if let Some(reason) = info.as_ref().and_then(syntax_faults) {
+            self.controller.unload(net)?;
+            return Err(CommandError::NetSyntax { reason });
         }
+        let mut reply = vec![net.to_string().into()];
+        if let (Some(refresh), Some(info)) = (refresh, info) {
+            let refresh = refresh.min(REFRESH_MAX);
+            let watch = NetWatch::new(tag, refresh, pace, info.states.len());
+            self.nets.insert(net, watch);
+            reply.push(info.state().word().into());
+        }
+        Ok(reply)
     }
 
     fn start(&self, args: Args<'_>) -> Outcome {
@@ -274,8 +286,15 @@ impl Connection {
         Ok(Vec::new())
     }
 
-    /// Installs a rule. The state `SCHEDULED` of its nets is pushed before the reply with the rule's number.
-    fn schedule(&self, args: Args<'_>) -> Outcome {
+    /// Installs a rule. The state `SCHEDULED` of its nets is pushed before the reply with the rule's number. With a sixth
+    /// value that is not 0, it subscribes to the rule.
+    fn schedule(&mut self, args: Args<'_>, tag: String) -> Outcome {
+        let subscribes = args
+            .optional(5, Args::integer)?
+            .is_some_and(|flag| flag != 0);
+        if subscribes {
+            self.check_quota(false)?;
+        }
         let request = RuleRequest {
             condition: args.text(0)?.to_owned(),
             stop: self.nets(args, 1)?,
@@ -295,6 +314,9 @@ impl Connection {
                 CommandError::SchedulingNotPossible { reason }
             }
         })?;
+        if subscribes {
+            self.rules.insert(rule, RuleWatch::new(tag));
+        }
         Ok(vec![rule.to_string().into()])
     }
 

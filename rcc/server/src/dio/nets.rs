@@ -1,7 +1,7 @@
 //! Subscription of one client to one net: tracks the states and values already pushed and finds those to be pushed
 //! next. It does not call the controller.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use takt_client::wire::{Message, Value};
@@ -16,7 +16,8 @@ mod tests;
 /// A subscription to a net.
 ///
 /// States are pushed as `ns`, which ones and when depends on the [`Pace`]. Values are pushed as `nc` while the net
-/// runs, each at most once per refresh interval and only when changed. All values are pushed together
+/// runs, each at most once per refresh interval and only when changed; with the pace `every`, Boolean values at the change,
+/// unless they changed within [`VALUES_INTERVAL`] before. All values are pushed together
 /// with a state change: shortly after `RUNNING`, but before any other state, so that the last
 /// values always precede `TERMINATED`.
 #[derive(Debug)]
@@ -40,6 +41,10 @@ pub(super) struct NetWatch {
     /// Whether the `TERMINATED` of an unloaded net was pushed.
     unloading: bool,
     sent: BTreeMap<String, Sent>,
+    /// Keys of Boolean values.
+    results: BTreeSet<String>,
+    /// The version of the values of which the Boolean ones were polled last.
+    results_seen: Option<u64>,
     next_poll: Duration,
 }
 
@@ -68,6 +73,8 @@ impl NetWatch {
             last_values: None,
             unloading: false,
             sent: BTreeMap::new(),
+            results: BTreeSet::new(),
+            results_seen: None,
             next_poll: Duration::ZERO,
         }
     }
@@ -162,6 +169,24 @@ impl NetWatch {
         self.report(values, false, now)
     }
 
+    /// Push for changed Boolean values, if the pace is `every` and the net runs. `poll` receives the version polled last.
+    pub(super) fn handle_results(
+        &mut self,
+        poll: impl FnOnce(&mut Option<u64>) -> Values,
+        now: Duration,
+    ) -> Option<Message> {
+        if !self.running || self.pace == Pace::Coalesced {
+            return None;
+        }
+        let values = poll(&mut self.results_seen);
+        for (key, _) in &values {
+            if !self.results.contains(key) {
+                self.results.insert(key.clone());
+            }
+        }
+        self.report(values, false, now)
+    }
+
     /// Pushes for unloading by a command of this client, which the protocol shows as one more `TERMINATED` before the
     /// reply.
     pub(super) fn handle_unloading(&mut self, values: Values, now: Duration) -> Vec<Message> {
@@ -240,9 +265,14 @@ impl NetWatch {
     }
 
     fn is_due(&self, key: &str, text: &str, now: Duration) -> bool {
+        let refresh = if self.results.contains(key) {
+            self.refresh.min(VALUES_INTERVAL)
+        } else {
+            self.refresh
+        };
         self.sent
             .get(key)
-            .is_none_or(|s| s.text != text && now >= s.at + self.refresh)
+            .is_none_or(|s| s.text != text && now >= s.at + refresh)
     }
 }
 

@@ -2,6 +2,7 @@
 //! order of pushes, not their times.
 
 mod bounds;
+mod results;
 mod rules;
 
 use std::time::Instant;
@@ -72,7 +73,7 @@ impl Client {
 
     fn pushes(&mut self) -> Vec<String> {
         self.now += Duration::from_millis(1);
-        self.connection.handle_change();
+        self.connection.handle_change(Changed::States);
         let lines = self.connection.poll_pushes(self.now);
         self.seen.extend_from_slice(&lines);
         lines

@@ -9,6 +9,7 @@ use std::time::Duration;
 use takt_client::token::TOKEN_CHARS_MAX;
 use takt_client::wire::Message;
 use takt_client::wire::lines::LineReader;
+use takt_core::controller::Changed;
 use takt_core::{OnLoss, SessionId};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::{Notify, watch};
@@ -313,8 +314,12 @@ impl Link {
 
     async fn serve_lines(&mut self, context: &ConnectionContext) -> Result<(), Error> {
         let changed = Arc::new(Notify::new());
-        let wake = Arc::clone(&changed);
-        let _watch = context.site.controller.on_change(move || wake.notify_one());
+        let has_states = Arc::new(AtomicBool::new(false));
+        let (wake, noted) = (Arc::clone(&changed), Arc::clone(&has_states));
+        let _watch = context.site.controller.on_change(move |what| {
+            noted.fetch_or(what == Changed::States, Ordering::Relaxed);
+            wake.notify_one();
+        });
         let mut shutdown = context.shutdown.clone();
         let mut received = Vec::new();
         let handshake_deadline = Instant::now() + REQUEST_TIMEOUT;
@@ -347,8 +352,11 @@ impl Link {
                     self.codec.push(&received);
                     received.clear();
                 }
-                () = changed.notified() => self.push(true).await?,
-                () = sleep_until(next) => self.push(false).await?,
+                () = changed.notified() => {
+                    let has_states = has_states.swap(false, Ordering::Relaxed);
+                    self.push(Some(if has_states { Changed::States } else { Changed::Results })).await?;
+                }
+                () = sleep_until(next) => self.push(None).await?,
                 () = tokio::time::sleep_until(self.received_at + IDLE_TIMEOUT), if is_idle => {
                     let text = format!("closed: nothing came for {} s", IDLE_TIMEOUT.as_secs());
                     return self.send_lines(&[Message::new("none", "err").with(text).to_string()]).await;
@@ -429,10 +437,10 @@ impl Link {
         Ok(true)
     }
 
-    async fn push(&mut self, changed: bool) -> Result<(), Error> {
+    async fn push(&mut self, changed: Option<Changed>) -> Result<(), Error> {
         let lines = self.with_connection(move |c, now| {
-            if changed {
-                c.handle_change();
+            if let Some(changed) = changed {
+                c.handle_change(changed);
             }
             c.poll_pushes(now)
         });

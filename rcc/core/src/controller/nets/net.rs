@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use takt_net::netcomm::{Directory, Entry, NetBoxes, OutStatus};
 use takt_net::set_points::SetPoints;
+use takt_net::value::Element;
 use takt_net::{Plan, Rejection};
 use takt_rt::latest::{LatestReader, LatestWriter};
 
@@ -360,7 +361,23 @@ impl Net {
         }
     }
 
+    /// The Boolean values alone, if any value changed since the version `seen`, which becomes the present one.
+    pub(in crate::controller) fn new_results(
+        &mut self,
+        seen: &mut Option<u64>,
+    ) -> Vec<(String, String)> {
+        let version = self.values().map(|values| values.out_reader.version());
+        if std::mem::replace(seen, version) == version {
+            return Vec::new();
+        }
+        self.out_values_of(|entry| entry.ty.element == Element::Bool)
+    }
+
     pub(in crate::controller) fn out_values(&mut self) -> Vec<(String, String)> {
+        self.out_values_of(|_| true)
+    }
+
+    fn out_values_of(&mut self, wanted: impl Fn(&Entry) -> bool) -> Vec<(String, String)> {
         let Some(values) = self.values_mut() else {
             return Vec::new();
         };
@@ -369,7 +386,8 @@ impl Net {
             let seen = directory
                 .entries()
                 .iter()
-                .filter(|entry| entry.report && entry.status(words) != OutStatus::Never);
+                .filter(|entry| entry.report && wanted(entry))
+                .filter(|entry| entry.status(words) != OutStatus::Never);
             seen.map(|entry| {
                 let mut text = String::new();
                 entry.format(words, &mut text);

@@ -56,7 +56,7 @@ impl Bench {
             executor: Executor::default(),
             served: Served::new(PERIOD, Recorder::new()),
             commands: command_end,
-            events: event_end,
+            events: Reports::new(event_end, Arc::default()),
             tap,
             clock,
         };

@@ -300,3 +300,41 @@ fn unloading_repeats_end_with_all_values() {
     assert_eq!(texts(&end), [r#"t=ns("UNLOADED")"#]);
     assert!(last);
 }
+
+/// Pushes for Boolean values.
+fn results(watch: &mut NetWatch, of: &[(&str, &str)], at: Duration) -> Option<String> {
+    let push = watch.handle_results(|_| values(of), at);
+    push.map(|m| m.to_string())
+}
+
+#[test]
+fn boolean_changes_are_pushed_at_most_every_interval() {
+    let mut watch = running();
+    let pushed = |text: &str| Some(format!(r#"t=nc({{outr:"{text}"}})"#));
+    assert_eq!(
+        changes(&mut watch, &[("outr", "false")], ms(0)),
+        pushed("false")
+    );
+    assert_eq!(results(&mut watch, &[("outr", "true")], ms(9)), None);
+    assert_eq!(
+        changes(&mut watch, &[("outr", "true")], ms(10)),
+        pushed("true")
+    );
+    assert_eq!(
+        results(&mut watch, &[("outr", "false")], ms(21)),
+        pushed("false")
+    );
+    assert_eq!(results(&mut watch, &[("outr", "true")], ms(22)), None);
+    assert_eq!(
+        results(&mut watch, &[("outr", "true")], ms(31)),
+        pushed("true")
+    );
+}
+
+#[test]
+fn boolean_of_ended_net_is_not_polled() {
+    let mut watch = running();
+    let life = [Loading, Ready, Running, Terminated];
+    states(&mut watch, &life, ms(1));
+    assert_eq!(results(&mut watch, &[("outr", "true")], ms(50)), None);
+}
