@@ -1,16 +1,11 @@
-//! Speed of all activities, present values, and activities that are cancelled, aborted or lost at random instants.
-
-#![expect(
-    clippy::unwrap_used,
-    reason = "tests and their helpers fail by panicking"
-)]
+//! Speed of all activities, and present values.
 
 mod robotics;
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use robotics::{BENT, Bench};
-use takt_api::{ErrorKind, Handle, Outcome};
+use takt_api::{ErrorKind, Outcome};
 use takt_tests::steady;
 
 fn turned(by: f64) -> [f64; 7] {
@@ -71,78 +66,4 @@ fn present_values_are_evaluated_once() {
         assert!(matches!(error.kind, ErrorKind::Refused(_)), "{error}");
         assert_eq!(bench.nets(), 0);
     });
-}
-
-/// Numbers from 0 to below `bound` that differ from call to call.
-struct Numbers(u64);
-
-impl Numbers {
-    fn next(&mut self, bound: u64) -> u64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1);
-        (self.0 >> 33) % bound
-    }
-}
-
-#[test]
-fn chain_ended_at_random_instants_leaves_nothing() {
-    steady(|| {
-        let bench = Bench::start();
-        drop(bench.arms());
-        let mut numbers = Numbers(7);
-        for round in 0..24 {
-            let cell = bench.cell();
-            let left = cell.arm("left").unwrap();
-            let goals = [0.1, 0.0, 0.1, 0.0, 0.1, 0.0];
-            let chain: Result<Vec<Handle>, _> = goals
-                .iter()
-                .map(|goal| left.ptp(turned(*goal)).blend(0.5).queue())
-                .collect();
-            let chain = chain.unwrap();
-            std::thread::sleep(Duration::from_millis(numbers.next(600)));
-            let at = usize::try_from(numbers.next(6)).unwrap();
-            match round % 4 {
-                0 => left.cancel(),
-                1 => chain[at].cancel(),
-                2 => {
-                    let ids = bench.controller.nets();
-                    ids.into_iter()
-                        .for_each(|id| drop(bench.controller.abort(id)));
-                }
-                _ => {
-                    // The program ends, and its controller ends what it began.
-                    drop((chain, left, cell));
-                    end_of(&bench, round);
-                    continue;
-                }
-            }
-            for (number, handle) in chain.iter().enumerate() {
-                let ended = handle.wait_for(Duration::from_secs(20));
-                assert!(ended.is_some(), "round {round}: activity {number} goes on");
-            }
-            drop(chain);
-            end_of(&bench, round);
-        }
-    });
-}
-
-/// Nothing stays loaded, the arm is in its range, and another program can move it.
-fn end_of(bench: &Bench, round: u32) {
-    let begun = Instant::now();
-    while bench.nets() > 0 && begun.elapsed() < Duration::from_secs(20) {
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    assert_eq!(bench.nets(), 0, "round {round}");
-    let cell = bench.cell();
-    let left = cell.arm("left").unwrap();
-    let positions = left.commanded().unwrap();
-    let is_inside = positions.iter().all(|position| position.abs() < 2.9);
-    assert!(is_inside, "round {round}: {positions:?}");
-    assert_eq!(
-        left.ptp(BENT).run(),
-        Ok(Outcome::Completed),
-        "round {round}"
-    );
 }

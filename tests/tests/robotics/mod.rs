@@ -6,6 +6,8 @@
     reason = "each test program uses a part; helpers fail by panicking"
 )]
 
+pub(crate) mod watched;
+
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::thread::JoinHandle;
@@ -25,7 +27,8 @@ pub(crate) struct Bench {
 
 impl Bench {
     pub(crate) fn start() -> Self {
-        let controller = Controller::start(&CellConfig::default()).unwrap();
+        let bench = Self::of(&CellConfig::default());
+        let controller = &bench.controller;
         for arm in ["left", "right"] {
             let list = |value: f64| format!("{:?}", [value; 7]);
             let parameters = [
@@ -41,6 +44,12 @@ impl Bench {
                 .add_device(arm, "kuka_lwr_sim", &parameters)
                 .unwrap();
         }
+        bench
+    }
+
+    /// A controller with the devices of a cell.
+    pub(crate) fn of(cell: &CellConfig) -> Self {
+        let controller = Controller::start(cell).unwrap();
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()

@@ -469,3 +469,41 @@ fn released_activities_are_forgotten_once_ended() {
         engine.groups.len()
     );
 }
+
+/// The rule that was requested last.
+fn last_rule(actions: &[Action]) -> String {
+    let rule = |action: &Action| match action {
+        Action::Schedule { group, .. } => Some(group.0.to_string()),
+        Action::Load { .. } | Action::Cancel(_) | Action::Unload(_) => None,
+    };
+    actions.iter().rev().find_map(rule).unwrap()
+}
+
+#[test]
+fn blended_chain_of_10_000_stays_small() {
+    let mut engine = Engine::default();
+    let mut before: Option<ActivityId> = None;
+    for _ in 0..10_000 {
+        let id = begin(&mut engine, "left");
+        let rule = last_rule(&serve(&mut engine));
+        assert!(engine.nets().len() <= 2, "one motion ahead");
+        if let Some(before) = before {
+            engine.value(&net(before), "blend", "true");
+        }
+        engine.rule_state(&rule, "FIRED");
+        assert_eq!(engine.state(id), Some(&State::Running));
+        if let Some(before) = before.replace(id) {
+            terminate(&mut engine, before, &[]);
+            assert_eq!(outcome(&engine, before), Ok(Outcome::TakenOver));
+            engine.release(before);
+            serve(&mut engine);
+        }
+        let sizes = [
+            engine.activities.len(),
+            engine.groups.len(),
+            engine.nets.len(),
+            engine.rules.len(),
+        ];
+        assert!(sizes.iter().all(|size| *size <= 2), "{sizes:?}");
+    }
+}
