@@ -222,6 +222,11 @@ impl Connection {
         }
     }
 
+    /// Whether a change of Boolean values may cause a push.
+    pub(crate) fn wants_results(&self) -> bool {
+        self.nets.values().any(NetWatch::wants_results)
+    }
+
     /// The pushes of all subscriptions that are due now.
     pub(crate) fn poll_pushes(&mut self, now: Duration) -> Vec<String> {
         let states_due = self.states_timeout().is_some_and(|at| at <= now);

@@ -169,13 +169,18 @@ impl NetWatch {
         self.report(values, false, now)
     }
 
+    /// Whether changed Boolean values are pushed at once.
+    pub(super) fn wants_results(&self) -> bool {
+        self.running && self.pace == Pace::Every
+    }
+
     /// Push for changed Boolean values, if the pace is `every` and the net runs. `poll` receives the version polled last.
     pub(super) fn handle_results(
         &mut self,
         poll: impl FnOnce(&mut Option<u64>) -> Values,
         now: Duration,
     ) -> Option<Message> {
-        if !self.running || self.pace == Pace::Coalesced {
+        if !self.wants_results() {
             return None;
         }
         let values = poll(&mut self.results_seen);

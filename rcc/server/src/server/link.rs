@@ -354,6 +354,11 @@ impl Link {
                 }
                 () = changed.notified() => {
                     let has_states = has_states.swap(false, Ordering::Relaxed);
+                    let wants_results = self.connection.as_ref().is_some_and(Connection::wants_results);
+                    // A net may change its results in each cycle: others need not look for them.
+                    if !has_states && !wants_results {
+                        continue;
+                    }
                     self.push(Some(if has_states { Changed::States } else { Changed::Results })).await?;
                 }
                 () = sleep_until(next) => self.push(None).await?,

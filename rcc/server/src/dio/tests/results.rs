@@ -34,6 +34,7 @@ fn boolean_is_pushed_at_change_number_at_refresh() {
     client.now += Duration::from_secs(30);
     client.connection.poll_pushes(client.now);
     client.now += Duration::from_millis(1);
+    assert!(client.connection.wants_results());
     client.send(r#"w=snc({rpinet0:{inask:"true",innumber:"5"}})"#);
     wait_for(&changes, Changed::Results);
     client.connection.handle_change(Changed::Results);
@@ -58,6 +59,7 @@ fn known_client_receives_booleans_at_its_pace() {
     client.send(r#"w=snc({rpinet0:{inask:"true"}})"#);
     wait_for(&changes, Changed::Results);
     client.now += Duration::from_millis(1);
+    assert!(!client.connection.wants_results());
     client.connection.handle_change(Changed::Results);
     assert_eq!(client.connection.poll_pushes(client.now).len(), 0);
 }
