@@ -16,6 +16,7 @@ mod figures;
 mod last_values;
 mod limited;
 mod load;
+mod machines;
 mod monitor;
 mod nets;
 mod permission;
@@ -66,6 +67,7 @@ pub use figures::{NetFigures, ThreadInfo};
 pub use last_values::LastValues;
 pub use limited::LimitedInfo;
 pub use load::LoadRequest;
+pub use machines::{MachineCost, MachineInfo, MachineRequest};
 pub use nets::{
     NETS_MAX, NetInfo, RECORDED_NETS_MAX, RetainedNet, TAPS_RECORDED_FOR, TapRecord, Taps,
 };
@@ -99,19 +101,33 @@ pub struct Controller {
 #[derive(Debug)]
 struct Life {
     inner: Arc<Shared>,
-    supervisor: Mutex<Option<std::thread::JoinHandle<()>>>,
+    threads: Mutex<Vec<std::thread::JoinHandle<()>>>,
+}
+
+impl Life {
+    /// Starts a thread of the controller, which is joined when the last handle is dropped.
+    fn spawn(&self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), Error> {
+        let name = name.to_owned();
+        let thread = std::thread::Builder::new()
+            .name(name.clone())
+            .spawn(work)
+            .map_err(|source| Error::Thread { name, source })?;
+        let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);
+        threads.push(thread);
+        Ok(())
+    }
 }
 
 impl Drop for Life {
     fn drop(&mut self) {
         self.inner.stop.store(true, Ordering::Relaxed);
-        let supervisor = self
-            .supervisor
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .take();
-        if supervisor.is_some_and(|thread| thread.join().is_err()) {
-            tracing::error!("the supervisor panicked");
+        self.inner.changed.notify_all();
+        let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);
+        for thread in threads.drain(..) {
+            let name = thread.thread().name().unwrap_or("a thread").to_owned();
+            if thread.join().is_err() {
+                tracing::error!("{name} panicked");
+            }
         }
         self.inner.lock().stop();
     }
@@ -168,18 +184,16 @@ impl Controller {
             primitives: crate::costs::registry(cell.controller.costs.as_deref())?,
             period: cell.controller.period,
         });
-        let supervised = Arc::clone(&inner);
-        let name = "takt-supervisor".to_owned();
-        let supervisor = std::thread::Builder::new()
-            .name(name.clone())
-            .spawn(move || supervise(&supervised, &notifier))
-            .map_err(|source| Error::Thread { name, source })?;
         let life = Life {
             inner: Arc::clone(&inner),
-            supervisor: Mutex::new(Some(supervisor)),
+            threads: Mutex::default(),
         };
+        let handle = Arc::clone(&inner);
+        let shared = Arc::clone(&inner);
+        life.spawn("takt-supervisor", move || supervise(&shared, &notifier))?;
+        life.spawn("takt-machines", move || machines::work::work(&inner))?;
         Ok(Self {
-            inner,
+            inner: handle,
             _life: Arc::new(life),
         })
     }

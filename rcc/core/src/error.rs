@@ -38,6 +38,18 @@ pub enum Error {
     /// No session has this number.
     #[error("there is no session {0}")]
     NoSuchSession(String),
+    /// No machine has this name.
+    #[error("there is no machine `{name}`\nhint: loaded are {known}")]
+    NoSuchMachine { name: String, known: String },
+    /// A machine of this name is loaded.
+    #[error("a machine `{0}` is loaded already\nhint: end it first, or rename one of them")]
+    MachineTwice(String),
+    /// A machine, a component of it or a text command has errors.
+    #[error("{0}")]
+    Machine(String),
+    /// A machine or a component refused a request.
+    #[error("{request}: {why}")]
+    MachineRefused { request: String, why: String },
     /// The net is in the wrong state for the request.
     #[error("net {net} is {state}; {hint}")]
     WrongState {

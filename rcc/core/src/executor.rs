@@ -7,6 +7,7 @@ pub mod flight;
 mod image;
 mod life;
 pub mod links;
+pub mod machines;
 pub mod report;
 mod resources;
 pub mod rules;
@@ -102,6 +103,7 @@ pub struct Executor {
     /// Commands of devices that came into use before this cycle, to be recorded.
     fresh: Vec<Range<usize>>,
     leaving: withdraw::Leaving,
+    machines: Vec<Box<machines::Hosted>>,
 }
 
 impl Default for Executor {
@@ -119,6 +121,7 @@ impl Default for Executor {
             used: Layout::default(),
             fresh: Vec::with_capacity(DEVICES_MAX),
             leaving: withdraw::Leaving::default(),
+            machines: Vec::with_capacity(machines::MACHINES_MAX),
         }
     }
 }
@@ -166,6 +169,7 @@ impl Executor {
             ended(net.id);
         }
         self.rules.halt();
+        self.halt_machines();
     }
 
     /// The running nets that do not end in this cycle.
@@ -214,11 +218,16 @@ impl Executor {
     /// As [`Self::cycle`], measuring the duration of each net by a clock that is read once per net.
     pub fn cycle_timed(&mut self, moment: Moment, mut clock: impl FnMut() -> Nanos) {
         self.fresh.clear();
+        self.locate_components();
         let mut before = clock();
-        for net in &mut self.running {
+        for at in 0..self.running.len() {
+            let Some(net) = self.running.get_mut(at) else {
+                break;
+            };
             net.check_devices(&self.devices, moment.cycle);
             net.cycle(&self.image, moment, &mut before, &mut clock);
             net.withhold(&self.image, &self.devices, &self.places);
+            self.pass_values(at);
         }
         self.withdraw_ended();
     }

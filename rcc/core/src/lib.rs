@@ -23,6 +23,7 @@ pub use cell::{CellConfig, Loopback, OnLoss};
 pub use controller::Controller;
 pub use error::Error;
 pub use ids::{NetId, SessionId};
+pub use takt_machine as machine;
 pub use takt_net as net;
 pub use takt_rt::stats::{Snapshot, Summary};
 pub use takt_rt::{Nanos, monotonic};

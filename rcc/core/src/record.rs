@@ -20,6 +20,7 @@ use takt_rt::ring::{Consumer, Producer, ring};
 
 use crate::device::{DeviceDescription, Place};
 use crate::error::Error;
+use crate::executor::machines::{Hosted, MachineInput};
 use crate::executor::{End, Executor, Running};
 use file::Writer;
 use words::Words;
@@ -112,6 +113,48 @@ impl Tap {
         }
     }
 
+    /// A machine is stepped from this cycle on.
+    pub fn machine_added(&mut self, id: u32) {
+        if let Some(words) = self.words() {
+            words.machine_added(id);
+        }
+    }
+
+    /// A machine is no longer stepped.
+    pub fn machine_removed(&mut self, id: u32) {
+        if let Some(words) = self.words() {
+            words.machine_removed(id);
+        }
+    }
+
+    /// A net waits for the next start of a component.
+    pub fn seated(&mut self, net: &Running, fresh: bool) {
+        if let Some(words) = self.words() {
+            words.seated(net, fresh);
+        }
+    }
+
+    /// The net of a component could not be loaded.
+    pub fn seat_failed(&mut self, machine: u32, component: usize) {
+        if let Some(words) = self.words() {
+            words.seat_failed(machine, component);
+        }
+    }
+
+    /// A program requests something of a machine.
+    pub fn machine_input(&mut self, machine: u32, input: &MachineInput) {
+        if let Some(words) = self.words() {
+            words.machine_input(machine, input);
+        }
+    }
+
+    /// A machine was stepped.
+    pub fn stepped(&mut self, hosted: &Hosted) {
+        if let Some(words) = self.words() {
+            words.stepped(hosted);
+        }
+    }
+
     /// Inputs of the cycle.
     pub fn inputs(&mut self, moment: Moment, executor: &Executor) {
         if let Some(words) = self.words() {
@@ -173,6 +216,11 @@ enum Note {
         every: u64,
         period: Duration,
         text: Arc<str>,
+    },
+    Machine {
+        id: u32,
+        text: Arc<str>,
+        files: Vec<(String, String)>,
     },
 }
 
@@ -291,6 +339,15 @@ impl Recorder {
             every,
             period,
             text: Arc::clone(text),
+        });
+    }
+
+    /// Records a loaded machine with the files of its components.
+    pub fn machine(&self, id: u32, text: &Arc<str>, files: &[(String, String)]) {
+        let _ = self.notes.send(Note::Machine {
+            id,
+            text: Arc::clone(text),
+            files: files.to_vec(),
         });
     }
 

@@ -8,7 +8,7 @@ mod parse;
 
 use std::ops::Range;
 
-use takt_net::{LoadContext, Plan};
+use takt_net::{LoadContext, Plan, Rejection};
 
 use crate::diagnostic::Diagnostics;
 
@@ -41,20 +41,25 @@ impl Component {
         configuration: &Configuration,
         context: &LoadContext<'_>,
     ) -> Result<Plan, Diagnostics> {
+        takt_net::load(&self.net_text(configuration), context)
+            .map_err(|rejection| self.locate(configuration, rejection))
+    }
+
+    /// Faults of the net, as it is loaded with the values of its properties, at locations of the component file.
+    #[must_use]
+    pub fn locate(&self, configuration: &Configuration, rejection: Rejection) -> Diagnostics {
         let filled = self.fill(configuration);
-        takt_net::load(&filled.text, context).map_err(|rejection| {
-            let mut found = Diagnostics::default();
-            for fault in rejection.faults {
-                let at = filled.original(fault.at, self.net_start);
-                let cause = fault.kind.to_string();
-                found.error(
-                    at,
-                    cause,
-                    "the language of nets is described in docs/nets.md",
-                );
-            }
-            found
-        })
+        let mut found = Diagnostics::default();
+        for fault in rejection.faults {
+            let at = filled.original(fault.at, self.net_start);
+            let cause = fault.kind.to_string();
+            found.error(
+                at,
+                cause,
+                "the language of nets is described in docs/nets.md",
+            );
+        }
+        found
     }
 
     /// The text of the net with the values of its properties.

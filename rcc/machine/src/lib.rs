@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+pub mod command;
 pub mod component;
 pub mod diagnostic;
 pub mod fuzz;

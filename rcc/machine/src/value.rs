@@ -107,6 +107,31 @@ impl Value {
         }
     }
 
+    /// As a word of a net's in-box.
+    #[must_use]
+    pub const fn word(self) -> u64 {
+        match self {
+            Self::Bool(value) => value as u64,
+            Self::Int(value) => value.cast_unsigned() as u64,
+            Self::Double(value) => value.to_bits(),
+        }
+    }
+
+    /// The value in a word of a net's out-box; none for texts.
+    #[must_use]
+    pub const fn of_word(kind: Kind, word: u64) -> Option<Self> {
+        match kind {
+            Kind::Bool => Some(Self::Bool(word != 0)),
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "an int is stored as its 32 bits"
+            )]
+            Kind::Int => Some(Self::Int((word as u32).cast_signed())),
+            Kind::Double => Some(Self::Double(f64::from_bits(word))),
+            Kind::Text => None,
+        }
+    }
+
     /// As a number.
     #[must_use]
     pub fn number(self) -> Option<f64> {

@@ -210,6 +210,54 @@ impl Mailbox {
         current.then_some(value)
     }
 
+    /// Writes words of an in value from its word `first` on; returns whether they fit.
+    pub(crate) fn write(&self, entry: &Entry, first: usize, words: &[u64]) -> bool {
+        let at = entry.at + HEAD;
+        let cells = self.words.get(at..at + entry.words);
+        let Some(cells) = cells.and_then(|cells| cells.get(first..first + words.len())) else {
+            return false;
+        };
+        for (cell, word) in cells.iter().zip(words) {
+            cell.set(*word);
+        }
+        self.count_write(entry);
+        true
+    }
+
+    /// A word of an out value that is non-null now.
+    pub(crate) fn current_word(&self, entry: &Entry, word: usize) -> Option<u64> {
+        let is_current = self.words.get(entry.at)?.get() == 1 && word < entry.words;
+        let cell = self.words.get(entry.at + HEAD + word)?;
+        is_current.then(|| cell.get())
+    }
+
+    /// Copies an out value that is non-null now to an in value of another box; returns whether it was copied.
+    pub(crate) fn pass(&self, from: &Entry, other: &Self, to: &Entry) -> bool {
+        let is_current = self
+            .words
+            .get(from.at)
+            .is_some_and(|status| status.get() == 1);
+        let source = self.words.get(from.at + HEAD..from.at + HEAD + from.words);
+        let target = other.words.get(to.at + HEAD..to.at + HEAD + to.words);
+        let (true, Some(source), Some(target)) = (is_current, source, target) else {
+            return false;
+        };
+        if source.len() != target.len() {
+            return false;
+        }
+        for (target, source) in target.iter().zip(source) {
+            target.set(source.get());
+        }
+        other.count_write(to);
+        true
+    }
+
+    fn count_write(&self, entry: &Entry) {
+        if let Some(writes) = self.words.get(entry.at) {
+            writes.set(writes.get().wrapping_add(1));
+        }
+    }
+
     /// Imports a whole box.
     pub(crate) fn import(&self, words: &[u64]) {
         for (cell, word) in self.words.iter().zip(words) {

@@ -197,6 +197,28 @@ impl Admission {
     }
 }
 
+/// Checks that a machine of that cost can run in a thread beside what runs there or may be started.
+///
+/// # Errors
+/// If the budget of the thread is exceeded.
+pub(super) fn check_machine(
+    nets: &Nets,
+    rules: &Rules,
+    (thread, budget): (usize, Duration),
+    (name, cost): (&str, Duration),
+) -> Result<(), Error> {
+    let most = most_cost(nets, rules, (thread, budget), None, None);
+    if most + cost <= budget {
+        return Ok(());
+    }
+    Err(Error::Machine(format!(
+        "machine `{name}` costs up to {cost:?} a cycle, its step and all its components, and {most:?} of the \
+         {budget:?} that nets of its thread may cost together are taken: {}\nhint: end one of them, or make the \
+         components smaller",
+        heaviest(nets, thread, |_, net| net.runs())
+    )))
+}
+
 /// The error for a net that cannot start beside the running nets.
 pub(super) fn overload(nets: &Nets, net: NetId, running: Duration, budget: Duration) -> Error {
     Error::Overload {
@@ -236,13 +258,14 @@ fn most_cost(
 ) -> Duration {
     let candidates = candidates(nets, thread, starting, |net| nanos(net.cost));
     let rules = rules.successions().chain(new).collect();
-    Duration::from_nanos(most_together(&candidates, rules, nanos(budget)))
+    let machines = nets.machine_cost(thread);
+    machines + Duration::from_nanos(most_together(&candidates, rules, nanos(budget)))
 }
 
 fn running_cost(nets: &Nets, thread: usize) -> Duration {
     let candidates = candidates(nets, thread, None, |net| nanos(net.cost));
     let running = candidates.values().filter(|net| net.runs);
-    Duration::from_nanos(running.map(|net| net.weight).sum())
+    nets.machine_cost(thread) + Duration::from_nanos(running.map(|net| net.weight).sum())
 }
 
 /// All nets that can run, from the view of a thread: nets of other threads weigh nothing.
@@ -253,7 +276,10 @@ fn candidates(
     weight: impl Fn(&Counted) -> u64,
 ) -> BTreeMap<NetId, Candidate> {
     let candidate = |(id, net): (NetId, &Net)| {
-        let counted = net.counted().filter(|_| !net.is_over())?;
+        // Machines reserve for their components.
+        let counted = net
+            .counted()
+            .filter(|_| !net.is_over() && net.component_of.is_none())?;
         let weight = if net.thread() == thread {
             weight(counted)
         } else {

@@ -38,6 +38,7 @@ impl Controller {
     /// If there is no such net or the net thread does not answer.
     pub fn abort(&self, id: NetId) -> Result<(), Error> {
         let mut registry = self.inner.lock();
+        registry.nets.find(id)?.check_free(id)?;
         match registry.nets.find(id)?.state() {
             NetState::Loading | NetState::Rejected | NetState::Terminated | NetState::Unloaded => {
                 return Ok(());
@@ -85,6 +86,7 @@ impl Controller {
     /// If there is no such net, or its cancel is still pending.
     pub fn unload(&self, id: NetId) -> Result<(), Error> {
         let mut registry = self.inner.lock();
+        registry.nets.find(id)?.check_free(id)?;
         match registry.nets.find(id)?.state() {
             NetState::Running => return Ok(()),
             state @ (NetState::Cancelling | NetState::Loading) => {
@@ -121,10 +123,17 @@ impl Controller {
     /// # Errors
     /// If there is no such session, or the net thread does not answer.
     pub fn end_session(&self, id: SessionId) -> Result<(), Error> {
-        let nets = self
-            .session_nets(id)
-            .filter(|_| id != SessionId::NONE)
-            .ok_or_else(|| Error::NoSuchSession(id.to_string()))?;
+        if id == SessionId::NONE || self.session_nets(id).is_none() {
+            return Err(Error::NoSuchSession(id.to_string()));
+        }
+        // Machines first: they would take the end of a component for an error.
+        for name in self.session_machines(id) {
+            match self.end_machine(&name) {
+                Ok(()) | Err(Error::NoSuchMachine { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        let nets = self.session_nets(id).unwrap_or_default();
         // A net that another client unloaded meanwhile is already done.
         let unless_gone = |result| match result {
             Ok(()) | Err(Error::NoSuchNet(_)) => Ok(()),
@@ -206,6 +215,7 @@ impl Registry {
         }
         self.nets.change(id, Change::End(why));
         self.answer_rules(id);
+        self.component_ended(id);
     }
 
     /// Keeps the last values of a net that failed and of the devices that it commanded.
@@ -234,7 +244,10 @@ impl Registry {
                 let by = by.map(|(by, _)| format!(" by {by}"));
                 Some(format!("stopped{}: takt stop", by.unwrap_or_default()))
             }
-            End::Stopped => Some(STOPPED_BY_RULE.to_owned()),
+            End::Stopped => Some(match self.machine_of(NetId(net.id)) {
+                Some(machine) => format!("stopped by its machine {machine}, or by a rule"),
+                None => STOPPED_BY_RULE.to_owned(),
+            }),
             End::Runaway => {
                 let longest = net.counters().read().max;
                 let period = self.threads.period(self.nets.thread_of(net.id));

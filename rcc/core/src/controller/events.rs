@@ -31,6 +31,14 @@ impl Registry {
             Event::RuleDone(rule) => self.rule_done(&rule),
             Event::Unscheduled(running) => self.unscheduled(running),
             Event::Ended(running, end) => self.ended(&running, end),
+            Event::MachineAdded(id) => self.machines.added(id, Ok(())),
+            Event::MachineRejected(hosted, why) => self.machines.added(hosted.id, Err(why)),
+            Event::MachineAnswered(id, number, result) => {
+                self.machines.answered(id, number, result);
+            }
+            Event::Configure(id, component) => self.machines.configure(id, component),
+            Event::MachineStatus(id, status) => self.machines.report_status(id, status),
+            Event::MachineRemoved(hosted) => self.machine_removed(hosted.id),
         }
     }
 }

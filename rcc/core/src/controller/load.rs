@@ -10,7 +10,8 @@ use takt_rt::latest::latest;
 use crate::controller::Controller;
 use crate::controller::nets::{Change, NETS_MAX, Prepared, Values};
 use crate::controller::registry::Registry;
-use crate::controller::threads::{Placement, busy};
+use crate::controller::shared::Shared;
+use crate::controller::threads::{Placement, Wanted, busy};
 use crate::device::{DeviceTable, Surroundings};
 use crate::error::Error;
 use crate::executor::figures::budget;
@@ -60,12 +61,19 @@ impl Controller {
     /// # Errors
     /// If there are too many nets, or no such session.
     pub fn load(&self, request: LoadRequest) -> Result<NetId, Error> {
-        let period = request.period;
+        let wanted = Wanted::Period(request.period);
+        self.inner.load(request, wanted)
+    }
+}
+
+impl Shared {
+    /// Loads a net for a thread and a period.
+    pub(super) fn load(&self, request: LoadRequest, wanted: Wanted) -> Result<NetId, Error> {
         let free = free_for(&request.text)?;
         let (id, text) = self.accept(request)?;
         let memory = self.reserve_memory(id)?.min(free);
-        let prepared = self.prepare(id, &text, period, memory);
-        let mut registry = self.inner.lock();
+        let prepared = self.prepare(id, &text, wanted, memory);
+        let mut registry = self.lock();
         let Registry {
             nets, admission, ..
         } = &mut *registry;
@@ -86,7 +94,7 @@ impl Controller {
                 }
             }
         }
-        self.inner.announce(&registry);
+        self.announce(&registry);
         drop(registry);
         drop(rejected);
         Ok(id)
@@ -101,7 +109,7 @@ impl Controller {
             ..
         } = request;
         let text: Arc<str> = text.into();
-        let mut registry = self.inner.lock();
+        let mut registry = self.lock();
         registry.permission.check_load()?;
         if !registry.sessions.is_valid(session) {
             return Err(Error::NoSuchSession(session.to_string()));
@@ -118,31 +126,29 @@ impl Controller {
             });
         }
         let id = registry.nets.add(session, description, Arc::clone(&text));
-        self.inner.announce(&registry);
+        self.announce(&registry);
         Ok((id, text))
     }
 
     /// Reserves memory for a net to be loaded; waits for other loads if necessary.
     fn reserve_memory(&self, id: NetId) -> Result<usize, Error> {
         let most = Limits::default().memory_bytes;
-        let registry = self.inner.lock();
+        let registry = self.lock();
         let keep = |registry: &mut Registry| {
             let Registry {
                 nets, admission, ..
             } = registry;
             admission.reserve(nets, id, most)
         };
-        self.inner
-            .wait_until(registry, LOADS_WITHIN, keep)
-            .map_err(|_| {
-                let mut registry = self.inner.lock();
-                registry.nets.remove(id);
-                self.inner.announce(&registry);
-                Error::TooMany {
-                    item: "bytes of nets that are loaded at once; load them one after the other",
-                    bound: registry.admission.memory(),
-                }
-            })
+        self.wait_until(registry, LOADS_WITHIN, keep).map_err(|_| {
+            let mut registry = self.lock();
+            registry.nets.remove(id);
+            self.announce(&registry);
+            Error::TooMany {
+                item: "bytes of nets that are loaded at once; load them one after the other",
+                bound: registry.admission.memory(),
+            }
+        })
     }
 
     /// Checks a net and makes it ready, without the registry except for a copy of the devices.
@@ -150,13 +156,13 @@ impl Controller {
         &self,
         id: NetId,
         text: &Arc<str>,
-        period: Option<Duration>,
+        wanted: Wanted,
         memory: usize,
     ) -> Result<Prepared, Rejection> {
-        let devices = self.inner.lock().devices.table.clone();
-        let (plan, place) = self.plan(text, period, &devices, memory)?;
+        let devices = self.lock().devices.table.clone();
+        let (plan, place) = self.plan(text, wanted, &devices, memory)?;
         place.check_cost(plan.cost())?;
-        let mut registry = self.inner.lock();
+        let mut registry = self.lock();
         let mut resources = ResourceSet::default();
         for name in plan.resources() {
             resources.insert(registry.nets.resource(name)?);
@@ -176,7 +182,7 @@ impl Controller {
         let (out, out_reader) = latest(OUT_READERS, || {
             vec![0; out_directory.words()].into_boxed_slice()
         });
-        let (links, links_end) = self.inner.lock().nets.link(&plan, &out_reader)?;
+        let (links, links_end) = self.lock().nets.link(&plan, &out_reader)?;
         let (in_writer, inbox) = latest(1, || in_words.clone());
         let mut running = Box::new(Running::new(id.0, plan, out, inbox));
         running.resources = resources;
@@ -203,21 +209,21 @@ impl Controller {
     fn plan(
         &self,
         text: &str,
-        period: Option<Duration>,
+        wanted: Wanted,
         devices: &DeviceTable,
         memory_bytes: usize,
     ) -> Result<(Plan, Placement), Rejection> {
-        let place = |devices: &[String]| self.inner.lock().threads.place(period, devices);
+        let place = |devices: &[String]| self.lock().threads.place_for(wanted, devices);
         let before = place(&[])?;
         let limits = Limits {
             memory_bytes,
             ..Limits::default()
         };
         let context = LoadContext {
-            registry: &self.inner.primitives,
+            registry: &self.primitives,
             devices: &Surroundings {
                 devices,
-                boxes: |id| self.inner.lock().nets.get(id)?.boxes(),
+                boxes: |id| self.lock().nets.get(id)?.boxes(),
             },
             period: before.period,
             limits,
@@ -226,7 +232,7 @@ impl Controller {
         let sorted = Sorted::new(&parsed, &context);
         let assumed = budget(before.period);
         // The budget of a period that is not known yet is no reason to reject.
-        let plan = sorted.build(before.period, period.map(|_| assumed))?;
+        let plan = sorted.build(before.period, wanted.is_period().then_some(assumed))?;
         let after = place(plan.devices())?;
         if after.period == before.period && plan.cost().total <= assumed {
             return Ok((plan, after));

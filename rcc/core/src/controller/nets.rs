@@ -9,6 +9,7 @@ mod taps;
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
+use std::time::Duration;
 
 use takt_net::Rejection;
 use takt_net::fault::{Fault, FaultKind};
@@ -38,6 +39,8 @@ pub(super) struct Nets {
     resources: HashMap<String, usize>,
     /// Number of nets whose taps are recorded, as last counted.
     recorded: usize,
+    /// By machine, its thread and what it reserves there for its step and its components.
+    machines: BTreeMap<u32, (usize, Duration)>,
 }
 
 impl Nets {
@@ -72,6 +75,22 @@ impl Nets {
 
     pub(super) fn len(&self) -> usize {
         self.all.len()
+    }
+
+    /// What machines reserve in a thread.
+    pub(super) fn machine_cost(&self, thread: usize) -> Duration {
+        let of_thread = self.machines.values().filter(|(of, _)| *of == thread);
+        of_thread.map(|(_, cost)| *cost).sum()
+    }
+
+    /// Reserves cycle time for a machine.
+    pub(super) fn reserve_for_machine(&mut self, id: u32, thread: usize, cost: Duration) {
+        self.machines.insert(id, (thread, cost));
+    }
+
+    /// Frees the cycle time of a machine.
+    pub(super) fn free_machine(&mut self, id: u32) {
+        self.machines.remove(&id);
     }
 
     /// Changes the state of a net; returns what is to be handed to its thread.

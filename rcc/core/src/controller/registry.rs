@@ -7,6 +7,7 @@ use std::fmt;
 use crate::controller::admission::Admission;
 use crate::controller::changed::Changed;
 use crate::controller::device_set::DeviceSet;
+use crate::controller::machines::Machines;
 use crate::controller::monitor::Monitor;
 use crate::controller::nets::Nets;
 use crate::controller::permission::Permission;
@@ -48,6 +49,7 @@ pub(super) struct Registry {
     pub(super) nets: Nets,
     pub(super) sessions: Sessions,
     pub(super) rules: Rules,
+    pub(super) machines: Machines,
     pub(super) devices: DeviceSet,
     pub(super) monitor: Monitor,
     pub(super) rejections: Rejections,
@@ -80,6 +82,7 @@ impl Registry {
             nets: Nets::default(),
             sessions: Sessions::default(),
             rules: Rules::default(),
+            machines: Machines::default(),
             devices,
             monitor: Monitor::default(),
             rejections: Rejections::default(),

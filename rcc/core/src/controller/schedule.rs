@@ -176,6 +176,7 @@ impl Registry {
         }
         for id in &request.start {
             let net = self.nets.find(*id)?;
+            net.check_free(*id)?;
             let state = net.state();
             let twice = request.start.iter().filter(|other| *other == id).count() > 1;
             if !matches!(state, NetState::Ready | NetState::Scheduled) || twice || net.is_starting()

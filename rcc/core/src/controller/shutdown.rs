@@ -26,6 +26,7 @@ impl Controller {
     #[must_use = "it must be called again until all have ended"]
     pub fn wind_down(&self, nets: &[NetId]) -> bool {
         let mut registry = self.inner.lock();
+        registry.end_machines_of(nets);
         registry.end_nets(nets, false);
         self.inner.announce(&registry);
         registry.nets.are_over(nets)
@@ -81,6 +82,7 @@ impl Registry {
     fn rest(&mut self) {
         let nets: Vec<_> = self.nets.iter().map(|(id, _)| id).collect();
         let until = Instant::now() + REST_TIMEOUT;
+        self.end_machines_of(&nets);
         loop {
             self.take_events();
             self.end_nets(&nets, true);

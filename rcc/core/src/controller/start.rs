@@ -68,6 +68,7 @@ impl Registry {
     /// The thread runs a net, started by a request or by a rule.
     pub(super) fn started(&mut self, id: NetId) {
         self.nets.change(id, Change::Run);
+        self.component_started(id);
     }
 
     /// The thread rejected the start of a net.
@@ -106,6 +107,17 @@ impl Registry {
     /// Rules no longer hold a net: the thread returned it. If a start was requested besides, it is sent again.
     pub(super) fn unscheduled(&mut self, running: Box<Running>) {
         let id = NetId(running.id);
+        if self
+            .nets
+            .get(id)
+            .is_some_and(|net| net.component_of.is_some())
+        {
+            self.nets.change(id, Change::Return(running));
+            self.nets
+                .change(id, Change::GiveUp("its machine needs it no longer"));
+            self.component_ended(id);
+            return;
+        }
         let thread = self.nets.thread_of(id.0);
         let has_capacity = self.threads.check_capacity_of(thread).is_ok();
         let Some(net) = self.nets.get_mut(id) else {

@@ -57,6 +57,22 @@ impl Placement {
     }
 }
 
+/// Where and how often a net is to be evaluated.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Wanted {
+    /// With this period, or with that of its thread.
+    Period(Option<Duration>),
+    /// Every so many cycles of the thread that serves its devices; without devices, of this one.
+    Cycles(u32, usize),
+}
+
+impl Wanted {
+    /// Whether the period is known before the net is built.
+    pub(super) const fn is_period(self) -> bool {
+        matches!(self, Self::Period(Some(_)))
+    }
+}
+
 /// The net threads, the first one first.
 #[derive(Debug, Default)]
 pub(super) struct NetThreads {
@@ -126,6 +142,35 @@ impl NetThreads {
     /// The thread that serves a device.
     pub(super) fn serving_thread(&self, device: &str) -> usize {
         self.serving.get(device).copied().unwrap_or(0)
+    }
+
+    /// The thread and period of a net that commands these devices.
+    pub(super) fn place_for(
+        &self,
+        wanted: Wanted,
+        devices: &[String],
+    ) -> Result<Placement, Rejection> {
+        let (every, thread) = match wanted {
+            Wanted::Period(period) => return self.place(period, devices),
+            Wanted::Cycles(every, thread) => (every, thread),
+        };
+        let serving = devices.first().map(|device| self.serving_thread(device));
+        let thread = serving.unwrap_or(thread);
+        let period = self
+            .period(thread)
+            .unwrap_or_default()
+            .saturating_mul(every);
+        let placed = self.place(Some(period), devices)?;
+        let every = u64::from(every);
+        Ok(if serving.is_some() {
+            placed
+        } else {
+            Placement {
+                thread,
+                period,
+                every,
+            }
+        })
     }
 
     fn periods(&self) -> Vec<Duration> {

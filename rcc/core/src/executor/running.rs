@@ -10,6 +10,7 @@ use takt_rt::latest::{LatestReader, LatestWriter};
 use super::figures::{self, NetCounters, RUNAWAY_AFTER};
 use super::life::{Cancel, Change, End, Life, StartReport};
 use super::links;
+use super::machines::Seat;
 use super::resources::ResourceSet;
 use super::view::DeviceView;
 use crate::device::Place;
@@ -53,6 +54,8 @@ pub struct Running {
     inbox_seen: u64,
     /// Its exchange with other nets and with tap recordings.
     pub links: links::Links,
+    /// Its place in a machine, if it is a component.
+    pub seat: Option<Box<Seat>>,
 }
 
 /// Whether a device, with the faults it had when a net started, has failed since.
@@ -94,6 +97,7 @@ impl Running {
             out,
             inbox,
             inbox_seen: 0,
+            seat: None,
         }
     }
 

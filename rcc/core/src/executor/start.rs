@@ -36,11 +36,12 @@ impl Executor {
     }
 
     /// Resources held by running nets.
-    fn held(&self) -> ResourceSet {
+    pub(super) fn held(&self) -> ResourceSet {
         let mut held = ResourceSet::default();
         for net in &self.running {
             held.add(&net.resources);
         }
+        self.hosted().for_each(|hosted| held.add(&hosted.resources));
         held
     }
 
@@ -75,6 +76,10 @@ impl Executor {
 
     /// Cost of all running nets in a cycle in which each is evaluated.
     pub(super) fn load(&self) -> Nanos {
-        self.going_on().fold(Nanos::ZERO, |sum, net| sum + net.cost)
+        let nets = self.going_on().filter(|net| net.seat.is_none());
+        let machines = self.hosted().map(|hosted| hosted.cost);
+        nets.map(|net| net.cost)
+            .chain(machines)
+            .fold(Nanos::ZERO, |sum, cost| sum + cost)
     }
 }

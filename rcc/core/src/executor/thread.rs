@@ -1,11 +1,14 @@
 //! The thread that evaluates nets: a real-time cycle around an [`Executor`], with the latest-value cells of
 //! devices on one side and the rings to the controller on the other. It makes no decisions.
 
+mod machines;
+
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use takt_machine::Status;
 use takt_net::{Moment, Nanos};
 use takt_rt::cycle::{Cycles, Follow, Tick};
 use takt_rt::ring::{Consumer, Producer};
@@ -15,6 +18,7 @@ use takt_rt::thread::{Thread, ThreadConfig};
 use crate::error::Error;
 use crate::executor::figures::budget;
 use crate::executor::flight::{self, FlightReader, FlightWriter};
+use crate::executor::machines::{Hosted, InputError, MachineInput};
 use crate::executor::report::{Notifier, Reports};
 use crate::executor::rules::{Literal, Rule, RuleError, WORK_MAX};
 use crate::executor::serve::{DeviceEnd, Served};
@@ -52,6 +56,16 @@ pub enum Command {
     AddDevice(Box<DeviceEnd>),
     /// Serve the device of that number no longer.
     RemoveDevice(usize),
+    /// Step this machine from now on.
+    AddMachine(Box<Hosted>),
+    /// Seat this net for the next start of a component; whether it replaces those that wait.
+    Seat(Box<Running>, bool),
+    /// The net of this component of a machine could not be loaded.
+    SeatFailed(u32, usize),
+    /// Execute a request to a machine, and answer it with its number.
+    MachineInput(u32, u64, MachineInput),
+    /// End a machine where it is, with its components.
+    RemoveMachine(u32),
 }
 
 impl Command {
@@ -66,7 +80,14 @@ impl Command {
             | Self::Forget(id)
             | Self::Answer(Literal { net: id, .. })
             | Self::Unschedule { net: id, .. } => Some(*id),
-            Self::AddRule(_) | Self::AddDevice(_) | Self::RemoveDevice(_) => None,
+            Self::Seat(net, _) => Some(net.id),
+            Self::AddRule(_)
+            | Self::AddDevice(_)
+            | Self::RemoveDevice(_)
+            | Self::AddMachine(_)
+            | Self::SeatFailed(..)
+            | Self::MachineInput(..)
+            | Self::RemoveMachine(_) => None,
         }
     }
 
@@ -83,7 +104,12 @@ impl Command {
             | Self::Abort(_)
             | Self::Schedule(_)
             | Self::AddDevice(_)
-            | Self::RemoveDevice(_) => false,
+            | Self::RemoveDevice(_)
+            | Self::AddMachine(_)
+            | Self::Seat(..)
+            | Self::SeatFailed(..)
+            | Self::MachineInput(..)
+            | Self::RemoveMachine(_) => false,
         }
     }
 }
@@ -107,8 +133,20 @@ pub enum Event {
     RuleDone(Box<Rule>),
     /// A device is no longer served.
     DeviceRemoved(Box<DeviceEnd>),
-    /// A net that no rule starts any more is returned.
+    /// A net that no rule and no machine starts any more is returned.
     Unscheduled(Box<Running>),
+    /// A machine is stepped.
+    MachineAdded(u32),
+    /// A machine was rejected.
+    MachineRejected(Box<Hosted>, StartError),
+    /// The answer to the request of that number to a machine.
+    MachineAnswered(u32, u64, Result<(), InputError>),
+    /// A machine requests a `configure` of this component.
+    Configure(u32, usize),
+    /// The status of a machine has changed.
+    MachineStatus(u32, Status),
+    /// A machine is no longer stepped, and its components have ended.
+    MachineRemoved(Box<Hosted>),
 }
 
 /// Settings of the thread.
@@ -323,6 +361,7 @@ impl Cycle {
                 tap.outbox(net);
             }
         });
+        self.step_machines(moment);
         self.executor.fire_rules();
         self.report_effects();
         if !self.executor.running().is_empty() && (self.clock)() >= slot.end {
@@ -337,6 +376,7 @@ impl Cycle {
         }
         self.hand_back();
         self.report_rules();
+        self.report_machines();
         if let Some(tap) = &mut self.tap {
             tap.finish();
         }
@@ -401,6 +441,11 @@ impl Cycle {
             | Command::Answer(_)
             | Command::Unschedule { .. }
             | Command::Forget(_)) => self.handle_rule_command(rule),
+            machine @ (Command::AddMachine(_)
+            | Command::Seat(..)
+            | Command::SeatFailed(..)
+            | Command::MachineInput(..)
+            | Command::RemoveMachine(_)) => self.handle_machine_command(machine),
             Command::AddDevice(end) => self.served.add(end, &mut self.executor),
             Command::RemoveDevice(number) => {
                 if let Some(end) = self.served.remove(number, &mut self.executor) {
@@ -456,7 +501,12 @@ impl Cycle {
             | Command::Cancel(_)
             | Command::Abort(_)
             | Command::AddDevice(_)
-            | Command::RemoveDevice(_) => {}
+            | Command::RemoveDevice(_)
+            | Command::AddMachine(_)
+            | Command::Seat(..)
+            | Command::SeatFailed(..)
+            | Command::MachineInput(..)
+            | Command::RemoveMachine(_) => {}
         }
     }
 

@@ -1,5 +1,5 @@
 //! The file of a recording: MCAP, readable by common viewers as far as its framing goes. Channels:
-//! `/takt/cycles` (words, little-endian), `/takt/devices` and `/takt/nets` (TOML).
+//! `/takt/cycles` (words, little-endian), `/takt/devices`, `/takt/nets` and `/takt/machines` (TOML).
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -23,6 +23,7 @@ use crate::record::words::start;
 pub(super) const CYCLES: &str = "/takt/cycles";
 pub(super) const DEVICES: &str = "/takt/devices";
 pub(super) const NETS: &str = "/takt/nets";
+pub(super) const MACHINES: &str = "/takt/machines";
 
 /// A device of the recorded cell.
 #[derive(Debug, Serialize, Deserialize)]
@@ -113,6 +114,15 @@ impl NetNote {
     }
 }
 
+/// A machine of the recording.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct MachineNote {
+    pub(super) id: u32,
+    pub(super) text: String,
+    /// Component files by name.
+    pub(super) files: Vec<(String, String)>,
+}
+
 /// Last bytes of a complete file; a file without them is truncated.
 const END: [u8; 8] = *b"\x89MCAP0\r\n";
 
@@ -124,7 +134,7 @@ pub(super) struct Writer<W: Write + Seek = File> {
     /// `None` after an error: nothing follows half a record.
     mcap: Option<mcap::Writer<BufWriter<W>>>,
     path: PathBuf,
-    channels: [u16; 3],
+    channels: [u16; 4],
     bytes: Vec<u8>,
     sequence: u32,
     /// Cycles written to the file.
@@ -171,13 +181,14 @@ impl<W: Write + Seek> Writer<W> {
             .map_err(failed)?;
         let metadata = BTreeMap::new();
         let words = mcap
-            .add_schema("takt.words.3", "takt", b"")
+            .add_schema("takt.words.4", "takt", b"")
             .map_err(failed)?;
-        let mut channels = [0; 3];
+        let mut channels = [0; 4];
         let kinds = [
             (words, CYCLES, "takt"),
             (0, DEVICES, "toml"),
             (0, NETS, "toml"),
+            (0, MACHINES, "toml"),
         ];
         for (channel, (schema, topic, encoding)) in channels.iter_mut().zip(kinds) {
             *channel = mcap
@@ -230,7 +241,7 @@ impl<W: Write + Seek> Writer<W> {
     }
 
     pub(super) fn note(&mut self, note: &Note) -> Result<(), Error> {
-        let [_, devices, nets] = self.channels;
+        let [_, devices, nets, machines] = self.channels;
         let (channel, text) = match note {
             Note::Device {
                 number,
@@ -259,6 +270,14 @@ impl<W: Write + Seek> Writer<W> {
                     text,
                 };
                 (nets, toml::to_string(&note))
+            }
+            Note::Machine { id, text, files } => {
+                let note = MachineNote {
+                    id: *id,
+                    text: text.as_ref().to_owned(),
+                    files: files.clone(),
+                };
+                (machines, toml::to_string(&note))
             }
         };
         let text = text.map_err(|e| Error::Recording {
@@ -338,6 +357,7 @@ fn broken(path: &Path, cycle: u64, error: &mcap::McapError) -> Error {
 pub(super) enum RecordedNote {
     Device(DeviceEvent),
     Net(NetNote),
+    Machine(MachineNote),
 }
 
 /// A recording in memory.
@@ -431,6 +451,7 @@ impl Recording {
         match topic {
             DEVICES => self.notes.push(RecordedNote::Device(note(data)?)),
             NETS => self.notes.push(RecordedNote::Net(note(data)?)),
+            MACHINES => self.notes.push(RecordedNote::Machine(note(data)?)),
             CYCLES => {
                 let (words, rest) = data.as_chunks();
                 if !rest.is_empty() {

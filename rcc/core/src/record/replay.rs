@@ -3,13 +3,16 @@
 
 use std::collections::HashMap;
 use std::path::Path;
+use std::sync::Arc;
 
+use takt_machine::Program;
 use takt_net::netcomm::NetBoxes;
 use takt_net::{Limits, LoadContext, Registry, load};
 use takt_rt::latest::latest;
 
 use crate::device::{DeviceTable, Surroundings};
 use crate::error::Error;
+use crate::executor::machines::{Hosted, Seat};
 use crate::executor::{Executor, Running};
 use crate::ids::NetId;
 use crate::record::WORDS_A_CYCLE;
@@ -92,6 +95,7 @@ fn prepare(
 struct Stage<'r> {
     executor: Executor,
     nets: HashMap<u32, Box<Running>>,
+    machines: HashMap<u32, Arc<Program>>,
     path: &'r Path,
 }
 
@@ -100,6 +104,7 @@ impl<'r> Stage<'r> {
         let mut devices = DeviceTable::default();
         let registry = crate::registry();
         let mut nets = HashMap::new();
+        let mut machines = HashMap::new();
         let mut executor = Executor::default();
         for note in &recording.notes {
             match note {
@@ -116,11 +121,29 @@ impl<'r> Stage<'r> {
                     let running = prepare(net, &registry, known, path)?;
                     nets.insert(net.id, running);
                 }
+                RecordedNote::Machine(machine) => {
+                    let read = |name: &str| {
+                        let file = machine.files.iter().find(|(known, _)| known == name);
+                        file.map(|(_, text)| text.clone())
+                            .ok_or_else(|| format!("the recording has no file {name}"))
+                    };
+                    let compiled = Program::compile(&machine.text, &read);
+                    let (program, _) = compiled.map_err(|found| Error::Recording {
+                        path: path.to_owned(),
+                        why: format!(
+                            "its machine {} is rejected: {}",
+                            machine.id,
+                            found.render("machine", &machine.text)
+                        ),
+                    })?;
+                    machines.insert(machine.id, Arc::new(program));
+                }
             }
         }
         Ok(Self {
             executor,
             nets,
+            machines,
             path,
         })
     }
@@ -173,6 +196,69 @@ impl<'r> Stage<'r> {
         net.ok_or_else(|| self.broken("a net starts that it does not contain"))
     }
 
+    /// The net of a component, with its seat.
+    fn seated(&mut self, id: u32, machine: u32, number: usize) -> Result<Box<Running>, Error> {
+        let mut net = self.net(id)?;
+        let program = self.machines.get(&machine);
+        let member = program.and_then(|program| program.members().get(number));
+        let (Some(program), Some(member)) = (program, member) else {
+            return Err(self.broken("a component of an unknown machine is configured"));
+        };
+        net.seat = Some(Box::new(Seat::of(
+            program,
+            (machine, number),
+            &member.component,
+            &net.plan,
+        )));
+        Ok(net)
+    }
+
+    /// Applies an entry about a machine and writes it again.
+    fn enter_machine(&mut self, entry: Entry<'_>, words: &mut Words) -> Result<(), Error> {
+        match entry {
+            Entry::MachineAdded(id) => {
+                let program = self.machines.get(&id).cloned();
+                let program = program
+                    .ok_or_else(|| self.broken("a machine is added that it does not contain"))?;
+                let (hosted, _) = Hosted::new(id, program);
+                if self.executor.add_machine(hosted).is_err() {
+                    return Err(self.broken("a machine is added twice"));
+                }
+                words.machine_added(id);
+            }
+            Entry::MachineRemoved(id) => {
+                self.executor.remove_machine(id);
+                words.machine_removed(id);
+            }
+            Entry::Seated(id, (machine, component), fresh) => {
+                let net = self.seated(id, machine, component)?;
+                words.seated(&net, fresh);
+                // One that has no place is not needed.
+                drop(self.executor.seat(net, fresh));
+            }
+            Entry::SeatFailed(machine, component) => {
+                self.executor.seat_failed(machine, component);
+                words.seat_failed(machine, component);
+            }
+            Entry::MachineInput(machine, input) => {
+                words.machine_input(machine, &input);
+                // Refusals were answers to programs.
+                let _ = self.executor.machine_input(machine, &input);
+            }
+            Entry::Started(_)
+            | Entry::Succeeded(_)
+            | Entry::Cancelled(_)
+            | Entry::Aborted(_)
+            | Entry::Stopped(_)
+            | Entry::RanAway(_)
+            | Entry::Takeover(..)
+            | Entry::Inbox(..)
+            | Entry::Inputs(_)
+            | Entry::Result => {}
+        }
+        Ok(())
+    }
+
     /// Applies an entry and writes it again.
     fn enter(&mut self, entry: Entry<'_>, words: &mut Words) -> Result<(), Error> {
         match entry {
@@ -182,10 +268,18 @@ impl<'r> Stage<'r> {
                 words.started(id);
             }
             Entry::Succeeded(id) => {
-                let net = self.net(id)?;
-                self.executor.start_by_rule(net);
+                // A machine of the replay has started its component already.
+                if !self.executor.running().iter().any(|net| net.id == id) {
+                    let net = self.net(id)?;
+                    self.executor.start_by_rule(net);
+                }
                 words.succeeded(id);
             }
+            machine @ (Entry::MachineAdded(_)
+            | Entry::MachineRemoved(_)
+            | Entry::Seated(..)
+            | Entry::SeatFailed(..)
+            | Entry::MachineInput(..)) => self.enter_machine(machine, words)?,
             Entry::Cancelled(id) => {
                 self.executor.cancel(id);
                 words.cancelled(id);
@@ -216,6 +310,11 @@ impl<'r> Stage<'r> {
                 words.inputs(inputs.moment, &self.executor);
                 self.executor.cycle(inputs.moment);
                 self.executor.publish(|net| words.outbox(net));
+                let mut clock = || takt_rt::Nanos::ZERO;
+                self.executor
+                    .step_machines(inputs.moment, &mut clock, |hosted| words.stepped(hosted));
+                // What machines request was answered by later entries.
+                self.executor.machine_events(|_, _| {});
             }
             Entry::Result => {}
         }

@@ -79,7 +79,8 @@ fn full_disk_leaves_complete_chunks_readable() {
     assert!(fill(&whole).0.is_none());
     let all = Recording::parse(&whole.bytes(), Path::new(PATH)).unwrap();
     assert_eq!((all.cycles.len(), all.is_cut), (50, false));
-    for room in (0..whole.bytes().len()).step_by(61) {
+    // Times compress to lengths that differ by some bytes: the last ones may suffice for another run.
+    for room in (0..whole.bytes().len() - 64).step_by(61) {
         let disk = Disk::new(room);
         let (error, written) = fill(&disk);
         let error = error.unwrap().to_string();

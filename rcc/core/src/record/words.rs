@@ -4,6 +4,7 @@
 use takt_net::{JointState, Moment, Nanos};
 
 use crate::device::DeviceStatus;
+use crate::executor::machines::{Hosted, InputWords, MachineInput};
 use crate::executor::{DeviceView, End, Executor, Running};
 
 mod kind {
@@ -19,6 +20,12 @@ mod kind {
     pub(super) const TAKEOVER: u64 = 10;
     pub(super) const RAN_AWAY: u64 = 11;
     pub(super) const SUCCEEDED: u64 = 12;
+    pub(super) const MACHINE_ADDED: u64 = 13;
+    pub(super) const MACHINE_REMOVED: u64 = 14;
+    pub(super) const SEATED: u64 = 15;
+    pub(super) const SEAT_FAILED: u64 = 16;
+    pub(super) const MACHINE_INPUT: u64 = 17;
+    pub(super) const STEPPED: u64 = 18;
 }
 
 /// A cycle being written into a buffer whose capacity is its bound.
@@ -85,6 +92,48 @@ impl Words {
 
     pub(super) fn takeover(&mut self, id: u32, waits: bool) {
         self.entry([kind::TAKEOVER, id.into(), waits.into()]);
+    }
+
+    pub(super) fn machine_added(&mut self, id: u32) {
+        self.entry([kind::MACHINE_ADDED, id.into()]);
+    }
+
+    pub(super) fn machine_removed(&mut self, id: u32) {
+        self.entry([kind::MACHINE_REMOVED, id.into()]);
+    }
+
+    pub(super) fn seated(&mut self, net: &Running, fresh: bool) {
+        self.entry([kind::SEATED, net.id.into()]);
+        let seat = net.seat.as_ref();
+        let (machine, component) = seat.map_or((0, 0), |seat| (seat.machine, seat.component));
+        self.entry([machine.into(), component as u64, fresh.into()]);
+    }
+
+    pub(super) fn seat_failed(&mut self, machine: u32, component: usize) {
+        self.entry([kind::SEAT_FAILED, machine.into(), component as u64]);
+    }
+
+    pub(super) fn machine_input(&mut self, machine: u32, input: &MachineInput) {
+        self.entry([kind::MACHINE_INPUT, machine.into()]);
+        self.entry(input.words());
+    }
+
+    pub(super) fn stepped(&mut self, hosted: &Hosted) {
+        let view = hosted.view();
+        let (outcome, states) = (view.outcome, &view.machines);
+        self.entry([
+            kind::STEPPED,
+            hosted.id.into(),
+            (states.len() + view.variables.len()) as u64,
+        ]);
+        self.entry([outcome.transitions.into(), outcome.operations as u64]);
+        for state in states {
+            let place = state.state.map_or(0, |state| state as u64 + 1);
+            self.push((state.status as u64) | (place << 8));
+        }
+        for value in &view.variables {
+            self.push(value.word());
+        }
     }
 
     pub(super) fn inbox(&mut self, net: &Running) {
@@ -182,6 +231,12 @@ pub(super) enum Entry<'w> {
     Stopped(u32),
     RanAway(u32),
     Takeover(u32, bool),
+    MachineAdded(u32),
+    MachineRemoved(u32),
+    /// Net, machine, component, and whether it replaces those that wait.
+    Seated(u32, (u32, usize), bool),
+    SeatFailed(u32, usize),
+    MachineInput(u32, MachineInput),
     Inbox(u32, &'w [u64]),
     Inputs(Inputs<'w>),
     /// Outputs of the thread; a replay computes them again.
@@ -272,6 +327,27 @@ impl<'w> Reader<'w> {
             kind::STOPPED => Entry::Stopped(self.id()?),
             kind::RAN_AWAY => Entry::RanAway(self.id()?),
             kind::TAKEOVER => Entry::Takeover(self.id()?, self.word()? != 0),
+            kind::MACHINE_ADDED => Entry::MachineAdded(self.id()?),
+            kind::MACHINE_REMOVED => Entry::MachineRemoved(self.id()?),
+            kind::SEATED => {
+                let (net, machine) = (self.id()?, self.id()?);
+                let component = usize::try_from(self.word()?).ok()?;
+                Entry::Seated(net, (machine, component), self.word()? != 0)
+            }
+            kind::SEAT_FAILED => {
+                let machine = self.id()?;
+                Entry::SeatFailed(machine, usize::try_from(self.word()?).ok()?)
+            }
+            kind::MACHINE_INPUT => {
+                let machine = self.id()?;
+                let words = self.body(size_of::<InputWords>() as u64 / 8)?;
+                Entry::MachineInput(machine, MachineInput::of_words(words)?)
+            }
+            kind::STEPPED => {
+                let (_, len) = (self.word()?, self.word()?);
+                self.body(len.checked_add(2)?)?;
+                Entry::Result
+            }
             kind::INBOX => {
                 let (id, len) = (self.id()?, self.word()?);
                 Entry::Inbox(id, self.body(len)?)

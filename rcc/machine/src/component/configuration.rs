@@ -10,7 +10,7 @@ use super::declaration::{Component, Declared};
 use crate::diagnostic::suggest;
 use crate::lifecycle::Phase;
 use crate::properties::{ARRAY, BAG, Body, Node, PropertyFile, Simple};
-use crate::value::{Kind, Shape};
+use crate::value::{Kind, Shape, Value};
 
 /// The value of a property.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,6 +28,17 @@ pub enum Data {
 }
 
 impl Data {
+    /// As a value that machines compute with; none for texts and arrays.
+    #[must_use]
+    pub const fn value(&self) -> Option<Value> {
+        match self {
+            Self::Bool(value) => Some(Value::Bool(*value)),
+            Self::Int(value) => Some(Value::Int(*value)),
+            Self::Double(value) => Some(Value::Double(*value)),
+            Self::Text(_) | Self::List(_) => None,
+        }
+    }
+
     /// As a parameter of a net.
     pub(super) fn net_text(&self) -> String {
         match self {
@@ -157,6 +168,16 @@ impl Data {
                 });
                 Body::Struct(ARRAY.to_owned(), nodes.collect())
             }
+        }
+    }
+}
+
+impl From<Value> for Data {
+    fn from(value: Value) -> Self {
+        match value {
+            Value::Bool(value) => Self::Bool(value),
+            Value::Int(value) => Self::Int(value),
+            Value::Double(value) => Self::Double(value),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use takt_net::Quantity;
 
 use super::configuration::Data;
-use crate::value::Shape;
+use crate::value::{Kind, Shape, Value};
 
 /// Most declarations of one kind in a component.
 pub const DECLARATIONS_MAX: usize = 500;
@@ -50,6 +50,23 @@ pub struct Declared {
     pub doc: String,
     /// The name in the file.
     pub at: Range<usize>,
+}
+
+impl Declared {
+    /// The value as one of the declared type, if this is a single value, it is finite and in the declared range.
+    #[must_use]
+    pub fn accepted(&self, value: Value) -> Option<Value> {
+        let value = match (self.shape.kind, value) {
+            (Kind::Double, Value::Int(value)) => Value::Double(f64::from(value)),
+            (kind, value) if kind == value.kind() => value,
+            (Kind::Bool | Kind::Int | Kind::Double | Kind::Text, _) => return None,
+        };
+        let is_in_range = value.number().is_none_or(|number| {
+            let (low, high) = self.range.unwrap_or((f64::MIN, f64::MAX));
+            number.is_finite() && (low..=high).contains(&number)
+        });
+        (self.shape.len.is_none() && is_in_range).then_some(value)
+    }
 }
 
 /// A property.

@@ -236,6 +236,7 @@ pub struct Program {
     /// The bytes of the text behind each operation.
     pub(crate) places: Vec<Range<usize>>,
     pub(crate) worst: usize,
+    pub(crate) worst_ns: u64,
     pub(crate) worst_at: String,
 }
 
@@ -299,6 +300,12 @@ impl Program {
     #[must_use]
     pub const fn worst_step(&self) -> usize {
         self.worst
+    }
+
+    /// Upper bound on the time of one step with its connections, by the declared costs of its operations.
+    #[must_use]
+    pub const fn worst_time(&self) -> std::time::Duration {
+        std::time::Duration::from_nanos(self.worst_ns)
     }
 
     /// The states of the longest step, outermost machine first.

@@ -49,6 +49,7 @@ pub(super) fn compile(
             ops: Vec::new(),
             places: Vec::new(),
             worst: 0,
+            worst_ns: 0,
             worst_at: String::new(),
         },
         kinds_known: Vec::new(),

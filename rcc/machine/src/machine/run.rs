@@ -91,6 +91,21 @@ pub enum Refused {
     /// The component does not run.
     #[error("the component does not run\nhint: start it first")]
     NotRunning,
+    /// No net of it is ready: it was started several times within the time that loading takes.
+    #[error(
+        "no net of the component is ready\nhint: each start needs a net, and it takes some milliseconds to load the next; wait before another start"
+    )]
+    NotReady,
+    /// Another component of the machine holds a resource of it.
+    #[error(
+        "another running component of the machine holds a resource that it needs\nhint: stop that component first"
+    )]
+    InUse,
+    /// A device that it commands does not follow commands.
+    #[error(
+        "a device that it commands does not follow commands\nhint: wait until it is operational"
+    )]
+    Device,
     /// Its net or its properties have errors.
     #[error("the component could not be configured\nhint: the log names the errors of its net")]
     NotConfigured,
@@ -128,6 +143,14 @@ pub enum Cause {
     /// A machine refused a request.
     #[error("{0}")]
     Control(#[from] ControlRefused),
+    /// The net of a component ended with an error.
+    #[error(
+        "the net of a component ended with an error\nhint: the log names the net and the cause; handle it with a transition `on error`"
+    )]
+    Component(usize),
+    /// The controller was stopped.
+    #[error("the controller was stopped\nhint: release the stop and load the machine again")]
+    Halted,
     /// The code is not that of a checked program.
     #[error("the code of the machine is damaged\nhint: compile it again")]
     Code,
@@ -173,6 +196,17 @@ pub enum Mode {
     Reactive,
     /// By its conditions, too.
     Automatic,
+}
+
+impl Mode {
+    /// The name on the wire.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Reactive => "reactive",
+            Self::Automatic => "automatic",
+        }
+    }
 }
 
 /// Where in its state a machine is.
@@ -254,11 +288,32 @@ impl Machine {
         slot.map(|slot| *slot = value).is_some()
     }
 
+    /// Sets a parameter by its number in [`Program::variables`]. Returns whether there is such a parameter of this kind, and
+    /// the machine is not active.
+    pub fn set_parameter_at(&mut self, index: usize, value: Value) -> bool {
+        let declared = self.program.variables.get(index);
+        let is_fitting = declared.is_some_and(|v| v.is_parameter && v.kind == value.kind());
+        let slot = self.variables.get_mut(index);
+        let is_active = self
+            .runs
+            .first()
+            .is_some_and(|run| run.status == Status::Active);
+        slot.filter(|_| is_fitting && !is_active)
+            .map(|slot| *slot = value)
+            .is_some()
+    }
+
     /// The value of a variable or parameter.
     #[must_use]
     pub fn variable(&self, name: &str) -> Option<Value> {
         let index = self.program.variables.iter().position(|v| v.name == name)?;
         self.variables.get(index).copied()
+    }
+
+    /// The values of all variables and parameters, in the order of [`Program::variables`].
+    #[must_use]
+    pub const fn variables(&self) -> &[Value] {
+        &self.variables
     }
 
     /// The status of a machine; 0 is the outermost one.

@@ -20,7 +20,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("takt-motion", &["takt-net"]),
     ("takt-machine", &["takt-net"]),
     ("takt-irl", &["takt-net", "takt-motion"]),
-    ("takt-core", &["takt-net", "takt-motion", "takt-rt"]),
+    (
+        "takt-core",
+        &["takt-net", "takt-motion", "takt-machine", "takt-rt"],
+    ),
     (
         "takt-device-drives",
         &[

@@ -93,6 +93,8 @@ struct Known {
 #[derive(Debug)]
 pub(in crate::controller) struct Net {
     pub(in crate::controller) session: SessionId,
+    /// The machine of which it is a component, and the number of the component.
+    pub(in crate::controller) component_of: Option<(u32, usize)>,
     description: String,
     text: Arc<str>,
     states: Vec<NetState>,
@@ -118,6 +120,7 @@ impl Net {
     ) -> Self {
         Self {
             session,
+            component_of: None,
             description,
             text,
             states: vec![NetState::Loading],
@@ -167,11 +170,27 @@ impl Net {
         self.change(Change::Load(running));
     }
 
+    /// Checks that no machine starts it.
+    ///
+    /// # Errors
+    /// If it is a component of a machine and waits for its start.
+    pub(in crate::controller) fn check_free(&self, id: NetId) -> Result<(), Error> {
+        if self.component_of.is_none() || !matches!(&self.life, Life::Waiting { .. }) {
+            return Ok(());
+        }
+        Err(Error::WrongState {
+            net: id,
+            state: self.state(),
+            hint: "it waits for its machine to start it; end the machine instead",
+        })
+    }
+
     /// Checks that its start can be requested.
     ///
     /// # Errors
     /// If it is not ready, or already on its way.
     pub(in crate::controller) fn check_start(&self, id: NetId) -> Result<(), Error> {
+        self.check_free(id)?;
         let waits = matches!(&self.life, Life::Waiting { .. });
         if waits && !self.is_starting() {
             return Ok(());

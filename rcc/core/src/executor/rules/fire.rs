@@ -20,12 +20,19 @@ struct Usage {
 impl Usage {
     fn end(&mut self, net: &Running) {
         self.nets -= 1;
+        if net.seat.is_some() {
+            // Its machine keeps its resources and its cost.
+            return;
+        }
         self.held.remove(&net.resources);
         self.load -= net.cost;
     }
 
     fn begin(&mut self, net: &Running) {
         self.nets += 1;
+        if net.seat.is_some() {
+            return;
+        }
         self.held.add(&net.resources);
         self.load += net.cost;
     }
@@ -114,6 +121,10 @@ impl Executor {
     fn usage(&self) -> Usage {
         let mut usage = Usage::default();
         self.going_on().for_each(|net| usage.begin(net));
+        for hosted in self.hosted() {
+            usage.held.add(&hosted.resources);
+            usage.load += hosted.cost;
+        }
         usage
     }
 

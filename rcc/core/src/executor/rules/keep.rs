@@ -27,6 +27,9 @@ impl Executor {
     /// Returns a scheduled net: always, or only if no rule waits to start it. Rules that lose it
     /// become inactive.
     pub fn take_unscheduled(&mut self, id: u32, always: bool) -> Option<Box<Running>> {
+        if let Some(net) = self.take_seated(id) {
+            return Some(net);
+        }
         let rules = &mut self.rules;
         if let Some(slot) = rules.nets_named.find(id) {
             for at in 0..rules.waiting.len() {
@@ -115,6 +118,11 @@ impl Executor {
             let slot = rules.nets_named.find(net.id);
             slot.is_some_and(|slot| rules.nets_named.is_marked(slot))
         };
+        for hosted in self.hosted() {
+            if let Some(held) = claim.common(&hosted.resources) {
+                return Err(RuleError::ResourceInUse(held));
+            }
+        }
         for net in self.running.iter().filter(|net| !is_followed(net)) {
             if let Some(held) = claim.common(&net.resources) {
                 return Err(RuleError::ResourceInUse(held));
@@ -233,6 +241,12 @@ impl Rules {
         let rules = rules.filter(|rule| net.resources.common(&rule.reserved).is_some());
         let mut strangers = rules.filter(|r| !concerns(r.started()) && !concerns(r.followed()));
         strangers.find_map(|rule| net.resources.common(&self.claim(rule, rule.reserved)))
+    }
+
+    /// A resource that is reserved for nets that rules may start.
+    pub(in crate::executor) fn reserved(&self, wanted: &ResourceSet) -> Option<usize> {
+        let mut rules = self.waiting.iter();
+        rules.find_map(|rule| wanted.common(&rule.reserved))
     }
 
     /// Resources that a rule claims now, without those of scheduled nets that it follows.

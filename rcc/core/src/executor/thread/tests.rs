@@ -130,6 +130,14 @@ impl Bench {
                 Event::RuleRejected(rule, why) => format!("rule {} {why:?}", rule.id),
                 Event::Unscheduled(net) => format!("unscheduled {}", net.id),
                 Event::DeviceRemoved(_) => "device removed".to_owned(),
+                Event::MachineAdded(id) => format!("machine {id} added"),
+                Event::MachineRejected(hosted, why) => format!("machine {} {why:?}", hosted.id),
+                Event::MachineAnswered(id, number, result) => {
+                    format!("machine {id} answer {number} {result:?}")
+                }
+                Event::Configure(id, component) => format!("machine {id} configure {component}"),
+                Event::MachineStatus(id, status) => format!("machine {id} {status:?}"),
+                Event::MachineRemoved(hosted) => format!("machine {} removed", hosted.id),
             })
             .collect()
     }

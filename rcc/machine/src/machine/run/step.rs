@@ -50,6 +50,28 @@ impl Machine {
         self.outcome
     }
 
+    /// The net of a component ended with an error: the error of the outermost machine, in its present state.
+    pub fn component_failed(&mut self, component: usize) {
+        if self.status(0) == Status::Active {
+            let at = usize::MAX;
+            let _: Stepped<()> = self.fail(0, Cause::Component(component), at);
+        }
+    }
+
+    /// Ends the machine and those inside where they are, as failed.
+    pub fn halt(&mut self, cause: Cause) {
+        for run in &mut self.runs {
+            if run.status == Status::Active {
+                run.status = Status::Failed;
+                run.failure = Some(Failure {
+                    cause,
+                    state: run.state,
+                    at: (0, 0),
+                });
+            }
+        }
+    }
+
     fn step_one(&mut self, machine: usize, around: &mut Around<'_>) -> Stepped<()> {
         let Some(run) = self.runs.get_mut(machine) else {
             return Ok(());
