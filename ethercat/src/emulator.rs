@@ -18,6 +18,7 @@ mod profile;
 mod segment;
 mod serve;
 mod slave;
+mod station;
 mod terminal;
 #[cfg(test)]
 mod tests;
@@ -35,5 +36,6 @@ pub use slave::{
     Chip, ClockUnit, EthernetFaults, EthernetPort, EthernetState, FileStore, Files, Slave,
     SlaveConfig, SlaveFaults, Span, Times,
 };
+pub use station::{STATION_AXES, Station, StationFaults, StationMotor};
 pub use terminal::{Coupler, Io};
 pub use youbot::{Axis, Bar, Boards, DriveHandle, Firmware, Joint, YouBot, YouBotConfig};

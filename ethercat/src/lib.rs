@@ -6,6 +6,7 @@ pub mod config;
 pub mod dc;
 #[cfg(feature = "emulator")]
 pub mod emulator;
+pub mod encoder;
 mod error;
 pub mod link;
 #[cfg(target_os = "linux")]

@@ -7,6 +7,7 @@ here=$(cd "$(dirname "$0")/../../.." && pwd)
 venv="${CARGO_TARGET_DIR:-$here/target}/peers"
 python3 -m venv "$venv"
 "$venv/bin/pip" install --quiet --requirement "$here/ethercat/tests/peers/requirements.txt"
-# Builds SOEM 2 for its Ethernet over EtherCAT; the test that needs it is skipped without.
-"$venv/bin/pip" install --quiet soemx==0.1.1 || echo "no soemx: install gcc and libpcap-dev" >&2
+# Builds SOEM 2 for its Ethernet over EtherCAT; the test that needs it is skipped without, with this reason.
+"$venv/bin/pip" install --quiet --requirement "$here/ethercat/tests/peers/requirements-built.txt" ||
+    echo "no soemx: install gcc and libpcap-dev, then run this again" >&2
 echo "$venv/bin/python"

@@ -5,6 +5,7 @@ pub mod bus;
 pub mod continuity;
 pub mod driver;
 pub mod endpoint;
+pub mod homing;
 pub mod last_stage;
 pub mod link_watch;
 pub mod on_end;

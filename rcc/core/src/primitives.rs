@@ -4,6 +4,7 @@
 mod cartesian_position;
 mod count;
 mod error;
+mod homing;
 mod io;
 mod lwr;
 mod order;
@@ -22,6 +23,7 @@ pub(crate) fn all() -> Vec<Definition> {
     all.extend(robot_base::table());
     all.extend(cartesian_position::table());
     all.extend(io::table());
+    all.extend(homing::table());
     all.extend(lwr::table());
     all.extend(schunk_wsg::table());
     all.extend(youbot::table());

@@ -95,7 +95,7 @@ fn driver_table_has_each_section_once() {
 }
 
 /// Sections of docs/cell.md, with a cell in which the program meets an unknown key there.
-const SECTIONS: [(&str, &str); 26] = [
+const SECTIONS: [(&str, &str); 28] = [
     ("[controller]", "[controller]\nzz = 1"),
     ("[[controller.thread]]", "[[controller.thread]]\nzz = 1"),
     ("[[frame]]", "[[frame]]\nzz = 1"),
@@ -150,6 +150,11 @@ const SECTIONS: [(&str, &str); 26] = [
         "ethercat.io.analogue_in and analogue_out",
         "[[ethercat]]\nio = [{ analogue_in = [{ zz = 1 }] }]",
     ),
+    ("[[ethercat.servo]]", "[[ethercat]]\nservo = [{ zz = 1 }]"),
+    (
+        "ethercat.servo.homing",
+        "[[ethercat]]\nservo = [{ homing = { zz = 1 } }]",
+    ),
     (
         "[[ethercat.youbot_base]]",
         "[[ethercat]]\nyoubot_base = [{ zz = 1 }]",
@@ -197,7 +202,7 @@ fn cell_reference_lists_every_key() {
 }
 
 /// Sections of docs/cell.md that state defaults, with a cell that is accepted with any one of these at the `@`.
-const CELLS: [(&str, &str); 26] = [
+const CELLS: [(&str, &str); 28] = [
     ("[controller]", "[controller]\n@"),
     (
         "[[controller.thread]]",
@@ -265,6 +270,14 @@ const CELLS: [(&str, &str); 26] = [
         "SEGMENTDRIVE[[ethercat.io]]\nname = 'i'\nanalogue_in = [{ slave = 'd', bit = 0, @ }]",
     ),
     (
+        "[[ethercat.servo]]",
+        "SEGMENTDRIVEarm = [{ name = 'a', joint = [{ AXIS }] }]\nservo = [{ SERVO, @ }]",
+    ),
+    (
+        "ethercat.servo.homing",
+        "SEGMENTDRIVEarm = [{ name = 'a', joint = [{ AXIS }] }]\nservo = [{ SERVO, proximity = ['d', 0], homing = { HOMING, @ } }]",
+    ),
+    (
         "[[ethercat.youbot_base]]",
         "SEGMENTyoubot_base = [{ name = 'b', @ }]",
     ),
@@ -293,6 +306,15 @@ fn cell_with(cell: &str, key: &str) -> String {
             "slave = [{ name = 'd', position = 0, axes = 1 }]\n",
         )
         .replace("JOINT", &format!("drive = 'd', {joint}"))
+        .replace("AXIS", &format!("drive = 'x', {joint}"))
+        .replace(
+            "SERVO",
+            "name = 'x', encoder = 'd', output = { slave = 'd', bit = 0 }, velocity_10v = 1000.0",
+        )
+        .replace(
+            "HOMING",
+            "velocity = -1.0, index_velocity = 1.0, index_position = 0.0, index_every = 2000.0",
+        )
         .replace("NODE", &format!("drive = 1, {joint}"))
         .replace(", @", if key.is_empty() { "" } else { ", @" })
         .replace('@', key)
@@ -385,4 +407,66 @@ fn main_readme_cell_is_accepted() {
     let example = line.split('\'').nth(1).unwrap();
     let cell = parse_cell(example).unwrap();
     assert_eq!(cell.devices.len(), 1);
+}
+
+#[test]
+fn servo_axis_faults_are_named() {
+    let cell = "SEGMENTDRIVEarm = [{ name = 'a', joint = [{ AXIS }] }]\nservo = [{ SERVO, @ }]";
+    let error = |key: &str| {
+        let text = cell_with(cell, key);
+        parse_cell(&text).err().map(|error| error.to_string())
+    };
+    assert_eq!(error(""), None);
+    for (key, cause) in [
+        ("gain = 0.0", "`gain` must be from 0.1 to 1000"),
+        ("offset_max = 11.0", "`offset_max` must be from 0 to 10"),
+        ("brake_time = '2s'", "`brake_time` must be at most 1s"),
+        ("channel = 4", "`channel` must be less than 4"),
+        ("ready = ['e', 0]", "there is no slave `e`"),
+        (
+            "enable = ['d', 99999]",
+            "the bit of `enable` must be less than",
+        ),
+    ] {
+        let error = error(key).unwrap();
+        assert!(
+            error.contains("servo x: ") && error.contains(cause),
+            "{key}: {error}"
+        );
+    }
+    let homing = |keys: &str| {
+        let keys = format!("proximity = ['d', 1], homing = {{ {keys} }}");
+        error(&keys).unwrap()
+    };
+    let rest = "index_velocity = 1.0, index_position = 0.0";
+    for (keys, cause) in [
+        (
+            format!("velocity = 0.0, {rest}, index_every = 1.0"),
+            "`homing.velocity` must be",
+        ),
+        (
+            format!("velocity = 1.0, {rest}, index_every = 0.0"),
+            "`homing.index_every` must be above 0",
+        ),
+        (
+            format!("velocity = 1.0, {rest}, index_every = 1.0, timeout = '2h'"),
+            "`homing.timeout` must be",
+        ),
+        (
+            format!("velocity = 1.0, {rest}, index_every = 1.0, start = nan"),
+            "`homing.start` must be",
+        ),
+    ] {
+        let error = homing(&keys);
+        assert!(error.contains(cause), "{keys}: {error}");
+    }
+    let unused = cell.replace("AXIS", "JOINT");
+    let error = parse_cell(&cell_with(&unused, "")).unwrap_err().to_string();
+    assert!(error.contains("servo x: it moves 0 joints"), "{error}");
+    let without = cell_with(
+        cell,
+        "homing = { velocity = 1.0, index_velocity = 1.0, index_position = 0.0, index_every = 1.0 }",
+    );
+    let error = parse_cell(&without).unwrap_err().to_string();
+    assert!(error.contains("`homing` needs `proximity`"), "{error}");
 }

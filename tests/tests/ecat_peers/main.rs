@@ -47,7 +47,11 @@ fn python(module: &str) -> Option<PathBuf> {
 fn run(test: &str, script: &str, module: &str, bench: impl Fn() -> Bench) {
     let Some(python) = python(module) else {
         // The runner looks for the word veth, and runs the test once more where it has installed the peers.
-        let why = format!("needs a veth pair and a Python with {module} (TAKT_PYTHON)");
+        let build = match module {
+            "soemx" => ", which pip builds with gcc and libpcap-dev",
+            _ => "",
+        };
+        let why = format!("needs a veth pair and a Python with {module} (TAKT_PYTHON){build}");
         skip(test, &why);
         return;
     };

@@ -15,6 +15,7 @@ use crate::cargo::{self, Cargo, note, say};
 use crate::environments;
 use crate::parts::{self, Part};
 use crate::python;
+use crate::vm;
 use tally::{Reader, Tally};
 
 /// Handling of golden files that differ.
@@ -49,6 +50,10 @@ pub(crate) fn count(root: &Path, parts: &[String], golden: Golden) -> anyhow::Re
     fs::write(&skips, "").with_context(|| format!("cannot write {}", skips.display()))?;
     let mut tally = Tally::default();
     let lines = lines(root, parts)?;
+    let named: Vec<&Part> = parts.iter().filter_map(|name| parts::find(name)).collect();
+    if is_wanted(&named, "tools") {
+        vm::browser()?;
+    }
     for line in lines.clone() {
         let mut line = line.env("TAKT_SKIPS", &skips.to_string_lossy());
         if golden == Golden::Rewrite {

@@ -16,7 +16,7 @@ use crate::test::tally::Tally;
 use availability::refused;
 pub(crate) use availability::{Availability, Unavailable};
 pub(crate) use guest::Guest;
-pub(crate) use needs::{is_root, packages, peers};
+pub(crate) use needs::{browser, is_root, packages, peers};
 
 /// `cargo xtask vm`: runs the command in a machine; returns its exit status.
 pub(crate) fn run(root: &Path, command: &[String], seconds: u64) -> anyhow::Result<u8> {

@@ -529,6 +529,7 @@ fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Optio
     let refused = axis.proof().fault().is_some();
     Some(Feedback {
         refused,
+        is_homing: false,
         online: running && state.missing <= MISSING_MAX && state.status != Default::default(),
         follows: state.follows,
         state: state.status.state().ok(),

@@ -35,6 +35,9 @@ pub struct Feedback {
     pub increments: i32,
     /// Whether it gets no power because its process data are not proven.
     pub refused: bool,
+    /// Whether it heeds no targets, as its zero is not known yet or being found: set-points of its joint are refused, and the
+    /// joint is where the axis is.
+    pub is_homing: bool,
 }
 
 /// An event of a joint, reported once per occurrence.

@@ -89,7 +89,7 @@ impl Driven {
             return;
         };
         self.away_since = None;
-        let target = target.filter(|_| axis.follows && self.runaway.is_none());
+        let target = target.filter(|_| axis.follows && !axis.is_homing && self.runaway.is_none());
         if let Some(runaway) = self.monitor.step(target, axis.increments, time_of(now)) {
             self.runaway = Some(runaway);
             self.event = Some(JointEvent::Runaway(runaway));
@@ -105,7 +105,8 @@ impl Driven {
         let out = (limits.position_min - position).max(position - limits.position_max);
         let before = self.outside;
         let play = if before { 0.5 } else { 1.0 };
-        self.outside = out > OUT_OF_RANGE_RAD * play;
+        // Before its zero is known, its position says nothing.
+        self.outside = out > OUT_OF_RANGE_RAD * play && !self.is_homing();
         if self.outside && !before {
             self.event.get_or_insert_with(|| JointEvent::OutOfRange {
                 position: position.to_degrees(),
@@ -132,6 +133,11 @@ impl Driven {
         self.axis.is_some_and(|axis| axis.online && axis.follows)
     }
 
+    /// Whether its axis heeds no targets.
+    fn is_homing(&self) -> bool {
+        self.axis.is_some_and(|axis| axis.is_homing)
+    }
+
     pub(crate) fn is_online(&self) -> bool {
         self.axis.is_some_and(|axis| axis.online)
     }
@@ -156,12 +162,13 @@ impl Driven {
         may_move: bool,
         when: &When,
     ) -> Option<i32> {
+        let may_move = may_move && !self.is_homing();
         self.refused = set_points.active && (self.refused || !may_move);
         if self.refused && may_move {
             let (position, ..) = self.joint.motion();
             self.joint.reject_resumed(set_points, position);
         }
-        if !self.follows() {
+        if !self.follows() || self.is_homing() {
             return None;
         }
         let none = JointSetPoints::default();

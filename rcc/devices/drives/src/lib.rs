@@ -5,7 +5,9 @@ mod arm;
 mod check;
 mod config;
 mod driven;
+mod homing;
 
 pub use arm::{Arm, Feedback, JointEvent, Order, proven, report_quirks};
 pub use check::{check, describe, limits_of};
 pub use config::{DriveArm, DriveJoint, Recovery};
+pub use homing::{Homing, HomingError, HomingInput, HomingMotion, HomingOutput, HomingStep};

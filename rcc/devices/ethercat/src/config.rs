@@ -1,5 +1,6 @@
 //! Cell file configuration of EtherCAT segments and their devices.
 
+mod servo;
 mod slave;
 mod youbot;
 
@@ -10,6 +11,7 @@ use serde::Deserialize;
 use takt_core::span;
 use takt_device_drives::{DriveArm, Recovery};
 
+pub use servo::{EthercatHoming, EthercatServo};
 pub use slave::{
     AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, LostPolicy, SlaveGoal, SlavePdo,
     SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy,
@@ -62,6 +64,9 @@ pub struct EthercatConfig {
     /// Inputs and outputs.
     #[serde(default, rename = "io")]
     pub ios: Vec<EthercatIo>,
+    /// Servo axes of terminals.
+    #[serde(default, rename = "servo")]
+    pub servos: Vec<EthercatServo>,
     /// Bases of KUKA youBots.
     #[serde(default, rename = "youbot_base")]
     pub youbot_bases: Vec<YouBotBase>,
@@ -87,6 +92,7 @@ impl Default for EthercatConfig {
             slaves: Vec::new(),
             arms: Vec::new(),
             ios: Vec::new(),
+            servos: Vec::new(),
             youbot_bases: Vec::new(),
             youbot_arms: Vec::new(),
         }

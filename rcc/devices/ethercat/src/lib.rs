@@ -9,9 +9,9 @@ mod plant;
 mod segment;
 
 pub use config::{
-    AnalogueChannel, EthercatClocks, EthercatConfig, EthercatIo, EthercatSlave, LostPolicy,
-    SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy, YouBotArm,
-    YouBotBase, YouBotControl, YouBotZero,
+    AnalogueChannel, EthercatClocks, EthercatConfig, EthercatHoming, EthercatIo, EthercatServo,
+    EthercatSlave, LostPolicy, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, StartupValue,
+    UnlockedPolicy, YouBotArm, YouBotBase, YouBotControl, YouBotZero,
 };
 pub use segment::{
     Ethercat, EthercatFigures, EthernetLink, Wait, Wire, Wires, YouBotFigures, check, describe,

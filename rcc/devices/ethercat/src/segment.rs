@@ -11,6 +11,7 @@ mod arm;
 mod describe;
 mod events;
 mod io;
+mod servo;
 mod wires;
 mod youbot;
 
@@ -36,6 +37,7 @@ use arm::Arm;
 pub use describe::{check, describe, master_config};
 use events::SegmentEvent;
 use io::InOut;
+use servo::ServoAxis;
 use takt_core::Error;
 use takt_core::device::bus::BusAccess;
 use takt_core::device::driver::{
@@ -131,6 +133,10 @@ impl Ethercat {
         let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
         let ios = config.ios.iter().zip(&mut given);
         let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
+        let servos = config.servos.iter().zip(&mut given);
+        let servos = servos
+            .map(|(servo, end)| ServoAxis::new(config, servo, end))
+            .collect();
         let youbots = YouBots::new(config, &mut given);
         let shared = Arc::<Shared>::default();
         let (own_clock, followed) = latest(1, Estimate::default);
@@ -147,6 +153,7 @@ impl Ethercat {
             cycle: config.cycle,
             arms,
             ios,
+            servos,
             youbots,
             buffer: [0; FRAME],
             clocks: [own_clock, ends.clock],
@@ -318,6 +325,7 @@ struct Driver {
     cycle: Duration,
     arms: Vec<Arm>,
     ios: Vec<InOut>,
+    servos: Vec<ServoAxis>,
     youbots: YouBots,
     buffer: [u8; FRAME],
     /// Clock of the segment, for this thread and for the controller.
@@ -454,8 +462,9 @@ impl Driver {
         while let Some(emergency) = self.master.poll_emergency() {
             self.events.push(SegmentEvent::Emergency(emergency)).ok();
         }
+        self.servos.iter_mut().for_each(|servo| servo.take(tick));
         for (number, arm) in self.arms.iter_mut().enumerate() {
-            arm.cycle(&mut self.master, tick, stopping);
+            arm.cycle(&mut self.master, &mut self.servos, tick, stopping);
             while let Some((slave, axis, event)) = arm.poll_event() {
                 self.events
                     .push(SegmentEvent::Axis(slave, axis, event))
@@ -465,6 +474,12 @@ impl Driver {
                 self.events
                     .push(SegmentEvent::Joint(number, joint, event))
                     .ok();
+            }
+        }
+        for (number, servo) in self.servos.iter_mut().enumerate() {
+            servo.publish(tick);
+            while let Some(event) = servo.poll_event() {
+                self.events.push(SegmentEvent::Servo(number, event)).ok();
             }
         }
         let unproven = self.arms.iter().map(Arm::unproven).sum();

@@ -80,11 +80,28 @@ pub(super) fn vng(root: &Path) -> Availability<PathBuf> {
 }
 
 /// Debian packages of the tests' peers and monitors on a bus.
-const PEERS: &[&str] = &["can-utils", "iproute2", "iputils-ping", "tshark"];
+const PEERS: &[&str] = &[
+    "can-utils",
+    "gcc",
+    "iproute2",
+    "iputils-ping",
+    "libpcap-dev",
+    "tshark",
+];
 /// Modules of our own Python environment: virtme-ng, and the tests' peers.
 const MODULES: [&str; 3] = ["virtme-ng~=1.42", "python-can~=4.0", "canopen~=2.0"];
-/// EtherCAT masters, from the list that users install too.
+/// EtherCAT masters, from the lists that users install too: those with wheels, and those that are built here with
+/// [`PEERS`].
 const MASTERS: &str = include_str!("../../../../ethercat/tests/peers/requirements.txt");
+const BUILT: &str = include_str!("../../../../ethercat/tests/peers/requirements-built.txt");
+
+/// Installs the browser that tests of the page use. These report a missing one themselves.
+pub(crate) fn browser() -> anyhow::Result<()> {
+    let report =
+        |Unavailable(why)| cargo::note(&format!("tests of the page miss a browser: {why}"));
+    packages(&["chromium"])?.unwrap_or_else(report);
+    Ok(())
+}
 
 /// Installs the tests' peers; returns the Python that has their modules. Tests report missing peers themselves.
 pub(crate) fn peers(root: &Path) -> anyhow::Result<Option<PathBuf>> {
@@ -98,7 +115,7 @@ fn python(root: &Path) -> Availability<PathBuf> {
     let folder = cargo::target_dir(root).join("vm/python");
     let python = folder.join("bin/python3");
     let complete = folder.join("complete");
-    let wanted = format!("{} {MASTERS}", MODULES.join(" "));
+    let wanted = format!("{} {MASTERS} {BUILT}", MODULES.join(" "));
     // An environment with other modules is extended.
     if std::fs::read_to_string(&complete).is_ok_and(|has| has == wanted) {
         return Ok(Ok(python));
@@ -113,11 +130,19 @@ fn python(root: &Path) -> Availability<PathBuf> {
         let why = format!("needs {modules}, and pip cannot install it");
         return Ok(Err(Unavailable(why)));
     }
-    // Only tests need the EtherCAT masters, and these report missing ones themselves.
-    if fetch.args(MASTERS.lines()).succeeds()? {
+    // Only tests need the EtherCAT masters, and these report missing ones themselves. One list must not keep the other out.
+    let mut all = true;
+    for (list, needs) in [
+        (MASTERS, ""),
+        (BUILT, "; it is built with gcc and libpcap-dev"),
+    ] {
+        if !fetch.clone().args(list.lines()).succeeds()? {
+            cargo::note(&format!("pip cannot install {}{needs}", list.trim_end()));
+            all = false;
+        }
+    }
+    if all {
         std::fs::write(complete, wanted)?;
-    } else {
-        cargo::note(&format!("pip cannot install {MASTERS}"));
     }
     Ok(Ok(python))
 }

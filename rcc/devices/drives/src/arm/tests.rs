@@ -118,6 +118,7 @@ impl Drive {
             state: Some(self.state),
             increments: rounded(self.position),
             refused: false,
+            is_homing: false,
         })
     }
 

@@ -11,7 +11,8 @@ use takt_ethercat::axis::{Axis, NotMapped, Target};
 use takt_ethercat::master::{Master, Reply};
 use takt_rt::cycle::Tick;
 
-use super::describe::slave;
+use super::describe::{servo, slave};
+use super::servo::ServoAxis;
 use crate::config::{EthercatConfig, LostPolicy};
 use takt_core::device::driver::DeviceEnd;
 use takt_device_drives::DriveArm;
@@ -47,11 +48,35 @@ pub(super) enum AxisEvent {
     Proven(Duration, Objects),
 }
 
+/// What moves a joint.
+#[derive(Debug)]
+enum Mover {
+    Axis(Box<Place>),
+    /// A servo axis of terminals.
+    Servo(usize),
+}
+
+impl Mover {
+    fn place(&self) -> Option<&Place> {
+        match self {
+            Self::Axis(place) => Some(place),
+            Self::Servo(_) => None,
+        }
+    }
+
+    fn place_mut(&mut self) -> Option<&mut Place> {
+        match self {
+            Self::Axis(place) => Some(place),
+            Self::Servo(_) => None,
+        }
+    }
+}
+
 /// An arm and its axes, by joint.
 #[derive(Debug)]
 pub(super) struct Arm {
     arm: drives::Arm,
-    places: Vec<Place>,
+    movers: Vec<Mover>,
     lost: LostPolicy,
 }
 
@@ -68,16 +93,21 @@ impl Arm {
             drive_fault: None,
             proven: None,
         };
+        let mover =
+            |joint: &takt_device_drives::DriveJoint<String>| match servo(config, &joint.drive) {
+                Some(servo) => Mover::Servo(servo),
+                None => Mover::Axis(Box::new(place(joint))),
+            };
         Self {
             arm: drives::Arm::new(arm, config.cycle, end),
-            places: arm.joints.iter().map(place).collect(),
+            movers: arm.joints.iter().map(mover).collect(),
             lost: config.clocks.lost,
         }
     }
 
     /// The next event of an axis: slave, axis, event.
     pub(super) fn poll_event(&mut self) -> Option<(usize, u8, AxisEvent)> {
-        let mut places = self.places.iter_mut();
+        let mut places = self.movers.iter_mut().filter_map(Mover::place_mut);
         places.find_map(|place| Some((place.slave, place.number, place.poll_event()?)))
     }
 
@@ -89,7 +119,7 @@ impl Arm {
     /// Handles the reply to an upload of its axes; returns replies that are not its own.
     pub(super) fn handle_reply(&mut self, reply: Reply, tick: &Tick) -> Result<(), Reply> {
         let now = time(tick);
-        let axes = self.places.iter_mut();
+        let axes = self.movers.iter_mut().filter_map(Mover::place_mut);
         let mut axes = axes.filter_map(|place| place.axis.as_mut());
         match axes.try_fold(reply, |reply, axis| axis.handle_reply(reply, now).err()) {
             Some(reply) => Err(reply),
@@ -103,7 +133,8 @@ impl Arm {
             let axis = place.axis.as_ref();
             axis.is_some_and(|axis| axis.proof().is_proven())
         };
-        let count = self.places.len() - self.places.iter().filter(proven).count();
+        let places = || self.movers.iter().filter_map(Mover::place);
+        let count = places().count() - places().filter(proven).count();
         count as u64
     }
 
@@ -114,14 +145,21 @@ impl Arm {
 
     /// Whether the clock of a running SYNC0 drive left its window.
     fn has_lost_clock(&self, master: &Master) -> bool {
-        self.places.iter().any(|place| {
+        let mut places = self.movers.iter().filter_map(Mover::place);
+        places.any(|place| {
             let slave = master.slave(place.slave);
             slave.is_some_and(|slave| slave.spec().sync.is_some() && slave.clock_is_lost())
         })
     }
 
     /// Steps its drives by one cycle.
-    pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
+    pub(super) fn cycle(
+        &mut self,
+        master: &mut Master,
+        servos: &mut [ServoAxis],
+        tick: &Tick,
+        stopping: bool,
+    ) {
         let now = time(tick);
         let (hold, stop) = match self.lost {
             LostPolicy::Ignore => (false, false),
@@ -130,9 +168,14 @@ impl Arm {
         };
         self.arm.hold(hold);
         let stopping = stopping || stop;
-        let places = &mut self.places;
+        let movers = &mut self.movers;
         self.arm.cycle(tick, stopping, |joint, order| {
-            let place = places.get_mut(joint)?;
+            let place = match movers.get_mut(joint)? {
+                Mover::Servo(servo) => {
+                    return servos.get_mut(*servo)?.cycle(master, order, now);
+                }
+                Mover::Axis(place) => place,
+            };
             place.find(master);
             let axis = place.axis.as_mut()?;
             if let Some(goal) = order.goal {
@@ -147,6 +190,7 @@ impl Arm {
             place.note(state.drive_fault, took);
             Some(Feedback {
                 refused,
+                is_homing: false,
                 online: state.online,
                 follows: state.follows,
                 state: state.state,

@@ -11,12 +11,13 @@ use takt_ethercat::config::{
     ClockConfig, IMAGE_MAX, Location, MasterConfig, PdoSpec, SlaveSpec, StartupSdo, SyncSpec,
     Unlocked,
 };
+use takt_ethercat::encoder::CHANNELS_MAX;
 use takt_ethercat::master::Master;
 
 use super::youbot;
 use crate::config::{
-    AnalogueChannel, EthercatConfig, EthercatIo, EthercatSlave, SlaveGoal, SlavePdo, SlaveTimeouts,
-    StartupObject, UnlockedPolicy,
+    AnalogueChannel, EthercatConfig, EthercatHoming, EthercatIo, EthercatServo, EthercatSlave,
+    SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, UnlockedPolicy,
 };
 use takt_core::device::{DeviceDescription, Part};
 use takt_device_drives as drives;
@@ -28,10 +29,12 @@ const YOUBOT_ACYCLIC: u8 = 4;
 const BITS_MAX: usize = 8 * IMAGE_MAX;
 /// Longest watchdog: 65,535 steps of 100 us.
 const WATCHDOG_MAX: Duration = Duration::from_micros(6_553_500);
+/// Longest time of a brake: power is removed a second and a half after a shutdown request at the earliest.
+const BRAKE_MAX: Duration = Duration::from_secs(1);
 /// Largest clock window and longest SYNC1 delay.
 const CLOCK_MAX: Duration = Duration::from_secs(1);
 
-/// The devices of a segment: arms, then inputs and outputs, then youBots.
+/// The devices of a segment: arms, then inputs and outputs, servo axes, youBots.
 #[must_use]
 pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
     let arms = config
@@ -45,7 +48,15 @@ pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
         model: "".into(),
         parts: vec![part(io)],
     });
-    arms.chain(ios).chain(youbot::describe(config)).collect()
+    let servos = config.servos.iter().map(|servo| DeviceDescription {
+        name: servo.name.clone(),
+        kind: "ethercat_servo",
+        limits: Vec::new(),
+        model: "".into(),
+        parts: vec![super::servo::part()],
+    });
+    let all = arms.chain(ios).chain(servos);
+    all.chain(youbot::describe(config)).collect()
 }
 
 /// The device of inputs and outputs, as nets see it.
@@ -67,6 +78,11 @@ pub(super) fn bits(of: &[(String, usize)]) -> usize {
 /// The slave with that name.
 pub(super) fn slave(config: &EthercatConfig, name: &str) -> Option<usize> {
     config.slaves.iter().position(|slave| slave.name == name)
+}
+
+/// The servo axis with that name.
+pub(super) fn servo(config: &EthercatConfig, name: &str) -> Option<usize> {
+    config.servos.iter().position(|servo| servo.name == name)
 }
 
 /// Configuration of the segment's master.
@@ -192,6 +208,10 @@ pub fn check(config: &EthercatConfig) -> Result<(), String> {
     }
     for arm in &config.arms {
         drives::check(arm, |joint| check_drive(config, joint)).map_err(named)?;
+    }
+    for servo in &config.servos {
+        check_servo(config, servo)
+            .map_err(|what| named(format!("servo {}: {what}", servo.name)))?;
     }
     youbot::check(config).map_err(named)?;
     for io in &config.ios {
@@ -334,9 +354,99 @@ fn check_channel(channel: &AnalogueChannel) -> Result<(), String> {
     Ok(())
 }
 
+fn check_servo(config: &EthercatConfig, servo: &EthercatServo) -> Result<(), String> {
+    if servo.name.is_empty() {
+        return Err("it has no name".to_owned());
+    }
+    let same = config.servos.iter().filter(|it| it.name == servo.name);
+    if same.count() > 1 || slave(config, &servo.name).is_some() {
+        return Err("another servo axis or slave has the same name".to_owned());
+    }
+    let joints = config.arms.iter().flat_map(|arm| &arm.joints);
+    let joints = joints.filter(|joint| joint.drive == servo.name).count();
+    if joints != 1 {
+        return Err(format!(
+            "it moves {joints} joints; name it in `slave` of one [[ethercat.arm.joint]]"
+        ));
+    }
+    let slaves = [&servo.encoder, &servo.output.slave];
+    let slaves = slaves
+        .into_iter()
+        .chain(servo.bits().map(|(_, (name, _), _)| name));
+    if let Some(name) = slaves
+        .into_iter()
+        .find(|name| slave(config, name).is_none())
+    {
+        return Err(format!("there is no slave `{name}`"));
+    }
+    if let Some((key, ..)) = servo.bits().find(|(_, (_, bit), _)| *bit >= BITS_MAX) {
+        return Err(format!("the bit of `{key}` must be less than {BITS_MAX}"));
+    }
+    if servo.channel >= CHANNELS_MAX {
+        return Err(format!("`channel` must be less than {CHANNELS_MAX}"));
+    }
+    check_channel(&servo.output).map_err(|what| format!("`output`: {what}"))?;
+    if !servo.velocity_10v.is_normal() || servo.velocity_10v.abs() > 1e9 {
+        return Err("`velocity_10v` must be a number up to 1e9 and not 0".to_owned());
+    }
+    if !(0.1..=1000.0).contains(&servo.gain) {
+        return Err("`gain` must be from 0.1 to 1000".to_owned());
+    }
+    if !(0.0..=10.0).contains(&servo.offset_max) {
+        return Err("`offset_max` must be from 0 to 10".to_owned());
+    }
+    if servo.brake_time > BRAKE_MAX {
+        return Err("`brake_time` must be at most 1s".to_owned());
+    }
+    match &servo.homing {
+        Some(_) if servo.proximity.is_none() => Err("`homing` needs `proximity`".to_owned()),
+        Some(homing) => check_homing(homing),
+        None => Ok(()),
+    }
+}
+
+fn check_homing(homing: &EthercatHoming) -> Result<(), String> {
+    let wrong = |key: &str, what: &str| Err(format!("`homing.{key}` must be {what}"));
+    let above_zero = |value: f64| (1e-6..=1e9).contains(&value);
+    if !above_zero(homing.velocity.abs()) {
+        return wrong("velocity", "a number other than 0");
+    }
+    for (key, value) in [
+        ("index_velocity", Some(homing.index_velocity)),
+        ("index_every", Some(homing.index_every)),
+        ("travel_max", homing.travel_max),
+    ] {
+        if value.is_some_and(|value| !above_zero(value)) {
+            return wrong(key, "above 0");
+        }
+    }
+    for (key, value) in [
+        ("index_position", homing.index_position),
+        ("start", homing.start.unwrap_or_default()),
+    ] {
+        if !value.is_finite() || value.abs() > 1e6 {
+            return wrong(key, "an angle up to 1e6 degrees");
+        }
+    }
+    if homing.timeout.is_zero() || homing.timeout > Duration::from_hours(1) {
+        return wrong("timeout", "above 0 and at most 1h");
+    }
+    Ok(())
+}
+
 fn check_drive(config: &EthercatConfig, joint: &DriveJoint<String>) -> Result<(), String> {
+    if servo(config, &joint.drive).is_some() {
+        return if joint.axis == 0 {
+            Ok(())
+        } else {
+            Err(format!(
+                "servo axis {} has no axis {}",
+                joint.drive, joint.axis
+            ))
+        };
+    }
     let Some(slave) = slave(config, &joint.drive).and_then(|at| config.slaves.get(at)) else {
-        return Err(format!("there is no slave `{}`", joint.drive));
+        return Err(format!("there is no slave or servo axis `{}`", joint.drive));
     };
     if joint.axis < slave.axes {
         return Ok(());

@@ -7,6 +7,7 @@ use takt_ethercat::master::{Difference, EmergencyReport, Event};
 
 use super::arm::AxisEvent;
 use super::io::Lack;
+use super::servo::ServoEvent;
 use takt_core::device::driver::{DriverEvent, Severity};
 use takt_device_drives::{self as drives, JointEvent};
 
@@ -23,6 +24,8 @@ pub(super) enum SegmentEvent {
     Lack(Lack),
     /// Of an axis of a slave.
     Axis(usize, u8, AxisEvent),
+    /// Of a servo axis.
+    Servo(usize, ServoEvent),
     /// Of a joint of an arm: arm, joint, event.
     Joint(usize, usize, JointEvent),
 }
@@ -54,12 +57,14 @@ impl SegmentEvent {
             },
             // Error code 0000h clears an emergency.
             Self::Emergency(report) if report.emergency.code == 0 => Severity::Info,
+            Self::Servo(_, ServoEvent::Homed) => Severity::Info,
             Self::AsExpected | Self::Axis(_, _, AxisEvent::Proven(..)) => Severity::Info,
             Self::Joint(_, _, JointEvent::OutOfRange { .. }) => Severity::Warning,
             Self::Emergency(_)
             | Self::Difference(_)
             | Self::TooLarge(_)
             | Self::Lack(_)
+            | Self::Servo(..)
             | Self::Axis(_, _, AxisEvent::Lack(_) | AxisEvent::DriveFault(_))
             | Self::Joint(_, _, JointEvent::Runaway(_)) => Severity::Error,
         }
@@ -99,6 +104,7 @@ impl fmt::Display for SegmentEvent {
                     drives::proven(*took, *trusted)
                 )
             }
+            Self::Servo(servo, event) => write!(f, "servo axis {servo}: {event}"),
             Self::Joint(arm, joint, event) => write!(f, "arm {arm}, joint {joint}: {event}"),
         }
     }

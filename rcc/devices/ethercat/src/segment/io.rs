@@ -18,15 +18,35 @@ use takt_ethercat::axis::OFFLINE_AFTER;
 
 /// A bit of a slave's process data.
 #[derive(Clone, Copy, Debug)]
-struct Bit {
-    slave: usize,
-    bit: usize,
+pub(super) struct Bit {
+    pub(super) slave: usize,
+    pub(super) bit: usize,
+}
+
+impl Bit {
+    /// Its input; `None` while its slave is lost or has no such bit.
+    pub(super) fn read(self, master: &Master) -> Option<bool> {
+        let (bytes, age) = master.inputs(self.slave);
+        let byte = bytes.get(self.bit / 8).filter(|_| age <= OFFLINE_AFTER)?;
+        Some(byte >> (self.bit % 8) & 1 != 0)
+    }
+
+    /// Sets its output; returns whether the slave has it.
+    pub(super) fn write(self, master: &mut Master, value: bool) -> bool {
+        let mask = 1 << (self.bit % 8);
+        let byte = master.outputs_mut(self.slave).get_mut(self.bit / 8);
+        let has_it = byte.is_some();
+        if let Some(byte) = byte {
+            *byte = if value { *byte | mask } else { *byte & !mask };
+        }
+        has_it
+    }
 }
 
 /// A number in a slave's process data.
 #[derive(Clone, Copy, Debug)]
-struct Number {
-    slave: usize,
+pub(super) struct Number {
+    pub(super) slave: usize,
     object: Option<Address>,
     /// First bit and number of bits; `None` until the mapping is known.
     place: Option<(usize, u32)>,
@@ -36,7 +56,7 @@ struct Number {
 }
 
 impl Number {
-    fn new(config: &EthercatConfig, channel: &AnalogueChannel) -> Self {
+    pub(super) fn new(config: &EthercatConfig, channel: &AnalogueChannel) -> Self {
         let object = channel.object.map(|(index, sub)| Address::new(index, sub));
         Self {
             slave: slave(config, &channel.slave).unwrap_or_default(),
@@ -48,7 +68,7 @@ impl Number {
         }
     }
 
-    fn find(&mut self, master: &Master, outputs: bool) -> Option<Lack> {
+    pub(super) fn find(&mut self, master: &Master, outputs: bool) -> Option<Lack> {
         let process = master.slave(self.slave)?.process();
         if let Some(object) = self.object {
             let found = process.locate(object, outputs);
@@ -95,7 +115,7 @@ impl Number {
     }
 
     /// Writes a value, clamped to the range of the number; returns whether it lies in the data.
-    fn write(&self, bytes: &mut [u8], value: f64) -> bool {
+    pub(super) fn write(&self, bytes: &mut [u8], value: f64) -> bool {
         let Some((first, count)) = self.place else {
             return false;
         };

@@ -30,6 +30,7 @@ pub(super) struct Bench {
     segment: Segment,
     arms: Vec<Arm>,
     ios: Vec<InOut>,
+    pub(super) servos: Vec<ServoAxis>,
     youbots: YouBots,
     pub(super) cycle: Nanos,
     tick: u64,
@@ -80,11 +81,16 @@ impl Bench {
         let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
         let ios = config.ios.iter().zip(&mut ends);
         let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
+        let servos = config.servos.iter().zip(&mut ends);
+        let servos = servos
+            .map(|(servo, end)| ServoAxis::new(config, servo, end))
+            .collect();
         let mut bench = Self {
             master: Master::new(master_config(config)).unwrap(),
             segment,
             arms,
             ios,
+            servos,
             youbots: YouBots::new(config, &mut ends),
             cycle: config.cycle.into(),
             tick: 1000,
@@ -152,8 +158,12 @@ impl Bench {
                 self.youbots.handle_reply(reply, &tick);
             }
         }
+        self.servos.iter_mut().for_each(|servo| servo.take(&tick));
         for arm in &mut self.arms {
-            arm.cycle(&mut self.master, &tick, self.is_ending);
+            arm.cycle(&mut self.master, &mut self.servos, &tick, self.is_ending);
+        }
+        for servo in &mut self.servos {
+            servo.publish(&tick);
         }
         for io in &mut self.ios {
             io.cycle(&mut self.master, &tick);

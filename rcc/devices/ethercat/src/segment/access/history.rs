@@ -67,6 +67,7 @@ const fn subjects(event: &SegmentEvent) -> (Option<Subject>, Option<Subject>) {
         SegmentEvent::Emergency(_)
         | SegmentEvent::Lack(_)
         | SegmentEvent::Axis(..)
+        | SegmentEvent::Servo(..)
         | SegmentEvent::Joint(..) => (None, None),
     }
 }

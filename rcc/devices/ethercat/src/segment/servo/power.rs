@@ -1,0 +1,104 @@
+//! Enabling of a servo axis and its brake, in the order that keeps a load up: the position loop holds before the brake opens, and
+//! until it is closed.
+
+use std::time::Duration;
+
+use takt_cia402::{Goal, State};
+use takt_device_drives::Order;
+
+use super::{ServoAxis, ServoEvent, ServoFault};
+
+/// Time for an amplifier to become ready.
+const READY_WITHIN: Duration = Duration::from_secs(2);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Power {
+    /// No power, brake closed.
+    Off,
+    /// Enabled since; the amplifier is not ready yet.
+    Enabling(Duration),
+    /// The brake opens since.
+    Releasing(Duration),
+    /// It follows.
+    On,
+    /// The brake closes since.
+    Braking(Duration),
+    /// No power, brake closed, until a reset.
+    Fault(ServoFault),
+}
+
+impl Power {
+    pub(super) const fn is_enabled(self) -> bool {
+        !matches!(self, Self::Off | Self::Fault(_))
+    }
+
+    pub(super) const fn is_released(self) -> bool {
+        matches!(self, Self::Releasing(_) | Self::On)
+    }
+
+    /// Whether the position loop runs.
+    pub(super) const fn is_controlled(self) -> bool {
+        matches!(self, Self::Releasing(_) | Self::On | Self::Braking(_))
+    }
+
+    /// The state of a drive that corresponds to it.
+    pub(super) const fn state(self) -> State {
+        match self {
+            Self::Off => State::SwitchOnDisabled,
+            Self::Enabling(_) => State::SwitchedOn,
+            Self::Releasing(_) | Self::On | Self::Braking(_) => State::OperationEnabled,
+            Self::Fault(_) => State::Fault,
+        }
+    }
+}
+
+impl ServoAxis {
+    /// Removes its power at once.
+    pub(super) fn fail(&mut self, fault: ServoFault) {
+        if self.power.is_enabled() {
+            self.power = Power::Fault(fault);
+            self.note(ServoEvent::Fault(fault));
+        }
+    }
+
+    pub(super) fn step_power(&mut self, order: Order, now: Duration) {
+        if !self.sensed.online {
+            // A returning axis does not move by itself.
+            (self.power, self.is_wanted_on) = (Power::Off, false);
+            return;
+        }
+        if let Some(goal) = order.goal {
+            self.is_wanted_on = goal == Goal::OperationEnabled;
+            if goal == Goal::SwitchOnDisabled && self.power.is_enabled() {
+                self.power = Power::Off;
+            }
+        }
+        let is_latched = self.power == Power::Fault(ServoFault::NotFollowing);
+        if order.reset && matches!(self.power, Power::Fault(_)) && !is_latched {
+            self.power = Power::Off;
+        }
+        if self.sensed.encoder.open_circuit {
+            self.fail(ServoFault::OpenCircuit);
+        }
+        let passed = |since: Duration| now.saturating_sub(since);
+        let brake_time = self.config.brake_time;
+        self.power = match self.power {
+            Power::Off if self.is_wanted_on && !self.sensed.encoder.open_circuit => {
+                Power::Enabling(now)
+            }
+            Power::Enabling(_) | Power::Releasing(_) if !self.is_wanted_on => Power::Off,
+            Power::Enabling(since) if self.sensed.ready && passed(since) >= brake_time => {
+                Power::Releasing(now)
+            }
+            Power::Releasing(since) if passed(since) >= brake_time => Power::On,
+            Power::On if !self.is_wanted_on => Power::Braking(now),
+            Power::Braking(since) if passed(since) >= brake_time => Power::Off,
+            state => state,
+        };
+        let late = matches!(self.power, Power::Enabling(since) if passed(since) > READY_WITHIN);
+        let lost = self.power.is_controlled() && !self.sensed.ready;
+        if late || lost {
+            self.fail(ServoFault::NotReady);
+        }
+    }
+}
