@@ -39,7 +39,7 @@ struct Set {
     value: Place,
 }
 
-/// Progress of the latch: the terminal arms it anew only after it was taken back.
+/// Progress of the latch: the terminal arms it again only after it was taken back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum LatchState {
     Idle,

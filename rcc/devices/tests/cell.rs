@@ -449,7 +449,7 @@ fn servo_axis_faults_are_named() {
             "`homing.index_every` must be above 0",
         ),
         (
-            format!("velocity = 1.0, {rest}, index_every = 1.0, timeout = '2h'"),
+            format!("velocity = 1.0, {rest}, index_every = 1.0, timeout = '7200s'"),
             "`homing.timeout` must be",
         ),
         (

@@ -108,7 +108,7 @@ fn encoder_latch_takes_first_pulse_after_arming() {
             0,
             "{volts}"
         );
-        // Later pulses do not replace it until it is armed anew.
+        // Later pulses do not replace it until it is armed again.
         let later = bench.run(&mut encoder, 900, true);
         assert_eq!(later.latched, Some(latched));
         assert!((later.count - latched).abs() > 2000);

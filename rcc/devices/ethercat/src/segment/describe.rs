@@ -19,7 +19,7 @@ use crate::config::{
     AnalogueChannel, EthercatConfig, EthercatHoming, EthercatIo, EthercatServo, EthercatSlave,
     SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, UnlockedPolicy,
 };
-use takt_core::device::{DeviceDescription, Part};
+use takt_core::device::{DeviceDescription, Part, homing};
 use takt_device_drives as drives;
 use takt_device_drives::DriveJoint;
 
@@ -53,7 +53,7 @@ pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
         kind: "ethercat_servo",
         limits: Vec::new(),
         model: "".into(),
-        parts: vec![super::servo::part()],
+        parts: vec![axis_part()],
     });
     let all = arms.chain(ios).chain(servos);
     all.chain(youbot::describe(config)).collect()
@@ -66,6 +66,16 @@ pub(super) fn part(io: &EthercatIo) -> Part {
         bool_out: bits(&io.digital_out).min(BITS_MAX),
         real_in: io.analogue_in.len(),
         real_out: io.analogue_out.len(),
+    }
+}
+
+/// The signals of a servo axis, as nets see them.
+pub(super) const fn axis_part() -> Part {
+    Part::Io {
+        bool_in: homing::BOOL_IN,
+        bool_out: homing::BOOL_OUT,
+        real_in: homing::REAL_IN,
+        real_out: 0,
     }
 }
 

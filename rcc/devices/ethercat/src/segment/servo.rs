@@ -12,11 +12,10 @@ use takt_ethercat::encoder::{Encoder, EncoderReading};
 use takt_ethercat::master::Master;
 use takt_rt::cycle::Tick;
 
-use super::describe::slave;
+use super::describe::{axis_part, slave};
 use super::io::{Bit, Lack, Number};
 use crate::config::{AnalogueChannel, EthercatConfig, EthercatHoming, EthercatServo};
 use power::Power;
-pub(super) use signals::part;
 use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::Endpoint;
 use takt_device_drives::{
@@ -74,7 +73,7 @@ impl fmt::Display for ServoEvent {
                 "a wire of its encoder is broken; its brake is closed\nhint: check the plug of the encoder",
             ),
             Self::Fault(ServoFault::NotFollowing) => f.write_str(
-                "it does not follow; its brake is closed until it is homed anew\nhint: check brake, motor and encoder, and the \
+                "it does not follow; its brake is closed until it is homed again\nhint: check brake, motor and encoder, and the \
                  sign of `velocity_10v`",
             ),
             Self::Offset => f.write_str(
@@ -193,7 +192,7 @@ impl ServoAxis {
             offset: 0.0,
             is_saturated: false,
             events: [None; 4],
-            end: Endpoint::new(end, &[part()], 0),
+            end: Endpoint::new(end, &[axis_part()], 0),
             config: servo.clone(),
         }
     }

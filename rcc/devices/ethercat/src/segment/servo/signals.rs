@@ -1,20 +1,9 @@
 //! What nets see of a servo axis, and command: an interface of inputs and outputs.
 
-use takt_core::device::homing::{BOOL_IN, BOOL_OUT, REAL_IN};
-use takt_core::device::{DeviceStatus, Part};
+use takt_core::device::DeviceStatus;
 use takt_rt::cycle::Tick;
 
 use super::ServoAxis;
-
-/// Its signals.
-pub(in crate::segment) const fn part() -> Part {
-    Part::Io {
-        bool_in: BOOL_IN,
-        bool_out: BOOL_OUT,
-        real_in: REAL_IN,
-        real_out: 0,
-    }
-}
 
 impl ServoAxis {
     /// Whether a net wants it to home.

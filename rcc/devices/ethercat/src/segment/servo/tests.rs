@@ -65,7 +65,7 @@ impl Cell {
         Self {
             bench: Bench::new(&config, segment, 0),
             station,
-            signals: parts::lay(&[part()], 0, &mut layout),
+            signals: parts::lay(&[axis_part()], 0, &mut layout),
         }
     }
 
@@ -304,7 +304,7 @@ fn servo_reversed_motor_loses_power_within_limit() {
 }
 
 #[test]
-fn servo_homing_withdrawn_brakes_and_begins_anew() {
+fn servo_homing_withdrawn_brakes_and_begins_again() {
     let mut cell = Cell::start(StationMotor::default());
     cell.home_for(0, 500);
     cell.home(0, false);
