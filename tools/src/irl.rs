@@ -1,5 +1,6 @@
-//! `takt irl`: compile L-IRL programs, and try them without a controller: robots follow exactly, inputs are constant.
+//! `takt irl`: compile L-IRL programs, and run them: on a controller, or without one by robots that follow exactly.
 
+mod live;
 mod simulate;
 mod write;
 
@@ -24,8 +25,8 @@ pub(crate) enum Irl {
     Compile(write::Compile),
     /// Print the listing of a program or of object code.
     Explain(write::Explain),
-    /// Run a program or object code here, with robots that follow exactly.
-    Run(simulate::Simulate),
+    /// Run a program or object code, in virtual time or on a controller.
+    Run(Box<simulate::Simulate>),
 }
 
 impl Irl {
@@ -118,6 +119,12 @@ impl Source {
                 diagnostics: rejection.diagnostics,
             },
         })
+    }
+
+    /// The source text, unless the file is object code.
+    fn text(&self) -> Option<String> {
+        let text = takt_core::files::read_text(&self.file, FILE_MAX).ok();
+        text.filter(|text| !text.starts_with("TIRL"))
     }
 
     /// The program; its errors have been printed if there is none.

@@ -35,6 +35,7 @@ use takt_net::Registry;
 pub fn registry() -> Registry {
     let mut registry = Registry::core();
     registry.add(takt_motion::all());
+    registry.add(takt_irl::all());
     registry.add(primitives::all());
     registry
 }

@@ -10,6 +10,7 @@ const OWN: &[&str] = &[
     "Takeover",
     "DeviceFailure",
     "ArmKinematics::VelKin",
+    "Irl::",
 ];
 
 /// Out ports that Takt adds to primitives that clients know.

@@ -1,17 +1,21 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
-#![allow(
-    clippy::wildcard_enum_match_arm,
-    clippy::match_wildcard_for_single_variants,
-    reason = "the compiler rejects, and the interpreter faults on, everything that an arm does not name"
-)]
 
 mod builtin;
 mod code;
+#[expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "the compiler rejects every form that an arm does not name"
+)]
 mod compile;
 mod diagnostic;
 pub mod fuzz;
 mod machine;
+pub mod net;
+#[expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "a word that an arm does not name is an error of syntax"
+)]
 mod parse;
 mod primitive;
 mod spec;
@@ -22,7 +26,9 @@ mod types;
 pub use code::{CodeError, Location, Program, Scalar, VERSION, Variable};
 pub use compile::{Compiled, compile, specification_of};
 pub use diagnostic::{Code, Diagnostic, Rejection};
-pub use machine::{Control, Fault, FaultKind, Machine, MachineError, Phase, STEP_COST_NS};
+pub use machine::{
+    BREAKPOINTS_MAX, Control, Fault, FaultKind, Machine, MachineError, Phase, STEP_COST_NS,
+};
 pub use primitive::all;
 pub use spec::{Direction, Joint, Robot, Signal, SignalKind, SpecError, System};
 

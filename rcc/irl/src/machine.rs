@@ -3,12 +3,15 @@
 //! What the joints do with set-points is not known here.
 
 mod robot;
+#[expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "an instruction that an arm does not name is a fault of the program"
+)]
 mod step;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use takt_motion::live::{FrameMotion, JointMotion};
 use takt_motion::plan::{PlanError, State};
 use takt_net::device::Kinematics;
 
@@ -24,6 +27,9 @@ const JOINT_ACT: usize = 21;
 const POSE_ACT: usize = 28;
 /// Joints in a record.
 pub(crate) const MAIN_JOINTS: usize = 7;
+
+/// Most breakpoints of a program.
+pub const BREAKPOINTS_MAX: usize = 16;
 
 /// Upper bound on the cost of one step, ns, on a present-day host; heavier instructions count as several steps.
 pub const STEP_COST_NS: u32 = 50;
@@ -79,6 +85,49 @@ pub enum FaultKind {
     BadCode = 14,
 }
 
+impl FaultKind {
+    /// All of them; the position of each is its number less one.
+    pub const ALL: [Self; 14] = [
+        Self::DivisionByZero,
+        Self::Overflow,
+        Self::NotANumber,
+        Self::Index,
+        Self::NoResult,
+        Self::Attribute,
+        Self::JointCount,
+        Self::JointLimit,
+        Self::Unreachable,
+        Self::NoPath,
+        Self::JointSpeed,
+        Self::SharedRobot,
+        Self::NoInput,
+        Self::BadCode,
+    ];
+
+    /// What to do about it.
+    #[must_use]
+    pub const fn hint(self) -> &'static str {
+        match self {
+            Self::DivisionByZero => "compare the divisor with 0 before",
+            Self::Overflow => "use real numbers, or limit the operands",
+            Self::NotANumber => "check the operands, and that the target gives all joints",
+            Self::Index => "compare the index with the bounds of the array before",
+            Self::NoResult => "end each path of the function with `return`",
+            Self::Attribute => "docs/irl.md has the range of each attribute",
+            Self::JointCount => "give as many joints as the robot has",
+            Self::JointLimit => {
+                "move the target into the ranges of the system specification and of the device"
+            }
+            Self::Unreachable => "move the target nearer, or go there with `ptp`",
+            Self::NoPath => "choose an auxiliary point beside the line of start and end",
+            Self::JointSpeed => "lower `speed`, go around the singularity, or use `ptp`",
+            Self::SharedRobot => "move the robot in one branch only, or let the others wait for it",
+            Self::NoInput => "check the device of the signal, and that the signal is bound",
+            Self::BadCode => "compile the source again",
+        }
+    }
+}
+
 /// Why and where a program failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
@@ -100,7 +149,7 @@ impl std::fmt::Display for Fault {
 pub enum Phase {
     /// It runs.
     Running = 1,
-    /// It waits at a `pause` statement for permission to continue.
+    /// It waits at a `pause` statement, at a breakpoint or behind a step for permission to continue.
     Paused = 2,
     /// It has ended, and a robot still brakes.
     Ending = 3,
@@ -141,6 +190,8 @@ struct Thread {
     /// Robots that it has moved, by bit.
     moved: u8,
     timed_out: bool,
+    /// The line that it executes; 0 before the first one.
+    line: u32,
 }
 
 /// Where a call returns to.
@@ -148,6 +199,7 @@ struct Thread {
 struct Return {
     pc: u32,
     fp: usize,
+    line: u32,
 }
 
 /// Inputs of a cycle.
@@ -157,8 +209,10 @@ pub struct Control {
     pub speed: f64,
     /// Holds motions and the program.
     pub pause: bool,
-    /// Goes on behind a `pause` statement.
+    /// Goes on behind a `pause` statement, a breakpoint or a step.
     pub resume: bool,
+    /// Goes on, and waits again before the next line of any branch.
+    pub step: bool,
     /// Ends the program; robots brake on their paths.
     pub stop: bool,
 }
@@ -169,6 +223,7 @@ impl Default for Control {
             speed: 1.0,
             pause: false,
             resume: false,
+            step: false,
             stop: false,
         }
     }
@@ -190,6 +245,10 @@ pub struct Machine {
     phase: Phase,
     fault: Option<Fault>,
     location: Location,
+    /// Lines before which it waits; 0 for none.
+    breakpoints: [u32; BREAKPOINTS_MAX],
+    /// Whether it waits before the next line.
+    is_stepping: bool,
     /// The thread that is executed first in the next cycle.
     first: usize,
 }
@@ -210,8 +269,7 @@ impl Machine {
         let robots = specified
             .map(|(i, robot)| {
                 let arm = arms.get(i).cloned().flatten();
-                let joints = JointMotion::new(robot.joints.len(), period)?;
-                Robot::new(robot, arm, (joints, FrameMotion::new(period)?), period)
+                Robot::new(robot, arm, period)
             })
             .collect::<Result<Box<[Robot]>, MachineError>>()?;
         let threads = program.threads as usize;
@@ -230,6 +288,8 @@ impl Machine {
             phase: Phase::Running,
             fault: None,
             location: Location::default(),
+            breakpoints: [0; BREAKPOINTS_MAX],
+            is_stepping: false,
             first: 0,
             program,
         };
@@ -255,8 +315,16 @@ impl Machine {
         self.outputs.fill(None);
         self.phase = Phase::Running;
         self.fault = None;
+        self.is_stepping = false;
         self.first = 0;
         self.cycles = 0;
+    }
+
+    /// Sets the lines, from 1, before which the program waits in place of those before; 0 is none, and of more than
+    /// [`BREAKPOINTS_MAX`] the first count.
+    pub fn set_breakpoints(&mut self, lines: impl IntoIterator<Item = u32>) {
+        let mut lines = lines.into_iter();
+        self.breakpoints.fill_with(|| lines.next().unwrap_or(0));
     }
 
     /// Sets where a robot is, at rest, rad; before the first cycle.
@@ -341,8 +409,11 @@ impl Machine {
         if control.stop && !has_ended {
             self.halt();
         }
-        if self.phase == Phase::Paused && control.resume {
-            self.phase = Phase::Running;
+        if control.resume || control.step {
+            self.is_stepping = control.step;
+            if self.phase == Phase::Paused {
+                self.phase = Phase::Running;
+            }
         }
         if self.phase == Phase::Running && !control.pause {
             self.write_records();

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use takt_net::definition::port;
+use takt_net::failure::FailureCell;
 use takt_net::{
     ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, FaultKind, In, NullRule, Out, Primitive,
 };
@@ -11,11 +12,16 @@ use takt_net::{
 use crate::code::Program;
 use crate::machine::{Control, Machine, Phase, STEP_COST_NS};
 use crate::spec::{Direction, SignalKind};
+use arms::arms;
+use failure::{code_of_failure, text_of_failure};
 
 /// Most steps of a cycle.
 const STEPS_MAX: usize = 100_000;
 /// Cost of a cycle of one robot, in array elements of 10 ns: two inverses of an arm, and the beginning of a motion.
 const ROBOT_ELEMENTS: usize = 20_000;
+
+mod arms;
+mod failure;
 
 /// All definitions of this crate.
 #[must_use]
@@ -33,8 +39,10 @@ struct Interpreter {
     position: Option<ArrayIn<f64>>,
     speed: In<f64>,
     pause: In<bool>,
-    resume: In<bool>,
+    resume: Edge,
+    step: Edge,
     stop: In<bool>,
+    breakpoints: Option<ArrayIn<i32>>,
     digital_in: (Option<ArrayIn<bool>>, Channels),
     analog_in: (Option<ArrayIn<f64>>, Channels),
     binary_in: (Option<ArrayIn<i32>>, Channels),
@@ -49,7 +57,25 @@ struct Interpreter {
     column: Out<i32>,
     error: Out<i32>,
     done: Out<bool>,
+    failure: Arc<FailureCell>,
     scratch: Box<[f64]>,
+}
+
+/// A request that counts when it becomes true.
+struct Edge {
+    input: In<bool>,
+    was: bool,
+}
+
+impl Edge {
+    const fn new(input: In<bool>) -> Self {
+        Self { input, was: false }
+    }
+
+    fn rises(&mut self, cycle: &Cycle<'_>) -> bool {
+        let is = self.input.get(cycle) == Some(true);
+        is && !std::mem::replace(&mut self.was, is)
+    }
 }
 
 impl Interpreter {
@@ -85,6 +111,10 @@ impl Interpreter {
         let (port, channels) = &self.binary_in;
         let word = |value: i32| i64::from(value).cast_unsigned();
         read(port.as_ref(), channels, cycle, machine, word);
+        if let Some(lines) = self.breakpoints.as_ref().and_then(|port| port.get(cycle)) {
+            let lines = lines.iter().map(|line| u32::try_from(line.get()));
+            machine.set_breakpoints(lines.map(|line| line.unwrap_or(0)));
+        }
     }
 
     fn write_outputs(&self, cycle: &Cycle<'_>) {
@@ -151,11 +181,15 @@ impl Primitive for Interpreter {
         let phase = self.machine.cycle(Control {
             speed: self.speed.get(cycle).unwrap_or(0.0),
             pause: self.pause.get(cycle) == Some(true),
-            resume: self.resume.get(cycle) == Some(true),
+            resume: self.resume.rises(cycle),
+            step: self.step.rises(cycle),
             stop: self.stop.get(cycle) == Some(true),
         });
         self.write_outputs(cycle);
         let fault = self.machine.fault();
+        if let Some(fault) = fault {
+            self.failure.note(code_of_failure(fault));
+        }
         let at = fault.map_or_else(|| self.machine.location(), |fault| fault.at);
         let number = |value: u32| i32::try_from(value).unwrap_or(i32::MAX);
         self.state.set(cycle, phase as i32);
@@ -233,43 +267,23 @@ fn observed(b: &Build<'_, '_>, program: &Program) -> Result<Box<[usize]>, Fault>
     names.filter(|name| !name.is_empty()).map(find).collect()
 }
 
-/// The kinematics of the devices that parameter `Robots` names.
-fn arms(
-    b: &Build<'_, '_>,
-    program: &Program,
-) -> Result<Vec<Option<Arc<dyn takt_net::device::Kinematics>>>, Fault> {
-    let text = b.text("Robots");
-    if text.trim().is_empty() {
-        return Ok(Vec::new());
+/// Puts all robots where their specification begins.
+fn place_at_home(machine: &mut Machine) {
+    let homes: Vec<Vec<f64>> = machine
+        .program()
+        .system
+        .robots
+        .iter()
+        .map(|r| r.home.iter().map(|q| q.to_radians()).collect())
+        .collect();
+    for (robot, home) in homes.iter().enumerate() {
+        machine.place(robot, home);
     }
-    let names: Vec<&str> = text.split(',').map(str::trim).collect();
-    let robots = &program.system.robots;
-    if names.len() != robots.len() {
-        let (found, needed) = (names.len(), robots.len());
-        let why = format!("{found} devices, but the program has {needed} robots");
-        return Err(b.parameter_fault("Robots", why));
-    }
-    let mut arms = Vec::new();
-    for (name, robot) in names.into_iter().zip(robots) {
-        let Some(arm) = b.devices().arm(name) else {
-            let why = format!("there is no robot arm `{name}`");
-            return Err(b.arm_fault("Robots", why));
-        };
-        if arm.limits.len() != robot.joints.len() {
-            let (found, needed) = (arm.limits.len(), robot.joints.len());
-            let why = format!(
-                "robot `{}` of the program has {needed} joints, device `{name}` has {found}",
-                robot.name
-            );
-            return Err(b.arm_fault("Robots", why));
-        }
-        arms.push(arm.kinematics);
-    }
-    Ok(arms)
 }
 
 fn build(b: &mut Build<'_, '_>) -> Result<Interpreter, Fault> {
-    let program = code_of(b.text("Code")).map_err(|why| b.parameter_fault("Code", why))?;
+    let mut program = code_of(b.text("Code")).map_err(|why| b.parameter_fault("Code", why))?;
+    let name = program.name.clone();
     let steps = b.number("Steps", 16..=STEPS_MAX)?;
     let joints: Box<[usize]> = program
         .system
@@ -278,7 +292,7 @@ fn build(b: &mut Build<'_, '_>) -> Result<Interpreter, Fault> {
         .map(|r| r.joints.len())
         .collect();
     let total: usize = joints.iter().sum();
-    let arms = arms(b, &program)?;
+    let arms = arms(b, &mut program)?;
     let observed = observed(b, &program)?;
     let channels = |direction, kind| channels(&program, direction, kind);
     let [digital_in, analog_in, binary_in] =
@@ -298,16 +312,7 @@ fn build(b: &mut Build<'_, '_>) -> Result<Interpreter, Fault> {
     let machine = Machine::new(Arc::new(program), &arms, b.period(), steps);
     let mut machine = machine.map_err(|error| b.parameter_fault("Code", error.to_string()))?;
     if position.is_none() {
-        let homes: Vec<Vec<f64>> = machine
-            .program()
-            .system
-            .robots
-            .iter()
-            .map(|r| r.home.iter().map(|q| q.to_radians()).collect())
-            .collect();
-        for (robot, home) in homes.iter().enumerate() {
-            machine.place(robot, home);
-        }
+        place_at_home(&mut machine);
     }
     Ok(Interpreter {
         machine,
@@ -315,7 +320,13 @@ fn build(b: &mut Build<'_, '_>) -> Result<Interpreter, Fault> {
         position,
         speed: b.input("inOverride")?,
         pause: b.input("inPause")?,
-        resume: b.input("inContinue")?,
+        resume: Edge::new(b.input("inContinue")?),
+        step: Edge::new(b.input("inStep")?),
+        breakpoints: if b.is_linked("inBreakpoints") {
+            Some(b.array_input("inBreakpoints")?)
+        } else {
+            None
+        },
         stop: b.input("inStop")?,
         digital_in: (linked(b, "inDigital", width(&digital_in))?, digital_in),
         analog_in: (linked(b, "inAnalog", width(&analog_in))?, analog_in),
@@ -334,6 +345,7 @@ fn build(b: &mut Build<'_, '_>) -> Result<Interpreter, Fault> {
         column: b.output("outColumn"),
         error: b.output("outError"),
         done: b.output("outDone"),
+        failure: b.failure(text_of_failure(name)),
         scratch: vec![0.0; total].into(),
         joints,
     })
@@ -349,13 +361,15 @@ fn definition() -> Definition {
         build,
     )
     .text_with_default("Code", NOTHING, "object code in hexadecimal digits")
-    .text("Robots", "devices of the robots of the program, in its order, separated by commas; checked if not empty")
+    .text("Robots", "arms of the robots of the program, in its order, separated by commas; if not empty, the program moves within their limits and with their kinematics")
     .text("Watch", "global variables of the program at outWatch, separated by commas")
     .parameter::<i32>("Steps", "1000", "most steps in a cycle, 16 to 100000; a program that needs more goes on in the next one")
     .array_input::<f64>(port("inPosition", "joints of all robots at the beginning, rad; if not connected, their home"))
     .input::<f64>(port("inOverride", "part of the speed of motions, 0 to 1").or("Override", "1"))
     .input::<bool>(port("inPause", "true holds the motions on their paths, and the program"))
-    .input::<bool>(port("inContinue", "true goes on behind a `pause` statement"))
+    .input::<bool>(port("inContinue", "a change to true goes on behind a `pause` statement, a breakpoint or a step"))
+    .input::<bool>(port("inStep", "a change to true goes on, and waits again before the next line; motions are not held"))
+    .array_input::<i32>(port("inBreakpoints", "lines, from 1, before which the program waits; 0 is none, the first 16 count"))
     .input::<bool>(port("inStop", "true ends the program; motions brake on their paths"))
     .array_input::<bool>(port("inDigital", "digital inputs by channel"))
     .array_input::<f64>(port("inAnalog", "analogue inputs by channel, any unit"))

@@ -1,5 +1,7 @@
 //! The system specification: the robots, their limits and defaults, and the signals that a program can use. It is read
-//! from TOML (`.spc`). Devices of a cell are bound to it by the net, not here.
+//! from TOML or XML (`.spc`). Devices of a cell are bound to it by the net, not here.
+
+mod xml;
 
 use serde::Deserialize;
 
@@ -135,7 +137,7 @@ pub struct System {
 /// Why a system specification is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpecError {
-    /// It is not TOML of this form; the text has location and excerpt.
+    /// It is neither TOML nor XML of this form; the text has the location.
     #[error("{0}")]
     Form(String),
     /// A value is out of range or given twice.
@@ -144,7 +146,7 @@ pub enum SpecError {
 }
 
 impl System {
-    /// Reads a specification.
+    /// Reads a specification: TOML, or XML if it begins with `<`.
     ///
     /// # Errors
     /// If it is not one; all values are checked.
@@ -152,8 +154,13 @@ impl System {
         if text.len() > crate::parse::TEXT_MAX {
             return Err(SpecError::Form("the text is larger than 1 MiB".to_owned()));
         }
-        let mut system: Self =
-            toml::from_str(text).map_err(|error| SpecError::Form(error.to_string()))?;
+        let mut system: Self = if xml::is_xml(text) {
+            let table = xml::read(text).map_err(SpecError::Form)?;
+            let system = toml::Value::Table(table).try_into();
+            system.map_err(|error| SpecError::Form(error.to_string().trim_end().to_owned()))?
+        } else {
+            toml::from_str(text).map_err(|error| SpecError::Form(error.to_string()))?
+        };
         for robot in &mut system.robots {
             robot.name = robot.name.to_ascii_lowercase();
         }

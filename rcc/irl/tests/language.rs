@@ -9,7 +9,52 @@
 mod common;
 
 use common::{Run, TWO, errors, run};
-use takt_irl::{CodeError, FaultKind, Machine, Phase, Program, System, compile};
+use takt_irl::{CodeError, Control, FaultKind, Machine, Phase, Program, System, compile};
+
+#[test]
+fn specification_xml_equals_toml() {
+    let xml = include_str!("../../../examples/irl/two.xml.spc");
+    assert_eq!(System::parse(xml).unwrap(), System::parse(TWO).unwrap());
+    let refused = |from: &str, to: &str| {
+        System::parse(&xml.replacen(from, to, 1))
+            .unwrap_err()
+            .to_string()
+    };
+    for (from, to, why) in [
+        (
+            "<tool ",
+            "<tol ",
+            "line 5: `<tol>` is not allowed inside robot",
+        ),
+        (
+            "max=\"180\"",
+            "max=\"half\"",
+            "line 7: `max` is no number: `half`",
+        ),
+        ("jerk=\"12000\"", "jolt=\"12000\"", "jolt"),
+        ("</system>", "", "is not one closed element"),
+        ("<tool z", "<tool w", "a frame has x, y, z, a, b and c"),
+        (
+            "min=\"-180\"",
+            "min=\"200\"",
+            "joint 1: min must be below max",
+        ),
+        ("</robot>", "</robt>", "malformed XML"),
+        (
+            "<home positions=\"0 0",
+            "<home positions=\"0 north",
+            "are numbers with spaces between",
+        ),
+        (
+            "<system>",
+            "<!DOCTYPE s [<!ENTITY a \"b\">]><system>",
+            "with definitions is not accepted",
+        ),
+    ] {
+        let found = refused(from, to);
+        assert!(found.contains(why), "{from} to {to}: {found}");
+    }
+}
 
 #[test]
 fn statements_give_expected_values() {
@@ -362,7 +407,7 @@ fn endless_program_is_bounded_in_each_cycle() {
     );
     let mut machine = run.machine;
     for cycle in 1..=100_u32 {
-        machine.cycle(takt_irl::Control::default());
+        machine.cycle(Control::default());
         let x = machine.variable(variable(&machine, "x")).unwrap();
         assert!(x <= f64::from(cycle) * 200.0, "{cycle}: {x}");
         assert!(x >= f64::from(cycle) * 20.0, "{cycle}: {x}");
@@ -447,4 +492,42 @@ fn specification_faults_are_named() {
         let error = System::parse(&text).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
+}
+
+#[test]
+fn step_and_breakpoint_wait_before_lines() {
+    let text = "program t; var n: int;
+function next(in n: int): int; begin
+  return n + 1; endfct; begin
+  n := 1;
+  while n < 3 do
+    n := next(n) + 0;
+  endwhile;
+  n := 10; endprogram;";
+    let line = |machine: &mut Machine, control: Control| {
+        machine.cycle(control);
+        (machine.phase(), machine.location().line)
+    };
+    let idle = Control::default();
+    let step = Control { step: true, ..idle };
+    let resume = Control {
+        resume: true,
+        ..idle
+    };
+    let mut machine = Run::new(text).machine;
+    // A call returns to its line without waiting there again.
+    for expected in [4, 5, 6, 2, 3, 5, 6, 2, 3, 5, 8] {
+        assert_eq!(line(&mut machine, step), (Phase::Paused, expected));
+        assert_eq!(line(&mut machine, idle), (Phase::Paused, expected));
+    }
+    line(&mut machine, resume);
+    assert_eq!(machine.phase(), Phase::Ended);
+    let mut machine = Run::new(text).machine;
+    machine.set_breakpoints([0, 6, 3]);
+    for expected in [6, 3, 6] {
+        assert_eq!(line(&mut machine, resume), (Phase::Paused, expected));
+    }
+    machine.set_breakpoints([]);
+    line(&mut machine, resume);
+    assert_eq!(machine.phase(), Phase::Ended);
 }

@@ -206,3 +206,68 @@ fn program_of_paper_moves_all_joints() {
         .collect();
     assert_eq!(end, [45.0, -45.0, 45.0, 0.0, 0.0, 0.0]);
 }
+
+/// Positions of the tool of the first arm, mm.
+fn tool_path(run: &Run) -> Vec<[f64; 3]> {
+    let arm = takt_motion::kinematics::named("staubli_tx90").unwrap();
+    let tool = takt_net::Frame::translation(0.0, 0.0, 0.1);
+    let at = |joints: &Vec<f64>| {
+        let frame = arm.forward(&joints[..6]) * tool;
+        let p = frame.translation.vector * 1000.0;
+        [p.x, p.y, p.z]
+    };
+    run.path.iter().map(at).collect()
+}
+
+fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
+    squares.sum::<f64>().sqrt()
+}
+
+#[test]
+fn rounding_is_faster_and_stays_near_corner() {
+    for (speed, acc) in [(100, 1000), (500, 2000)] {
+        let corner = |round: &str| {
+            let attributes = format!("act_rob:=\"tx90\" speed:={speed} acc:={acc}");
+            run(&format!(
+                "program t; begin move_inc lin (0, 100, 0) {attributes} {round};
+                move_inc lin (0, 0, -100) {attributes}; endprogram;"
+            ))
+        };
+        let exact = corner("");
+        let path = tool_path(&exact);
+        let start = path[0];
+        let turn = path
+            .iter()
+            .find(|p| distance(p, &start) > 100.0 - 1e-6)
+            .unwrap();
+        let mut last = exact.path.len();
+        for round in [5.0, 40.0] {
+            let rounded = corner(&format!("c_cp:={round}"));
+            assert_eq!(rounded.fault, None);
+            let cycles = rounded.path.len();
+            assert!(
+                cycles <= last,
+                "{speed} mm/s, {round} mm: {cycles}, not {last}"
+            );
+            last = cycles;
+            let path = tool_path(&rounded);
+            let nearest = path
+                .iter()
+                .map(|p| distance(p, turn))
+                .fold(f64::INFINITY, f64::min);
+            assert!(
+                nearest <= round,
+                "{speed} mm/s: {nearest} mm from the corner"
+            );
+            let steps = path.windows(2).map(|p| distance(&p[1], &p[0]) / 1e-3);
+            let fastest = steps.fold(0.0, f64::max);
+            assert!(fastest <= f64::from(speed) * 1.001, "{fastest} mm/s");
+        }
+        assert!(
+            last + 50 < exact.path.len(),
+            "{last} of {}",
+            exact.path.len()
+        );
+    }
+}

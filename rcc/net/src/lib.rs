@@ -5,6 +5,7 @@ pub mod cost;
 mod cycle;
 pub mod definition;
 pub mod device;
+pub mod failure;
 pub mod fault;
 pub mod finding;
 pub mod fuzz;

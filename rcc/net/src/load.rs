@@ -6,6 +6,7 @@ mod build;
 mod builder;
 mod context;
 mod cost;
+mod failure;
 mod findings;
 mod graph;
 mod inter;

@@ -10,6 +10,7 @@ use crate::cost::NetCost;
 pub use crate::cycle::{Cycle, Moment};
 use crate::definition::Primitive;
 use crate::device::{Image, Target};
+use crate::failure::Failure;
 use crate::netcomm::{Directory, Inter, Mailbox};
 use crate::set_points::SetPoints;
 use crate::slots::{In, SlotRef, Slots};
@@ -81,6 +82,7 @@ pub struct Plan {
     pub(crate) count: i64,
     pub(crate) devices: Box<[String]>,
     pub(crate) set_points: Box<[SetPoints]>,
+    pub(crate) failures: Box<[Failure]>,
     pub(crate) uses: Box<[String]>,
     pub(crate) cost: NetCost,
     /// Bytes of arrays and histories.
@@ -198,6 +200,11 @@ impl Plan {
     /// The set-points that the net gives, by primitive.
     pub fn set_points(&self) -> &[SetPoints] {
         &self.set_points
+    }
+
+    /// Why a primitive of the net failed, with a hint; `None` if none did.
+    pub fn failure(&self) -> Option<String> {
+        self.failures.iter().find_map(Failure::read)
     }
 
     /// Devices that the net reads or commands.

@@ -1,4 +1,5 @@
-//! `takt irl run`: a program in virtual time, with robots that follow exactly. No device is known here.
+//! `takt irl run`: a program in virtual time, with robots that follow exactly, unless a controller is named. No device is known
+//! here.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -10,39 +11,61 @@ use clap::Args;
 use takt_irl::{Control, Machine, Phase, SignalKind};
 
 use super::Source;
+use super::live::{Live, Options};
 use crate::Verdict;
 use crate::output::{complain, positive_span, say};
 
-/// Run a program.
+/// Run a program: in virtual time with robots that follow exactly, or on the arms of a controller.
+///
+/// On a controller (`--connect`, `--emulated`), each line is printed when the program comes to it. Standard input takes `pause`,
+/// `continue`, `step`, `break LINE`, `clear LINE`, `print [NAME]`, `override 0.5`, `set SIGNAL=VALUE` and `stop`. Ctrl-C stops on the path
+/// and waits for rest; a second one ends at once, and the controller brakes.
+///
+/// Exit status: 0 the program ended by itself; 1 it failed or has errors; 2 it could not be tried.
 #[derive(Debug, Args)]
 pub(crate) struct Simulate {
     #[command(flatten)]
     source: Source,
     /// Time from one cycle to the next.
-    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = positive_span)]
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = positive_span, conflicts_with_all = LIVE)]
     period: Duration,
-    /// Longest time that the program may take, in its own time.
-    #[arg(long, value_name = "TIME", default_value = "600s", value_parser = positive_span)]
+    /// Longest time that the program may take in virtual time.
+    #[arg(long, value_name = "TIME", default_value = "600s", value_parser = positive_span, conflicts_with_all = LIVE)]
     duration: Duration,
     /// Most steps of the program in a cycle.
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(16..=100_000))]
     steps: u32,
-    /// Value of an input, such as part_present=1; others have none. May be given several times.
+    /// Value of an input, such as part_present=1. May be given several times. Without one, an input has no value in virtual
+    /// time, and needs a --signal on a controller.
     #[arg(long, value_name = "SIGNAL=VALUE")]
     input: Vec<String>,
     /// Write time (s) and joint positions (deg) of each cycle to this file.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = LIVE)]
     csv: Option<PathBuf>,
     /// Print one JSON object.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = LIVE)]
     json: bool,
+    #[command(flatten)]
+    live: Live,
 }
+
+/// Options that name a controller.
+const LIVE: [&str; 2] = ["connect", "emulated"];
 
 impl Simulate {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let Some(program) = self.source.program()? else {
             return Ok(Verdict::Failed);
         };
+        if self.live.is_requested() {
+            let options = Options {
+                name: self.source.name(),
+                steps: self.steps,
+                inputs: &self.input,
+                text: self.source.text(),
+            };
+            return self.live.run(&program, &options);
+        }
         let mut machine = Machine::new(Arc::new(program), &[], self.period, self.steps)?;
         let homes: Vec<Vec<f64>> = machine.program().system.robots.iter().map(home).collect();
         for (robot, home) in homes.iter().enumerate() {

@@ -207,7 +207,8 @@ impl Registry {
                 .nets
                 .get(id)
                 .is_some_and(|net| net.abort_reason().is_some()),
-            End::Terminated | End::Halted | End::Stopped => false,
+            End::Terminated => why.is_some(),
+            End::Halted | End::Stopped => false,
         };
         if let (true, Some(why)) = (failed, &why) {
             let table = self.keep_last_values(running).table();
@@ -231,10 +232,10 @@ impl Registry {
         self.monitor.flights_mut().keep_net(id, values)
     }
 
-    /// The reason why a net ended, unless it terminated by itself.
+    /// The reason why a net ended, unless it terminated by itself and none of its primitives failed.
     fn end_text(&self, net: &Running, end: End) -> Option<String> {
         match end {
-            End::Terminated => None,
+            End::Terminated => net.plan.failure(),
             End::Aborted => {
                 let why = self.nets.get(NetId(net.id)).and_then(Net::abort_reason);
                 Some(why.unwrap_or("aborted").to_owned())

@@ -1,6 +1,8 @@
-//! The listing of object code, for review. It is not read back.
+//! The listings of object code as text and XML, for review. They are not read back.
 
 use std::fmt::Write as _;
+
+use quick_xml::escape::escape;
 
 use super::{
     ATTRIBUTES, Instruction, LOCAL, MOVE_INC, MOVE_JOINTS, MOVE_PATH, Opcode, Program, RELATIONS,
@@ -43,6 +45,62 @@ impl Program {
             let text = self.instruction(instruction);
             let _ = writeln!(out, "{number:5}  {place:>7}  {text}");
         }
+        out
+    }
+
+    /// The same as XML: `<program>` with `<robot>`, `<signal>`, `<variable>` and `<i>`, an instruction with operands and location.
+    #[must_use]
+    pub fn listing_xml(&self) -> String {
+        let mut out = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n".to_owned();
+        let _ = writeln!(
+            out,
+            "<program name=\"{}\" version=\"{}\" source_crc=\"{:08x}\" specification_crc=\"{:08x}\" threads=\"{}\" \
+             memory_bytes=\"{}\">",
+            escape(&self.name),
+            super::VERSION,
+            self.source_crc,
+            self.system_crc,
+            self.threads,
+            self.memory_bytes()
+        );
+        for robot in &self.system.robots {
+            let (name, model) = (escape(&robot.name), escape(&robot.model));
+            let joints = robot.joints.len();
+            let _ = writeln!(
+                out,
+                "  <robot name=\"{name}\" model=\"{model}\" joints=\"{joints}\"/>"
+            );
+        }
+        for signal in &self.system.signals {
+            let (direction, kind) = (
+                format!("{:?}", signal.direction).to_lowercase(),
+                format!("{:?}", signal.kind).to_lowercase(),
+            );
+            let _ = writeln!(
+                out,
+                "  <signal name=\"{}\" direction=\"{direction}\" kind=\"{kind}\" channel=\"{}\"/>",
+                escape(&signal.name),
+                signal.channel
+            );
+        }
+        for variable in &self.variables {
+            let (name, at) = (escape(&variable.name), variable.at);
+            let _ = writeln!(out, "  <variable name=\"{name}\" word=\"{at}\"/>");
+        }
+        for (number, (i, location)) in self.code.iter().zip(&self.locations).enumerate() {
+            let _ = writeln!(
+                out,
+                "  <i n=\"{number}\" line=\"{}\" column=\"{}\" op=\"{}\" a=\"{}\" b=\"{}\" c=\"{}\">{}</i>",
+                location.line,
+                location.column,
+                i.opcode.text(),
+                i.a,
+                i.b,
+                i.c,
+                escape(self.instruction(i))
+            );
+        }
+        out.push_str("</program>\n");
         out
     }
 

@@ -1,11 +1,13 @@
 //! A robot of a program: the motion that it executes, the one that follows by rounding, and how both are joined. A
 //! Cartesian motion stops on its path before a point that the robot cannot reach. Nothing allocates after construction.
 
+mod path;
+
 use std::sync::Arc;
 use std::time::Duration;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use takt_motion::live::{FrameMotion, JointMotion, Step};
+use takt_motion::live::{JointMotion, Step};
 use takt_motion::plan::{Bounds, FrameBounds, FrameState, PlanError, Route, State};
 use takt_net::device::Kinematics;
 use takt_net::{Frame, JointLimits, Twist};
@@ -13,11 +15,10 @@ use takt_net::{Frame, JointLimits, Twist};
 use super::{Fault, FaultKind, MAIN_JOINTS, MachineError, at_rest};
 use crate::code::{ATTRIBUTES, Location};
 use crate::spec;
+use path::ToolPath;
 
 /// How much faster than its limit a joint may become by rounding.
 const SPEED_TOLERANCE: f64 = 1.05;
-/// Part of a line from which on a motion that was joined is on it, at the latest.
-const JOIN_MAX: f64 = 0.5;
 
 /// Where a motion leads.
 #[derive(Clone, Copy, Debug)]
@@ -74,7 +75,7 @@ pub(super) struct Robot {
     jerk_m: f64,
     arm: Option<Arc<dyn Kinematics>>,
     joints: JointMotion,
-    frame: FrameMotion,
+    path: ToolPath,
     active: Active,
     now: Order,
     next: Option<Order>,
@@ -100,7 +101,6 @@ impl Robot {
     pub(super) fn new(
         robot: &spec::Robot,
         arm: Option<Arc<dyn Kinematics>>,
-        (joints, frame): (JointMotion, FrameMotion),
         period: Duration,
     ) -> Result<Self, MachineError> {
         let limits: Vec<JointLimits> = robot
@@ -155,8 +155,8 @@ impl Robot {
                 .collect(),
             jerk_m: robot.jerk / 1000.0,
             arm,
-            joints,
-            frame,
+            joints: JointMotion::new(count, period)?,
+            path: ToolPath::new(period)?,
             active: Active::None,
             now: Order::default(),
             next: None,
@@ -236,7 +236,7 @@ impl Robot {
                 order.joints = self.joint_goal(&joints, order.is_incremental)?;
                 None
             }
-            other => Some(place(other, from, &order)?),
+            other @ (Target::Frame(_) | Target::Position(_)) => Some(place(other, from, &order)?),
         };
         if let Some(to) = goal {
             order.to = to;
@@ -316,7 +316,12 @@ impl Robot {
         begun.map_err(|error| match error {
             PlanError::Path => FaultKind::NoPath,
             PlanError::Number => FaultKind::NotANumber,
-            _ => FaultKind::Attribute,
+            PlanError::Limit(_)
+            | PlanError::Joints { .. }
+            | PlanError::Bounds
+            | PlanError::Period
+            | PlanError::Endless
+            | _ => FaultKind::Attribute,
         })?;
         self.active = if order.path == 0 {
             Active::Joints
@@ -348,8 +353,8 @@ impl Robot {
     }
 
     fn begin_frame(&mut self, order: &Order, in_motion: bool) -> Result<(), PlanError> {
-        let state = self.frame_state(order).ok_or(PlanError::Number)?;
-        let [_, _, _, speed, acc, c_cp, _, ori, time] = order.attributes;
+        let is_corner = in_motion && self.active == Active::Frame;
+        let [_, _, _, speed, acc, _, _, ori, time] = order.attributes;
         let acceleration = acc / 1000.0;
         let translation = Bounds {
             velocity: speed / 1000.0,
@@ -363,33 +368,32 @@ impl Robot {
             acceleration: (acceleration * ratio).clamp(1e-3, 1e5),
             jerk: (self.jerk_m * ratio).clamp(1e-2, 1e6),
         };
-        let start = if in_motion { order.from } else { state.frame };
-        let length = (order.to.translation.vector - start.translation.vector).norm();
+        let state = self.frame_state(order).ok_or(PlanError::Number)?;
         let route = match order.path {
             2 => Route::Arc {
-                from: start,
+                from: if in_motion { order.from } else { state.frame },
                 via: order.via,
                 to: order.to,
             },
-            _ if in_motion && self.active == Active::Frame && length > 1e-6 => Route::Join {
-                from: start,
-                to: order.to,
-                at: (c_cp.max(self.now.attributes[5]) / 1000.0 / length).clamp(0.05, JOIN_MAX),
-            },
             _ => Route::Line { to: order.to },
         };
-        let bounds = FrameBounds {
-            translation,
-            rotation,
-        };
-        self.frame.begin(&state, &route, bounds, 1.0)?;
-        let factor = time / self.frame.duration_s();
-        if time > 0.0 && factor.is_finite() && factor > 1.0 {
+        let begin = |path: &mut ToolPath, factor: f64| {
             let bounds = FrameBounds {
                 translation: slower(translation, factor),
                 rotation: slower(rotation, factor),
             };
-            self.frame.begin(&state, &route, bounds, 1.0)?;
+            if is_corner && factor <= 1.0 {
+                return path.begin_at_corner(order.from, &route, bounds);
+            }
+            if is_corner {
+                return path.begin_again(order.from, &route, bounds);
+            }
+            path.begin(&state, &route, bounds)
+        };
+        begin(&mut self.path, 1.0)?;
+        let factor = time / self.path.duration_s();
+        if time > 0.0 && factor.is_finite() && factor > 1.0 {
+            begin(&mut self.path, factor)?;
         }
         Ok(())
     }
@@ -416,7 +420,6 @@ impl Robot {
         let arm = self.arm.as_ref()?;
         let [now, before, earlier] = &self.history;
         match self.active {
-            Active::Frame if self.now.tool == order.tool => return Some(self.frame.state()),
             Active::None => return Some(FrameState::at_rest(arm.forward(now) * order.tool)),
             Active::Frame | Active::Joints => {}
         }
@@ -502,12 +505,15 @@ impl Robot {
 
     fn is_near_end(&self, progress: f64) -> bool {
         let [_, _, c_ptp, _, _, c_cp, c_ori, ..] = self.now.attributes;
-        let rest = 1.0 - progress;
         if self.active == Active::Joints {
-            return rest <= c_ptp;
+            return 1.0 - progress <= c_ptp;
         }
-        let near = c_cp > 0.0 && rest * self.frame.length_m() <= c_cp / 1000.0;
-        near || (c_ori > 0.0 && rest * self.frame.angle_rad() <= c_ori.to_radians())
+        // Motions of different tools have no corner in common.
+        let next = self.next.as_ref();
+        let fits = next.is_some_and(|next| next.path == 0 || next.tool == self.now.tool);
+        fits && self
+            .path
+            .is_near_end(progress, c_cp / 1000.0, c_ori.to_radians())
     }
 
     /// A cycle along a path of the tool; the joints are in `scratch` then.
@@ -520,13 +526,13 @@ impl Robot {
         };
         let flange = self.now.tool.inverse();
         let [now, ..] = &self.history;
-        let rest = self.frame.rest() * flange;
+        let rest = self.path.rest() * flange;
         if arm.inverse(&rest, now, &mut self.scratch).is_err() {
             self.fault = self.fault.or(Some(FaultKind::Unreachable));
         }
         let stop = stop || self.fault.is_some();
-        let step = self.frame.step(speed, stop);
-        let at = self.frame.state().frame * flange;
+        let step = self.path.step(speed, stop);
+        let at = self.path.now() * flange;
         let found = arm.inverse(&at, now, &mut self.scratch);
         let pairs = self.scratch.iter().zip(now).zip(&self.limits);
         let fits = pairs.fold(true, |fits, ((to, from), limit)| {

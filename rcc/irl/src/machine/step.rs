@@ -84,13 +84,20 @@ impl Machine {
             };
             let code = self.program.code.get(thread.pc as usize).copied();
             let instruction = code.ok_or(FaultKind::BadCode)?;
+            // A jump is at the end of a loop or before a routine, which is no line that the program comes to.
+            let is_jump = instruction.opcode == Opcode::Jump;
+            if !is_jump && self.waits_before(number, thread) {
+                return Ok(());
+            }
             let cost = cost(&instruction);
             if cost > left && left < share {
                 return Ok(());
             }
             left = left.saturating_sub(cost);
-            if let Some(location) = self.program.locations.get(thread.pc as usize) {
+            let location = self.program.locations.get(thread.pc as usize);
+            if let Some(location) = location.filter(|_| !is_jump) {
                 self.location = *location;
+                thread.line = location.line;
             }
             let next = self.step(number, &mut thread, instruction)?;
             let mut goes_on = left > 0 && self.phase == Phase::Running;
@@ -113,6 +120,24 @@ impl Machine {
                 return Ok(());
             }
         }
+    }
+
+    /// Whether the program waits, from now on, before the line that a thread comes to: at a breakpoint, or behind a step.
+    fn waits_before(&mut self, number: usize, thread: Thread) -> bool {
+        let location = self.program.locations.get(thread.pc as usize).copied();
+        let Some(location) = location.filter(|l| l.line != thread.line && l.line != 0) else {
+            return false;
+        };
+        if !self.is_stepping && !self.breakpoints.contains(&location.line) {
+            return false;
+        }
+        self.is_stepping = false;
+        self.location = location;
+        self.phase = Phase::Paused;
+        if let Some(slot) = self.threads.get_mut(number) {
+            slot.line = location.line;
+        }
+        true
     }
 
     fn words(&self, at: usize, words: usize) -> Result<&[u64]> {
@@ -263,7 +288,7 @@ impl Machine {
                 }
                 let slot = self.returns.get_mut(number * depth + thread.calls);
                 let slot = slot.ok_or(FaultKind::BadCode)?;
-                (slot.pc, slot.fp) = (thread.pc + 1, thread.fp);
+                (slot.pc, slot.fp, slot.line) = (thread.pc + 1, thread.fp, thread.line);
                 thread.calls += 1;
                 let top = thread.sp.checked_sub(i.b as usize);
                 thread.fp = top.ok_or(FaultKind::BadCode)?;
@@ -280,7 +305,7 @@ impl Machine {
                 }
                 self.copy(from, thread.fp, i.a as usize)?;
                 thread.sp = thread.fp + i.a as usize;
-                thread.fp = slot.fp;
+                (thread.fp, thread.line) = (slot.fp, slot.line);
                 Ok(Next::Jump(slot.pc))
             }
         }

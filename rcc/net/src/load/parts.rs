@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use super::origin::Origin;
 use crate::device::Target;
+use crate::failure::Failure;
 use crate::fault::FaultKind;
 use crate::netcomm::{Directory, Inter};
 use crate::set_points::SetPoints;
@@ -44,6 +45,7 @@ pub(super) struct Parts {
     /// How long the net goes on after a device failed.
     pub(super) outlives_failure: Option<Duration>,
     pub(super) set_points: Vec<SetPoints>,
+    pub(super) failures: Vec<Failure>,
     /// Devices that the net reads or commands.
     pub(super) uses: Vec<String>,
     pub(super) inbox: Directory,

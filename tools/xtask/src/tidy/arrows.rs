@@ -22,7 +22,13 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("takt-irl", &["takt-net", "takt-motion"]),
     (
         "takt-core",
-        &["takt-net", "takt-motion", "takt-machine", "takt-rt"],
+        &[
+            "takt-net",
+            "takt-motion",
+            "takt-machine",
+            "takt-irl",
+            "takt-rt",
+        ],
     ),
     (
         "takt-device-drives",
