@@ -189,6 +189,9 @@ fn wrong_arguments_are_refused_before_anything_moves() {
         assert!(error.starts_with("left joint 0: NaN rad"), "{error}");
         let error = text(left.ptp(BENT).speed(2.0).begin());
         assert_eq!(error, "left: the speed is 2; it is above 0, at most 1");
+        let half = left.clone().with_speed(0.5);
+        let error = text(half.ptp(BENT).speed(2.0).begin());
+        assert_eq!(error, "left: the speed is 2; it is above 0, at most 1");
         let error = text(left.ptp(BENT).blend(1.0).begin());
         assert_eq!(error, "left: blend is 1; it is from 0 to below 1");
         let error = text(left.ptp(BENT).until("a b", left.joint(0).over(1.0)).begin());
@@ -197,7 +200,7 @@ fn wrong_arguments_are_refused_before_anything_moves() {
         assert!(error.contains("different devices"), "{error}");
         let error = text(left.lin(Pose::xyz(f64::INFINITY, 0.0, 0.0)).begin());
         assert!(error.contains("not finite"), "{error}");
-        let error = cell.arm("middle").unwrap_err().to_string();
+        let error = cell.arm("middle").unwrap_err().kind.to_string();
         assert_eq!(
             error,
             "there is no arm `middle`\nhint: the controller has left, right"
@@ -243,16 +246,53 @@ fn two_programs_on_one_arm_conflict_and_the_first_goes_on() {
         let first = left.ptp(far).speed(0.5).begin().unwrap();
         let other = bench.cell().arm("left").unwrap();
         let error = other.ptp(BENT).run().unwrap_err();
-        let text = error.to_string();
-        assert!(
-            matches!(
-                error.kind,
-                ErrorKind::Refused(_) | ErrorKind::Conflict { .. }
-            ),
-            "{text}"
-        );
-        assert!(text.contains("left"), "{text}");
+        let ErrorKind::Conflict {
+            device,
+            joint,
+            holder: Some(holder),
+        } = &error.kind
+        else {
+            panic!("{error}");
+        };
+        assert_eq!((device.as_str(), *joint), ("left", Some(0)));
+        let process = format!("process {}", std::process::id());
+        for part in ["net rpinet", "of session s", "robotics_api", &process] {
+            assert!(holder.contains(part), "{holder}");
+        }
         assert_eq!(first.wait(), Ok(Outcome::Completed));
+    });
+}
+
+#[test]
+fn stop_ends_everything_while_another_thread_plans() {
+    steady(|| {
+        let bench = Bench::start();
+        let (cell, left, right) = bench.arms();
+        let mut far = BENT;
+        far[0] = 2.0;
+        let first = left.ptp(far).speed(0.3).begin().unwrap();
+        let waiting = left.ptp(BENT).queue().unwrap();
+        let is_over = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            let planner = scope.spawn(|| {
+                let mut plans = 0;
+                while !is_over.load(Ordering::Relaxed) {
+                    right.ptp(far).plan().unwrap();
+                    plans += 1;
+                }
+                plans
+            });
+            std::thread::sleep(Duration::from_millis(300));
+            cell.stop().unwrap();
+            is_over.store(true, Ordering::Relaxed);
+            assert!(planner.join().unwrap() > 0);
+        });
+        assert_eq!(first.outcome(), Some(Ok(Outcome::Cancelled)));
+        assert_eq!(waiting.outcome(), Some(Ok(Outcome::Cancelled)));
+        let rest = left.commanded().unwrap();
+        assert!(rest[0] > 1e-4 && rest[0] < 2.0 - 1e-3, "{rest:?}");
+        assert_eq!(left.commanded().unwrap(), rest, "it is at rest");
+        assert_eq!(left.ptp(BENT).run(), Ok(Outcome::Completed));
     });
 }
 

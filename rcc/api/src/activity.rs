@@ -6,7 +6,7 @@ use crate::compose::{Composite, Event};
 use crate::engine::When;
 use crate::error::Error;
 use crate::handle::Handle;
-use crate::order::{Operation, Order};
+use crate::order::{Operation, Order, Speed};
 use crate::outcome::Outcome;
 use crate::plan::Plan;
 use crate::preparation::Before;
@@ -22,11 +22,11 @@ pub struct Activity {
 }
 
 impl Activity {
-    /// The activity that executes an operation, at a speed above 0 to 1.
+    /// The activity that executes an operation.
     pub(crate) fn new(
         session: &Arc<Session>,
         operation: impl Operation + 'static,
-        speed: f64,
+        speed: Speed,
     ) -> Self {
         Self {
             session: Arc::clone(session),
@@ -44,7 +44,7 @@ impl Activity {
 
     /// Multiplies its speed by `factor`, above 0 to 1.
     pub fn speed(mut self, factor: f64) -> Self {
-        self.order.speed *= factor;
+        self.order.speed = self.order.speed.times(factor);
         self
     }
 
@@ -124,8 +124,9 @@ impl Activity {
         let begins = self
             .session
             .begins(&self.order, self.when, &Before::new())?;
-        self.order.operation.follow(&begins, self.order.speed)?;
-        Ok(self.order.operation.plan(&begins, self.order.speed)?)
+        let speed = self.order.speed.factor();
+        self.order.operation.follow(&begins, speed)?;
+        Ok(self.order.operation.plan(&begins, speed)?)
     }
 
     /// The text of the net that it becomes.

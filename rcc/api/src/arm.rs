@@ -11,7 +11,7 @@ use crate::live::{JointGoal, JointVelocities, Live, SetPoint, Target, Twist};
 use crate::motion::{
     ArmDescription, ArmMotion, CartesianLimits, Goals, Hold, Jog, Path, Route, Stream,
 };
-use crate::order::Operation;
+use crate::order::{Operation, Speed};
 use crate::pose::Pose;
 use crate::session::Session;
 use crate::world::{Frame, Goal};
@@ -22,7 +22,7 @@ pub struct Arm {
     session: Arc<Session>,
     description: ArmDescription,
     limits: CartesianLimits,
-    speed: f64,
+    speed: Speed,
     tool: Pose,
     base: Frame,
 }
@@ -33,7 +33,7 @@ impl Arm {
             session,
             description,
             limits: CartesianLimits::default(),
-            speed: 1.0,
+            speed: Speed::FULL,
             tool: Pose::IDENTITY,
             base,
         }
@@ -47,7 +47,7 @@ impl Arm {
     /// The same arm, slower: the speed of its motions is multiplied by `factor`, above 0 to 1.
     #[must_use]
     pub fn with_speed(mut self, factor: f64) -> Self {
-        self.speed *= factor;
+        self.speed = self.speed.times(factor);
         self
     }
 

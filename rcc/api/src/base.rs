@@ -10,7 +10,7 @@ use crate::engine::Failure;
 use crate::error::{Error, ErrorKind};
 use crate::expression::Number;
 use crate::net::{Net, Port, Primitive};
-use crate::order::{Operation, Ports, Requests};
+use crate::order::{Operation, Ports, Requests, Speed};
 use crate::pose::Pose;
 use crate::session::Session;
 
@@ -30,7 +30,7 @@ pub struct Base {
     session: Arc<Session>,
     name: String,
     interface: Interface,
-    speed: f64,
+    speed: Speed,
 }
 
 impl Base {
@@ -40,7 +40,7 @@ impl Base {
             session: Arc::clone(session),
             name: name.to_owned(),
             interface: devices.interface(name, "mobile base", &["robotbase"])?,
-            speed: 1.0,
+            speed: Speed::FULL,
         })
     }
 
@@ -52,7 +52,7 @@ impl Base {
     /// The same base, slower: the speed of its motions is multiplied by `factor`, above 0 to 1.
     #[must_use]
     pub fn with_speed(mut self, factor: f64) -> Self {
-        self.speed *= factor;
+        self.speed = self.speed.times(factor);
         self
     }
 

@@ -8,7 +8,7 @@ use takt_client::{Client, Token};
 use crate::arm::Arm;
 use crate::base::Base;
 use crate::description::{self, Descriptions};
-use crate::engine::Engine;
+
 use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::gripper::Gripper;
@@ -197,34 +197,53 @@ impl Cell {
         Ok(values.get("outvalue").is_some_and(|text| text == "true"))
     }
 
+    /// Stops everything that this program began, from any thread, and waits until it is at rest: robots brake on their paths
+    /// within their limits. What waits does not begin, nor does what another thread is planning or about to begin; what is
+    /// begun afterwards does. It is no emergency stop: that is `takt stop`, or a switch on the robot.
+    ///
+    /// # Errors
+    /// If the connection is lost: the controller then stops it. [`ErrorKind::Ended`] if a device still moves after 10 s.
+    #[track_caller]
+    pub fn stop(&self) -> Result<(), Error> {
+        let Some(device) = self.halt() else {
+            return Ok(self.session.engine().lost().map_or(Ok(()), Err)?);
+        };
+        let reason = "it did not come to rest within 10 s after its cancellation\nhint: `takt stop` stops all robots";
+        let reason = reason.to_owned();
+        Err(ErrorKind::Ended { device, reason }.into())
+    }
+
     /// Cancels everything that this program began, waits until it is at rest, and ends the session.
     ///
     /// # Errors
     /// If the connection is lost, or something still moves after ten seconds; the session is ended in any case.
     #[track_caller]
     pub fn close(self) -> Result<(), Error> {
-        let devices = self.session.engine().busy();
-        for device in &devices {
-            self.session.cancel_device(device);
-        }
-        let until = Instant::now() + REST_TIMEOUT;
-        let busy = |engine: &Engine| {
-            let mut devices = devices.iter();
-            devices.find(|name| engine.latest(name).is_some()).cloned()
-        };
-        let rested = self.session.wait_until(until, |session| {
-            busy(&session.engine()).is_none().then_some(())
-        });
-        let moving = rested
-            .is_none()
-            .then(|| busy(&self.session.engine()))
-            .flatten();
+        let moving = self.halt();
         self.session.end()?;
         let Some(device) = moving else {
             return Ok(());
         };
         let reason = "it did not come to rest after its cancellation and was aborted".to_owned();
         Err(ErrorKind::Ended { device, reason }.into())
+    }
+
+    /// Stops everything and waits until it has ended; returns a device that still moves after [`REST_TIMEOUT`].
+    fn halt(&self) -> Option<String> {
+        let (devices, stopped) = self.session.stop();
+        let until = Instant::now() + REST_TIMEOUT;
+        let rests = |session: &Session| {
+            let engine = session.engine();
+            stopped.iter().all(|id| engine.has_ended(*id)).then_some(())
+        };
+        match self.session.wait_until(until, rests) {
+            Some(()) => None,
+            None => {
+                let going = self.session.engine().busy();
+                let device = devices.iter().find(|device| going.contains(*device));
+                Some(device.cloned().unwrap_or_default())
+            }
+        }
     }
 }
 

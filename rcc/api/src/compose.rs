@@ -9,7 +9,7 @@ use crate::error::{Error, ErrorKind};
 use crate::expression::Condition;
 use crate::handle::{self, Handle};
 use crate::net::{Net, Port};
-use crate::order::{Operation, Order, Ports, Requests, mark_key};
+use crate::order::{Operation, Order, Ports, Requests, Speed, mark_key};
 use crate::outcome::Outcome;
 use crate::preparation::{Before, Goals};
 use crate::session::Session;
@@ -169,7 +169,7 @@ impl Waiting {
                 condition,
                 is_immediate,
             }),
-            speed: 1.0,
+            speed: Speed::FULL,
             blend: None,
             until: Vec::new(),
             marks: Vec::new(),
@@ -343,6 +343,7 @@ impl Composite {
         let Some(session) = self.session.clone() else {
             return Err(ErrorKind::Invalid("there is no activity to begin".to_owned()).into());
         };
+        let stops = session.stops();
         let (kept, parts, goals) = self.compile(&session)?;
         let replaced: Vec<_> = kept
             .iter()
@@ -353,7 +354,7 @@ impl Composite {
                 (part.is_first(), replaces)
             })
             .collect();
-        let begun = session.begin_all(parts, goals)?;
+        let begun = session.begin_all(parts, goals, stops)?;
         let parts = begun.into_iter().zip(replaced);
         let parts = parts.map(|(ids, (is_first, replaces))| handle::Part {
             ids,

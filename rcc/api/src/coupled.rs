@@ -6,6 +6,7 @@ use crate::activity::Activity;
 use crate::arm::Arm;
 use crate::error::{Error, ErrorKind};
 use crate::motion::{CartesianLimits, CoupledMotion, Holder, Route};
+use crate::order::Speed;
 use crate::pose::Pose;
 use crate::session::Session;
 
@@ -16,7 +17,7 @@ pub struct Coupled {
     session: Shared<Session>,
     holders: Vec<Holder>,
     limits: CartesianLimits,
-    speed: f64,
+    speed: Speed,
 }
 
 /// Couples arms that hold an object, which is at `object` in the world now: each arm keeps its flange where it is now in
@@ -68,7 +69,7 @@ pub fn coupled<'a>(
         holders: arms.iter().map(holder).collect::<Result<_, ErrorKind>>()?,
         session,
         limits: CartesianLimits::default(),
-        speed: 1.0,
+        speed: Speed::FULL,
     })
 }
 
@@ -83,7 +84,7 @@ impl Coupled {
     /// The same object, slower: the speed of its motions is multiplied by `factor`, above 0 to 1.
     #[must_use]
     pub fn with_speed(mut self, factor: f64) -> Self {
-        self.speed *= factor;
+        self.speed = self.speed.times(factor);
         self
     }
 

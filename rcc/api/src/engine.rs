@@ -135,13 +135,7 @@ impl Engine {
                     }
                 }
             }
-            "FIREFAILED" => {
-                let first = self.members(id).first().copied();
-                let device = first.and_then(|id| self.activities.get(&id));
-                let device = device.map(Activity::name);
-                let device = device.unwrap_or_default();
-                self.kill(id, &Err(ErrorKind::Conflict { device }));
-            }
+            "FIREFAILED" => return self.rule_failed(rule, None),
             "INACTIVE" => {
                 self.rules.remove(rule);
                 return self.rule_inactive(id);
@@ -150,6 +144,31 @@ impl Engine {
         }
         self.rules.remove(rule);
         self.tidy();
+    }
+
+    /// A rule could not start its nets, with the cause if it is known; else another net commands the device.
+    pub fn rule_failed(&mut self, rule: &str, cause: Option<ErrorKind>) {
+        self.revision += 1;
+        let Some(id) = self.rules.remove(rule) else {
+            return;
+        };
+        let first = self.members(id).first().copied();
+        let device = first.and_then(|id| self.activities.get(&id));
+        let device = device.map(Activity::name).unwrap_or_default();
+        let cause = cause.unwrap_or(ErrorKind::Conflict {
+            device,
+            joint: None,
+            holder: None,
+        });
+        self.kill(id, &Err(cause));
+        self.tidy();
+    }
+
+    /// The nets that a rule is to start.
+    pub fn nets_of_rule(&self, rule: &str) -> Vec<String> {
+        let group = self.rules.get(rule).copied();
+        let members = group.map(|id| self.members(id)).unwrap_or_default();
+        self.loaded_nets(&members)
     }
 
     /// A result or figure of a net has a new value.
@@ -224,7 +243,8 @@ impl Engine {
         self.end(id, outcome);
     }
 
-    fn has_ended(&self, id: ActivityId) -> bool {
+    /// Whether an activity has ended, also one that was released since.
+    pub fn has_ended(&self, id: ActivityId) -> bool {
         let state = self.state(id);
         state.is_none_or(|state| matches!(state, State::Ended(_)))
     }
@@ -258,6 +278,17 @@ impl Engine {
         for id in mine.into_iter().rev() {
             self.cancel(id);
         }
+    }
+
+    /// Cancels all activities; returns those that had not ended.
+    pub fn cancel_all(&mut self) -> Vec<ActivityId> {
+        let going = |(id, activity): (&ActivityId, &Activity)| {
+            (!matches!(activity.state, State::Ended(_))).then_some(*id)
+        };
+        let going: Vec<_> = self.activities.iter().filter_map(going).collect();
+        // The latest first, so that none of them begins when the one before it ends.
+        going.iter().rev().for_each(|id| self.cancel(*id));
+        going
     }
 
     /// Whether an activity has reached its goal and keeps it up.

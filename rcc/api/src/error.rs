@@ -117,11 +117,20 @@ pub enum ErrorKind {
     /// The controller refused a command or a rule, with its reason.
     #[error("{0}")]
     Refused(String),
-    /// A joint is commanded by another program or net.
-    #[error("{device}: another net commands its joints")]
+    /// A device is commanded by another program or net, which goes on.
+    #[error(
+        "{device}{}: {} commands it\nhint: `takt net list` shows the nets that run; end the one that commands the device, or \
+         wait for its end",
+        .joint.map_or_else(String::new, |joint| format!(" joint {joint}")),
+        .holder.as_deref().unwrap_or("another net")
+    )]
     Conflict {
         /// The device.
         device: String,
+        /// The joint, where the device is an arm and the joint is known. Joints count from 0.
+        joint: Option<usize>,
+        /// The net that commands it, with its session and program, as far as known.
+        holder: Option<String>,
     },
     /// The path leaves the reach of the arm, or the range of a joint.
     #[error("{device}: the arm cannot follow the path at {progress:.0} % of the motion: {cause}")]
@@ -196,6 +205,28 @@ impl ErrorKind {
     }
 }
 
+impl ErrorKind {
+    /// Another net holds a resource, such as `left_Joint_3` or `platform_Base`.
+    pub(crate) fn conflict(resource: &str, holder: Option<String>) -> Self {
+        let (device, part) = resource.split_once("_Joint_").map_or_else(
+            || {
+                (
+                    resource
+                        .rsplit_once('_')
+                        .map_or(resource, |(device, _)| device),
+                    None,
+                )
+            },
+            |(device, joint)| (device, joint.parse().ok()),
+        );
+        Self::Conflict {
+            device: device.to_owned(),
+            joint: part,
+            holder,
+        }
+    }
+}
+
 impl From<takt_client::Error> for ErrorKind {
     fn from(error: takt_client::Error) -> Self {
         use takt_client::Error as Client;
@@ -212,5 +243,27 @@ impl From<takt_client::Error> for ErrorKind {
         } else {
             Self::Connection(text)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn conflict_names_device_joint_and_holder() {
+        let text = |resource, holder: Option<&str>| {
+            let text = ErrorKind::conflict(resource, holder.map(str::to_owned)).to_string();
+            text.lines().next().unwrap_or_default().to_owned()
+        };
+        let holder = Some("net rpinet3 of session s2 (`paint.py`, process 7)");
+        assert_eq!(
+            text("left_arm_Joint_3", holder),
+            "left_arm joint 3: net rpinet3 of session s2 (`paint.py`, process 7) commands it"
+        );
+        assert_eq!(
+            text("platform_Base", None),
+            "platform: another net commands it"
+        );
     }
 }

@@ -10,7 +10,7 @@ use crate::engine::Failure;
 use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::net::{Net, Port, Primitive};
-use crate::order::{Operation, Ports, Requests};
+use crate::order::{Operation, Ports, Requests, Speed};
 use crate::session::Session;
 
 /// Interface of a gripper whose fingers move to a distance.
@@ -32,7 +32,7 @@ pub struct Gripper {
     session: Arc<Session>,
     name: String,
     interface: Interface,
-    speed: f64,
+    speed: Speed,
     timeout: Duration,
 }
 
@@ -43,7 +43,7 @@ impl Gripper {
             session: Arc::clone(session),
             name: name.to_owned(),
             interface: devices.interface(name, "gripper", &[FINGERS, SERVO])?,
-            speed: 1.0,
+            speed: Speed::FULL,
             timeout: TIMEOUT,
         })
     }
@@ -57,7 +57,7 @@ impl Gripper {
     /// gripper with commands of its own move at 0.2 m/s. Fingers that only move to a distance have one speed.
     #[must_use]
     pub fn with_speed(mut self, factor: f64) -> Self {
-        self.speed *= factor;
+        self.speed = self.speed.times(factor);
         self
     }
 

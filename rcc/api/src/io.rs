@@ -10,7 +10,7 @@ use crate::engine::Failure;
 use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::net::{Net, Port};
-use crate::order::{Operation, Ports, Requests};
+use crate::order::{Operation, Ports, Requests, Speed};
 use crate::session::Session;
 
 /// How long a device has to report an output as set, s.
@@ -120,7 +120,7 @@ impl Io {
             output,
             unknown: self.check(kind, port).err(),
         };
-        Activity::new(&self.session, write, 1.0)
+        Activity::new(&self.session, write, Speed::FULL)
     }
 
     fn condition(&self, kind: Kind, port: u32) -> Result<Condition, ErrorKind> {

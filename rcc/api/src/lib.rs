@@ -24,6 +24,7 @@ pub mod outcome;
 pub mod plan;
 pub mod pose;
 mod preparation;
+mod program;
 mod session;
 pub mod world;
 

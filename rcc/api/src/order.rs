@@ -78,12 +78,47 @@ pub(crate) struct Ports {
     pub(crate) fault: Option<Port>,
 }
 
+/// A speed as part of the limits: a product of factors that slow, each above 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Speed {
+    product: f64,
+    /// The first factor out of its bounds.
+    wrong: Option<f64>,
+}
+
+impl Speed {
+    /// As fast as the limits permit.
+    pub(crate) const FULL: Self = Self {
+        product: 1.0,
+        wrong: None,
+    };
+
+    /// Slower by a factor. One factor never makes up for another: each is checked.
+    #[must_use]
+    pub(crate) fn times(self, factor: f64) -> Self {
+        let product = self.product * factor;
+        let is_right = factor > 0.0 && factor <= 1.0 && product > 0.0;
+        Self {
+            product,
+            wrong: self.wrong.or_else(|| (!is_right).then_some(factor)),
+        }
+    }
+
+    pub(crate) const fn factor(self) -> f64 {
+        self.product
+    }
+
+    /// The first factor that is out of its bounds.
+    pub(crate) const fn wrong(self) -> Option<f64> {
+        self.wrong
+    }
+}
+
 /// An operation with what every activity can have.
 #[derive(Clone, Debug)]
 pub(crate) struct Order {
     pub(crate) operation: Arc<dyn Operation>,
-    /// Speed as part of the limits, above 0 to 1.
-    pub(crate) speed: f64,
+    pub(crate) speed: Speed,
     /// Progress (part of the path, 0 to 1) from which a successor may take over.
     pub(crate) blend: Option<f64>,
     /// Conditions that stop it on its path, by name; the first that holds decides.
@@ -110,7 +145,7 @@ impl Order {
         let stop = net.any(&stops).unwrap_or_else(|| cancel.clone());
         let requests = Requests {
             stop: stop.clone(),
-            speed: self.speed,
+            speed: self.speed.factor(),
             begins,
         };
         let ports = self.operation.write(&mut net, &requests)?;
@@ -222,8 +257,8 @@ impl Order {
     /// [`ErrorKind::Invalid`] and [`ErrorKind::Limit`], which name the argument, its value and its bounds.
     pub(crate) fn check(&self) -> Result<(), ErrorKind> {
         self.operation.check()?;
-        if !(self.speed > 0.0 && self.speed <= 1.0) {
-            let text = format!("the speed is {}; it is above 0, at most 1", self.speed);
+        if let Some(wrong) = self.speed.wrong() {
+            let text = format!("the speed is {wrong}; it is above 0, at most 1");
             return Err(self.invalid(&text));
         }
         if let Some(blend) = self.blend.filter(|blend| !(0.0..1.0).contains(blend)) {
@@ -257,7 +292,7 @@ impl Order {
 pub(crate) fn text_of(operation: impl Operation + 'static) -> Result<String, ErrorKind> {
     let order = Order {
         operation: Arc::new(operation),
-        speed: 0.5,
+        speed: Speed::FULL.times(0.5),
         blend: None,
         until: Vec::new(),
         marks: Vec::new(),
@@ -265,4 +300,23 @@ pub(crate) fn text_of(operation: impl Operation + 'static) -> Result<String, Err
     };
     order.check()?;
     Ok(order.compile(&Begins::new())?.net)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Speed;
+
+    #[test]
+    fn speed_factor_never_makes_up_for_another() {
+        let half = Speed::FULL.times(0.5);
+        assert_eq!(half.times(0.5).factor().to_bits(), 0.25_f64.to_bits());
+        assert_eq!(half.times(1.0).wrong(), None);
+        assert_eq!(half.times(2.0).wrong(), Some(2.0), "0.5 and 2 are not 1");
+        assert_eq!(half.times(2.0).times(0.1).wrong(), Some(2.0));
+        for wrong in [0.0, -0.5, f64::INFINITY] {
+            assert_eq!(half.times(wrong).wrong(), Some(wrong));
+        }
+        assert!(half.times(f64::NAN).wrong().is_some());
+        assert!(Speed::FULL.times(1e-200).times(1e-200).wrong().is_some());
+    }
 }

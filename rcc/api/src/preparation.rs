@@ -64,7 +64,7 @@ impl Session {
         } else {
             Begins::new()
         };
-        let goals = order.operation.follow(&begins, order.speed);
+        let goals = order.operation.follow(&begins, order.speed.factor());
         let goals = match goals {
             Err(_) if !order.is_checked => Goals::new(),
             goals => goals?,

@@ -1,7 +1,8 @@
 //! A connection to a controller, and the threads around the [engine](crate::engine): programs call from any thread; one
 //! thread receives what the controller reports. No lock is held while a program or a call waits.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::task::Waker;
 use std::time::{Duration, Instant};
@@ -11,6 +12,7 @@ use takt_client::{Client, Message, Reply, Value};
 use crate::engine::{Action, ActivityId, Engine, GroupId, Part};
 use crate::error::ErrorKind;
 use crate::preparation::{Goals, KnownGoals};
+use crate::program;
 
 /// Least time between two reports of one value of a net. Results are reported with the end of the net in any case.
 const REFRESH: f64 = 0.05;
@@ -28,6 +30,8 @@ const RECEIVE_SLICE: Duration = Duration::from_millis(200);
 #[derive(Debug)]
 pub(crate) struct Session {
     id: String,
+    /// What the controller knows the program by.
+    program: String,
     client: Client,
     engine: Mutex<Engine>,
     subjects: Mutex<Subjects>,
@@ -35,6 +39,8 @@ pub(crate) struct Session {
     /// Speed of all activities as part of their own, 0 to 1.
     speed: Mutex<f64>,
     goals: Mutex<KnownGoals>,
+    /// Counts the stops: what was being prepared at one does not begin.
+    stops: AtomicU64,
     /// Notified after each change of the engine.
     changed: Condvar,
     /// A controller in this program, which ends with the session.
@@ -91,15 +97,18 @@ impl Session {
         client: Client,
         #[cfg(feature = "embedded")] embedded: Option<takt_embedded::Embedded>,
     ) -> Result<Arc<Self>, ErrorKind> {
-        let session = client.call("nse", ["takt-api", "end"])?;
+        let program = program::name();
+        let session = client.call("nse", [program.as_str(), "end"])?;
         let session = Arc::new(Self {
             id: session.text().unwrap_or_default().to_owned(),
+            program,
             client: client.clone(),
             engine: Mutex::default(),
             subjects: Mutex::default(),
             wakers: Mutex::default(),
             speed: Mutex::new(1.0),
             goals: Mutex::default(),
+            stops: AtomicU64::new(0),
             changed: Condvar::new(),
             #[cfg(feature = "embedded")]
             embedded,
@@ -144,18 +153,32 @@ impl Session {
         lock(&self.engine)
     }
 
-    /// Begins parts in one call; `goals` are where each activity leaves its arms, as far as known.
+    /// Counts the stops. What was described before a stop is not begun after it.
+    pub(crate) fn stops(&self) -> u64 {
+        self.stops.load(Ordering::SeqCst)
+    }
+
+    /// Begins parts in one call, cancelled if a stop came since `stops` were counted; `goals` are where each activity leaves
+    /// its arms, as far as known.
     pub(crate) fn begin_all(
         &self,
         parts: Vec<Part>,
         goals: Vec<Vec<Goals>>,
+        stops: u64,
     ) -> Result<Vec<Vec<ActivityId>>, ErrorKind> {
         let devices = |part: &Part| -> Vec<_> {
             let starts = part.starts.iter();
             starts.map(|start| start.devices.clone()).collect()
         };
         let devices: Vec<_> = parts.iter().map(devices).collect();
-        let begun = self.engine().begin_all(parts);
+        let mut engine = self.engine();
+        let begun = engine.begin_all(parts);
+        if self.stops() != stops {
+            let ids = begun.iter().flatten().flatten().copied();
+            let ids: Vec<_> = ids.collect();
+            ids.into_iter().rev().for_each(|id| engine.cancel(id));
+        }
+        drop(engine);
         let ids = begun.iter().flatten().flatten();
         let known = devices.iter().flatten().zip(goals.into_iter().flatten());
         for (id, (devices, goals)) in ids.zip(known) {
@@ -232,6 +255,20 @@ impl Session {
         ids.iter().for_each(|id| engine.cancel(*id));
         drop(engine);
         self.perform();
+    }
+
+    /// Cancels everything, also what other threads are preparing.
+    ///
+    /// Returns the devices that had something to do, and what they did.
+    pub(crate) fn stop(&self) -> (BTreeSet<String>, Vec<ActivityId>) {
+        let mut engine = self.engine();
+        // Under the lock: what begins later sees the stop, and what began before is in the engine.
+        self.stops.fetch_add(1, Ordering::SeqCst);
+        let devices = engine.busy();
+        let stopped = engine.cancel_all();
+        drop(engine);
+        self.perform();
+        (devices, stopped)
     }
 
     /// Cancels what a device does and what waits for it.
@@ -346,7 +383,7 @@ impl Session {
         let arguments = [
             Value::from(text),
             self.id.as_str().into(),
-            "takt-api".into(),
+            self.program.as_str().into(),
             CONTROLLER_PERIOD.into(),
             Value::Integer(1),
             REFRESH.into(),
@@ -401,11 +438,12 @@ impl Session {
             nets(stop),
             nets(&[]),
             nets(start),
-            Value::from("takt-api"),
+            Value::from(self.program.as_str()),
             // Subscribes to the rule.
             Value::Integer(1),
         ];
         let reply = self.client.call("nesc", arguments).map_err(ErrorKind::from);
+        let reply = reply.map_err(|error| self.obstacle(start).unwrap_or(error));
         let rule = |reply: &Reply| reply.text().unwrap_or_default().to_owned();
         let rules = reply.as_ref().map(rule).map_err(Clone::clone);
         self.engine().scheduled(group, rules);
@@ -413,6 +451,26 @@ impl Session {
             let rule = Subject::Rule(rule(&reply));
             self.subscribe(reply.tag, rule);
         }
+    }
+
+    /// Why nets could not start, as far as the controller knows: another program holds what they need, or the cause.
+    fn obstacle(&self, nets: &[String]) -> Option<ErrorKind> {
+        nets.iter().find_map(|net| {
+            let reply = self.client.call("nin", [net.as_str()]).ok()?;
+            let info = reply.values.first()?.as_map()?.get(net)?.as_map()?;
+            let holders = info.get("holders").and_then(Value::as_list);
+            if let Some(holder) = holders.and_then(|holders| holders.first()?.as_map()) {
+                let text = |key: &str| holder.get(key).and_then(Value::as_str).unwrap_or_default();
+                let [net, session, program] = ["net", "session", "description"].map(text);
+                let mut name = format!("net {net} of session {session}");
+                if !program.is_empty() {
+                    name.push_str(&format!(" ({program})"));
+                }
+                return Some(ErrorKind::conflict(text("resource"), Some(name)));
+            }
+            let cause = info.get("failure").and_then(Value::as_str)?;
+            (!cause.is_empty()).then(|| ErrorKind::Refused(cause.to_owned()))
+        })
     }
 
     /// Handles the pushes of a subscription from now on, those first that came before its reply.
@@ -467,7 +525,13 @@ impl Session {
                 }
             }
             (Subject::Rule(rule), "rs", Some(Value::String(state))) => {
-                self.engine().rule_state(&rule, state);
+                if state == "FIREFAILED" {
+                    let nets = self.engine().nets_of_rule(&rule);
+                    let cause = self.obstacle(&nets);
+                    self.engine().rule_failed(&rule, cause);
+                } else {
+                    self.engine().rule_state(&rule, state);
+                }
                 if state != "ACTIVE" {
                     subjects.known.remove(&push.tag);
                 }

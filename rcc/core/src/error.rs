@@ -58,19 +58,28 @@ pub enum Error {
         hint: &'static str,
     },
     /// A resource of the net is in use.
-    #[error("net {net} needs {resource}, which another running net holds; end that net first")]
-    ResourceInUse { net: NetId, resource: String },
+    #[error("net {net} needs {resource}, which {holder} holds; end that net first")]
+    ResourceInUse {
+        net: NetId,
+        resource: String,
+        holder: String,
+    },
     /// A resource of the net is reserved for a scheduled net.
-    #[error(
-        "net {net} needs {resource}, which is reserved for a scheduled net; abort that one first"
-    )]
-    ResourceKept { net: NetId, resource: String },
+    #[error("net {net} needs {resource}, which is reserved for {holder}; abort that one first")]
+    ResourceKept {
+        net: NetId,
+        resource: String,
+        holder: String,
+    },
     /// A resource cannot be reserved for a scheduled net.
     #[error(
-        "{resource} cannot be reserved for the nets to be started: it is in use by a net that the rule \
-         does not follow, reserved for another rule, or needed twice"
+        "{resource} cannot be reserved for the nets to be started: {holder} holds it or waits for it, and the rule does \
+         not follow that net"
     )]
-    NotSchedulable { resource: String },
+    NotSchedulable { resource: String, holder: String },
+    /// Two of the nets that a rule starts need the same resource.
+    #[error("{resource} cannot be reserved for the nets to be started: two of them need it")]
+    NeededTwice { resource: String },
     /// The nets of one thread would exceed its budget.
     #[error(
         "net {net} costs up to {cost:?} a cycle, and {running:?} of the {budget:?} that nets of its thread \

@@ -223,7 +223,7 @@ fn joint_belongs_to_one_net_of_any_period() {
     bench.0.start_net(first).unwrap();
     let error = bench.0.start_net(second).unwrap_err().to_string();
     assert!(
-        error.contains("arm_Joint_0, which another running net holds"),
+        error.contains(&format!("arm_Joint_0, which net {first} of session ")),
         "{error}"
     );
     bench.0.abort(first).unwrap();

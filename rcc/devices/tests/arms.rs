@@ -165,7 +165,7 @@ fn arm_joint_belongs_to_one_running_net() {
         cell.controller.start_net(first).unwrap();
         let error = cell.controller.start_net(second).unwrap_err().to_string();
         assert!(
-            error.contains("left_Joint_6, which another running net holds"),
+            error.contains(&format!("left_Joint_6, which net {first} of session ")),
             "{error}"
         );
         cell.controller.cancel(first).unwrap();

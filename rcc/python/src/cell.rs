@@ -156,6 +156,12 @@ impl Cell {
         Ok(address.map(|address| address.to_string()))
     }
 
+    /// Stops everything that this program began, from any thread, and waits until it is at rest.
+    fn stop(&self, py: Python<'_>) -> PyResult<()> {
+        let cell = self.open(py)?.clone();
+        call(py, move || cell.stop())?.map_err(|error| error::raise_here(py, &error))
+    }
+
     /// Cancels everything that this program began, waits until it is at rest, and ends the session.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         let cell = self.cell.get(py)?.clone();

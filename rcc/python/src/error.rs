@@ -99,8 +99,14 @@ fn instance<'py>(
             "Rejected"
         }
         ErrorKind::Refused(_) => "Refused",
-        ErrorKind::Conflict { device, .. } => {
+        ErrorKind::Conflict {
+            device,
+            joint,
+            holder,
+        } => {
             attributes.set_item("device", device)?;
+            attributes.set_item("joint", joint)?;
+            attributes.set_item("holder", holder)?;
             "Conflict"
         }
         ErrorKind::Unreachable {

@@ -28,10 +28,6 @@ pub(super) fn hinted(error: Error) -> anyhow::Error {
         ErrorKind::Unreachable { .. } => {
             "name a nearer pose, or begin in another configuration: `takt move ARM ptp`".to_owned()
         }
-        ErrorKind::Conflict { .. } => {
-            "`takt net list` shows the nets that run; cancel the one that commands the arm"
-                .to_owned()
-        }
         ErrorKind::Unplanned { .. } => "move its joints: `takt move ARM ptp`".to_owned(),
         ErrorKind::Rejected(_)
         | ErrorKind::Refused(_)

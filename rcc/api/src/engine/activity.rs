@@ -71,6 +71,8 @@ impl Failure {
     pub fn conflict(device: &str) -> Self {
         let error = ErrorKind::Conflict {
             device: device.to_owned(),
+            joint: None,
+            holder: None,
         };
         Self::with("concurrent", device, error)
     }

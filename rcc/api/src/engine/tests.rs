@@ -202,6 +202,8 @@ fn each_result_has_its_outcome() {
             &["concurrent_left"],
             Err(ErrorKind::Conflict {
                 device: "left".to_owned(),
+                joint: None,
+                holder: None,
             }),
         ),
     ];

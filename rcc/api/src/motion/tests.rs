@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::*;
-use crate::order::{Operation, Order};
+use crate::order::{Operation, Order, Speed};
 use crate::preparation::{Begin, Begins};
 
 const BENT: [f64; 7] = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
@@ -51,7 +51,7 @@ fn flange() -> Pose {
 fn net(operation: impl Operation + 'static, begins: &Begins) -> Result<String, ErrorKind> {
     let order = Order {
         operation: Arc::new(operation),
-        speed: 0.5,
+        speed: Speed::FULL.times(0.5),
         blend: Some(0.5),
         until: Vec::new(),
         marks: Vec::new(),
@@ -226,7 +226,7 @@ fn coupled_arms_have_plans_of_one_duration() {
 fn live_net(operation: impl Operation + 'static) -> String {
     let order = Order {
         operation: Arc::new(operation),
-        speed: 0.5,
+        speed: Speed::FULL.times(0.5),
         blend: None,
         until: Vec::new(),
         marks: Vec::new(),

@@ -260,7 +260,16 @@ impl Registry {
                 item: "literals, operations and nets of all waiting rules",
                 bound: WORK_MAX,
             },
-            RuleError::ResourceInUse(n) | RuleError::ResourceTwice(n) => Error::NotSchedulable {
+            RuleError::ResourceInUse(n) => {
+                let orders = rule.orders();
+                let own = orders.start.iter().chain(&orders.stop);
+                let own: Vec<_> = own.copied().map(NetId).collect();
+                Error::NotSchedulable {
+                    resource: self.nets.resource_name(n),
+                    holder: self.nets.holder_text(n, &own),
+                }
+            }
+            RuleError::ResourceTwice(n) => Error::NeededTwice {
                 resource: self.nets.resource_name(n),
             },
             RuleError::NotWaiting(net) => {
@@ -283,14 +292,14 @@ impl Registry {
         if state != RuleState::Fired {
             self.release(rule);
         }
-        let why = rule.failure.map(|failure| self.failure(failure));
+        let why = rule.failure.map(|failure| self.failure(failure, rule));
         if let Some(why) = self.rules.ended(RuleId(rule.id), state, why) {
             tracing::warn!(rule = rule.id, why, "rule could not start its nets");
         }
     }
 
     /// Why a rule did not start its nets, for users.
-    fn failure(&self, failure: Failure) -> String {
+    fn failure(&self, failure: Failure, rule: &Rule) -> String {
         let device = |number: usize| {
             let device = self.devices.table.get(number);
             device.map_or_else(|| number.to_string(), |device| device.name.clone())
@@ -305,7 +314,9 @@ impl Registry {
                 format!("device `{}` does not follow commands", device(number))
             }
             Failure::ResourceInUse(number) => {
-                format!("another net holds `{}`", self.nets.resource_name(number))
+                let started: Vec<_> = rule.orders().start.iter().copied().map(NetId).collect();
+                let holder = self.nets.holder_text(number, &started);
+                format!("{holder} holds {}", self.nets.resource_name(number))
             }
             Failure::NotWaiting(net) => format!("{} was started or taken away before", NetId(net)),
             Failure::TooMany => "too many nets run".to_owned(),

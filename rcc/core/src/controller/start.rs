@@ -83,10 +83,12 @@ impl Registry {
             StartError::ResourceKept(number) => Error::ResourceKept {
                 net,
                 resource: self.nets.resource_name(number),
+                holder: self.nets.holder_text(number, &[net]),
             },
             StartError::ResourceInUse(number) => Error::ResourceInUse {
                 net,
                 resource: self.nets.resource_name(number),
+                holder: self.nets.holder_text(number, &[net]),
             },
             StartError::DeviceNotReady(number) => Error::DeviceNotReady {
                 net,

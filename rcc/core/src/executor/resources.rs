@@ -28,6 +28,13 @@ impl ResourceSet {
         word & (1 << (number % 64)) != 0
     }
 
+    /// Removes the resource of that number.
+    pub(crate) fn take(&mut self, number: usize) {
+        if let Some(word) = self.0.get_mut(number / 64) {
+            *word &= !(1 << (number % 64));
+        }
+    }
+
     pub(crate) fn add(&mut self, other: &Self) {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a |= b);
     }

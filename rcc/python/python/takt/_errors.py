@@ -85,7 +85,24 @@ class _OfDevice(Error):
 
 
 class Conflict(_OfDevice):
-    """Another program or net commands the joints of `device`."""
+    """Another program or net commands `device`, and goes on.
+
+    `joint` is the number of its joint and `holder` names the net, its session and its program; `None` if not known.
+    """
+
+    def __init__(
+        self,
+        text: str,
+        *,
+        device: str,
+        joint: int | None,
+        holder: str | None,
+        filename: str | None = None,
+        lineno: int | None = None,
+    ) -> None:
+        super().__init__(text, device=device, filename=filename, lineno=lineno)
+        self.joint = joint
+        self.holder = holder
 
 
 class Unreachable(_OfDevice):

@@ -129,6 +129,14 @@ class Cell:
         """Whether a condition holds at present; not if it depends on a number that a device does not know."""
     def embedded_address(self) -> str | None:
         """Where other programs reach the controller in this program; `None` if it runs elsewhere."""
+    def stop(self) -> None:
+        """Stops everything that this program began, from any thread, and waits until it is at rest.
+
+        Robots brake on their paths within their limits. What waits does not begin, nor does what another thread is planning;
+        what is begun afterwards does. It is no emergency stop: that is `takt stop`, or a switch on the robot.
+
+        Raises `Ended` if a device still moves after 10 s, and `Lost` if the connection ended: the controller stops it then.
+        """
     def close(self) -> None:
         """Cancels everything that this program began, waits until it is at rest, and ends the session.
 

@@ -340,10 +340,18 @@ impl Connection {
             Some(name) => vec![self.known_net(name).ok_or(CommandError::InvalidNet)?],
             None => self.controller.nets(),
         };
+        let is_one = args.optional(0, Args::text)?.is_some();
         let infos = nets.into_iter().filter_map(|n| self.controller.net(n));
-        Ok(vec![Value::map_of(
-            infos.map(|i| (i.id.to_string(), self.describe(&i))),
-        )])
+        Ok(vec![Value::map_of(infos.map(|info| {
+            let mut description = self.describe(&info);
+            // Of all nets this would compare each with each.
+            if let Value::Map(members) = &mut description
+                && is_one
+            {
+                members.extend(self.obstacles(info.id));
+            }
+            (info.id.to_string(), description)
+        }))])
     }
 
     /// A net, with the nets that a rule started when it stopped this one.
@@ -361,6 +369,26 @@ impl Connection {
             members.insert("successors".to_owned(), successors);
         }
         description
+    }
+
+    /// Why a net does not start: the cause of the latest rule that failed to start it, and the nets of other sessions that
+    /// hold what it needs.
+    fn obstacles(&self, net: NetId) -> [(String, Value); 2] {
+        let rules = self.controller.rules_of(net).into_iter().rev();
+        let mut causes = rules.filter(|rule| rule.request.start.contains(&net));
+        let cause = causes.find_map(|rule| rule.why).unwrap_or_default();
+        let holders = self.controller.holders(net).into_iter().map(|holder| {
+            Value::map_of([
+                ("resource", Value::from(holder.resource.as_str())),
+                ("net", holder.net.to_string().into()),
+                ("session", holder.session.to_string().into()),
+                ("description", holder.description.as_str().into()),
+            ])
+        });
+        [
+            ("failure".to_owned(), Value::from(cause.as_str())),
+            ("holders".to_owned(), Value::list_of(holders)),
+        ]
     }
 
     /// The in values and the out values of a net. Not part of the original protocol, as the following one.
