@@ -21,7 +21,7 @@ use takt_net::device::Kinematics;
 use crate::engine::Failure;
 use crate::error::ErrorKind;
 use crate::net::{Argument, Net, Port, Primitive, array};
-use crate::plan::bounds;
+use crate::plan::{bounds, joint_bounds};
 use crate::pose::Pose;
 pub(crate) use coupled::{CoupledMotion, Holder};
 pub(crate) use frame::Route;
@@ -214,9 +214,8 @@ impl ArmDescription {
 
     /// Velocity, acceleration and jerk of each joint at a part of the speed, as arrays.
     pub(crate) fn limit_texts(&self, speed: f64) -> [String; 3] {
-        let bounds =
-            |joint: &JointLimits| bounds([joint.velocity, joint.acceleration, joint.jerk], speed);
-        let bounds: Vec<_> = self.joints.iter().map(bounds).collect();
+        let joints = self.joints.iter();
+        let bounds: Vec<_> = joints.map(|joint| joint_bounds(joint, speed)).collect();
         let of = |limit: &dyn Fn(&takt_motion::plan::Bounds) -> f64| {
             let limits: Vec<_> = bounds.iter().map(limit).collect();
             array(&limits)

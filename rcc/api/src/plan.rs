@@ -8,7 +8,7 @@ use takt_motion::plan::{Bounds, JointSample, PlanError, Unfit};
 use takt_net::device::Kinematics;
 
 use crate::error::ErrorKind;
-use crate::motion::ArmDescription;
+use crate::motion::{ArmDescription, JointLimits};
 use crate::pose::Pose;
 
 /// Part by which a joint may exceed its velocity limit, for rounding.
@@ -131,6 +131,19 @@ impl Plan {
 
 fn positions(sample: &JointSample) -> Vec<f64> {
     sample.joints.iter().map(|joint| joint.position).collect()
+}
+
+/// Largest part of a joint's velocity limit that motions use: set-points are timed again by the clock of a device, which may
+/// be slower than that of the controller, and the last stage before the wire holds back what is then too fast.
+const VELOCITY_PART_MAX: f64 = 0.999;
+
+/// Limits of a joint at a part of the speed.
+pub(crate) fn joint_bounds(joint: &JointLimits, speed: f64) -> Bounds {
+    let bounds = bounds([joint.velocity, joint.acceleration, joint.jerk], speed);
+    Bounds {
+        velocity: bounds.velocity.min(joint.velocity * VELOCITY_PART_MAX),
+        ..bounds
+    }
 }
 
 /// Limits at a part of the speed, which scales time.

@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-use takt_api::{Arm, Cell, ErrorKind, Handle, Outcome, Pose, coupled, together};
+use takt_api::{Arm, Cell, ErrorKind, Handle, Outcome, Pose, coupled, deg, together};
 use takt_embedded::Embedded;
 use takt_tests::steady;
 
@@ -83,5 +83,42 @@ fn coupled_partner_rests_on_path_when_arm_fails() {
         );
         // The partner can be used again.
         assert_eq!(arms[0].ptp(BENT).run(), Ok(Outcome::Completed));
+    });
+}
+
+/// Towards a stretched arm joints turn further per way of the object, but not faster where the object already brakes.
+#[test]
+fn coupled_motion_with_plan_completes() {
+    steady(|| {
+        let cell = Cell::emulated("two_lwr").unwrap();
+        let arms = [
+            cell.arm("left")
+                .unwrap()
+                .with_base(Pose::xyz(0.0, 0.3, 0.0).abc(-0.2, 0.0, 0.0)),
+            cell.arm("right")
+                .unwrap()
+                .with_base(Pose::xyz(0.0, -0.3, 0.0).abc(0.2, 0.0, 0.0)),
+        ];
+        let bent = [0.0, 30.0, 0.0, -70.0, 0.0, 45.0, 0.0].map(deg);
+        let bent = together(arms.each_ref().map(|arm| arm.ptp(bent))).run();
+        assert_eq!(bent, Ok(Outcome::Completed));
+        let [left, right] = &arms;
+        let side = |arm: &Arm, y: f64| {
+            let base = arm.base();
+            arm.lin(base.inverse() * Pose::xyz(0.0, y, 0.0) * base * arm.pose().unwrap())
+        };
+        let reach = together([side(left, -0.04), side(right, 0.04)]).run();
+        assert_eq!(reach, Ok(Outcome::Completed));
+        let places = [left, right].map(|arm| (arm.base() * arm.pose().unwrap()).position());
+        let [[a, b, c], [d, e, f]] = places;
+        let table = Pose::xyz((a + d) / 2.0, (b + e) / 2.0, (c + f) / 2.0);
+        let held = coupled(table, &arms).unwrap().with_speed(0.4);
+        let above = Pose::xyz(0.0, 0.0, 0.1) * table;
+        let aside = Pose::xyz(-0.05, 0.05, 0.0) * above * Pose::IDENTITY.abc(0.15, 0.0, 0.0);
+        for goal in [above, aside, above, table] {
+            let motion = held.lin(goal);
+            motion.plan().unwrap();
+            assert_eq!(motion.run(), Ok(Outcome::Completed), "{goal:?}");
+        }
     });
 }

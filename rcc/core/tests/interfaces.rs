@@ -9,7 +9,7 @@ use takt_core::device::{
 };
 use takt_core::executor::{End, StartError};
 use takt_net::device::{Answer, Interfaces, Layout};
-use takt_net::{JointLimits, Vector};
+use takt_net::{Frame, JointLimits, Twist, Vector};
 
 /// A device with these parts and joints, with its endpoint, interfaces and state.
 fn driven(fixture: &mut Fixture, joints: usize, of: &[Part]) -> (Driven, Interfaces, DeviceState) {
@@ -276,6 +276,43 @@ fn base_controller_reaches_pose() {
     assert!(sideways < 0.02, "the path is straight: {sideways}");
     // 0.5 m at 0.25 m/s, and the end of an exponential.
     assert!((2_000..5_000).contains(&fixture.cycle), "{}", fixture.cycle);
+}
+
+/// A driver with longer cycles than its nets reports what it commands only now and then: a base gains speed from one command
+/// of its net to the next all the same.
+#[test]
+fn base_gains_speed_between_reports_of_driver() {
+    let mut fixture = Fixture::default();
+    let (mut dev, has, mut state) = driven(&mut fixture, 0, &[BASE]);
+    let base = has.base.unwrap();
+    base.error.report(&mut state.signals, Some(0));
+    base.pose
+        .report(&mut state.signals, Some(Frame::identity()));
+    base.commanded
+        .report(&mut state.signals, Some(Twist::default()));
+    publish(&mut dev, &state);
+    fixture.step();
+    let net = format!(
+            "to=World::FrameValue(Value='{{pos:{{x:9}}}}'),base=RobotBase::BaseMonitor(Robot='dev'),
+            go=RobotBase::OmnidirectionalBaseController(inDest=to.outValue,inPos=base.outPos,inVel=base.outCmdVel,
+                velX='0.5'),
+            move=RobotBase::BaseVelocity(inVel=go.outVel,Robot='dev'),xyz=World::TwistToXYZ(inValue=go.outVel),{}",
+            watch("Core::Double", "vx", "xyz.outX")
+    );
+    fixture.start(1, &net);
+    fixture.steps(100);
+    let speed = fixture.number(1, "vx");
+    assert!((speed - 0.05).abs() < 0.002, "0.5 m/s² for 0.1 s: {speed}");
+    // A driver that still smooths a step is what counts.
+    let still = Twist {
+        vel: Vector::new(-0.9, 0.0, 0.0),
+        ..Twist::default()
+    };
+    base.commanded.report(&mut state.signals, Some(still));
+    publish(&mut dev, &state);
+    fixture.steps(2);
+    let vx = fixture.number(1, "vx");
+    assert!(vx < -0.4, "{vx}");
 }
 
 #[test]

@@ -15,12 +15,13 @@ use crate::plan::{Plan, unfit, unplanned};
 use crate::pose::Pose;
 use crate::preparation::{Begin, Begins, Goals};
 
-/// Largest mean speed of a joint until the object would be at rest, as part of its limit: where a joint would be faster,
-/// the object brakes. Near a singularity joints become faster while the object already brakes; the rest is for that.
+/// Largest speed of a joint, as part of its limit: where a joint is faster, the object brakes. Near a singularity joints
+/// become faster while the object already brakes; the rest is for that.
 const SPEED_MAX: f64 = 0.8;
 
-/// Largest speed of a joint on a path that is checked beforehand, as part of its limit. Less than the former, so that a
-/// path that fits does not brake: while the object accelerates, its braking distance is longer.
+/// Largest speed of a joint on a path that is checked beforehand, as part of its limit; and largest mean speed of a joint
+/// while the object would brake to rest. A path that fits does not brake: on it a joint gets from any place to the place of
+/// rest in at most the time of braking, so that its mean speed until there is less than its largest one.
 const CHECKED_SPEED_MAX: f64 = 0.6;
 
 /// Least time for which the net goes on after a device failed, s.
@@ -107,7 +108,14 @@ impl CoupledMotion {
         let (joints, beyond) = frame::inverse(net, arm, &now);
         let (rest_joints, will_be_beyond) = frame::inverse(net, arm, &at_rest);
         let beyond = net.of_two("Core::BooleanOr", &beyond, &will_be_beyond);
-        let fast = arm.any_further(net, [&joints, &rest_joints], (braking_s / 2.0, SPEED_MAX));
+        let before = arm.joint_array(net, "outCommandedPosition");
+        let period_s = arm.period.as_secs_f64();
+        let fast = [
+            arm.any_further(net, [&before, &joints], (period_s, SPEED_MAX)),
+            arm.any_further(net, [&joints, &rest_joints], (braking_s, CHECKED_SPEED_MAX)),
+        ];
+        let fast: Vec<_> = fast.into_iter().flatten().collect();
+        let fast = net.any(&fast);
         // A failed device comes first: its joints may be unknown, and out of reach for that.
         let mut failures = arm.command(net, &joints);
         failures.push((Failure::unreachable(&arm.name), beyond));

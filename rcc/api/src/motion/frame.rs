@@ -127,6 +127,8 @@ impl Route {
         if let Some(from) = from {
             arguments.push(("inFrom", (&from.frame).into()));
             arguments.push(("inFromVelocity", (&from.velocity).into()));
+            // Not its acceleration: where the motion before already brakes, going on with that makes a blend slower by a
+            // fifth. The acceleration changes at once instead, within its limit.
         }
         let kind = match self {
             // Without its own start, a line begins where the frame is.
@@ -173,24 +175,12 @@ pub(crate) fn commanded(net: &mut Net, arm: &ArmDescription, tool: &Pose) -> InM
         ("inJoints", (&positions).into()),
         ("inVelocities", (&velocities).into()),
         robot(),
+        ("Tool", tool.text().into()),
     ];
-    let twist = net.add("ArmKinematics::VelKin", twist).out("outTwist");
-    if *tool == Pose::IDENTITY {
-        return InMotion {
-            frame: flange,
-            velocity: twist,
-        };
+    InMotion {
+        frame: net.transform(&flange, tool),
+        velocity: net.add("ArmKinematics::VelKin", twist).out("outTwist"),
     }
-    let frame = net.transform(&flange, tool);
-    let mut position = |frame: &Port| {
-        let parts = net.add("World::FrameToPosRot", [("inValue", frame.into())]);
-        parts.out("outPosition")
-    };
-    let (centre, flange) = (position(&frame), position(&flange));
-    let lever = net.of_two("World::VectorSubtract", &centre, &flange);
-    let moved = [("inValue", (&twist).into()), ("inVector", (&lever).into())];
-    let velocity = net.add("World::TwistChangeCenter", moved).out("outValue");
-    InMotion { frame, velocity }
 }
 
 /// The same for a motion centre of an arm whose base is at `base`, in the reference of the base's pose.
@@ -200,16 +190,16 @@ pub(crate) fn commanded_in(
     base: &Pose,
     tool: &Pose,
 ) -> InMotion {
-    let InMotion { frame, velocity } = commanded(net, arm, tool);
+    let moved = commanded(net, arm, tool);
     if *base == Pose::IDENTITY {
-        return InMotion { frame, velocity };
+        return moved;
     }
     let base = net.frame(base);
-    let frame = net.of_two("World::FrameTransform", &base, &frame);
+    let frame = net.of_two("World::FrameTransform", &base, &moved.frame);
     let rotation = [("inValue", (&base).into())];
     let rotation = net.add("World::FrameToPosRot", rotation).out("outRotation");
     let turned = [
-        ("inValue", (&velocity).into()),
+        ("inValue", (&moved.velocity).into()),
         ("inRot", (&rotation).into()),
     ];
     let velocity = net.add("World::TwistRotate", turned).out("outValue");

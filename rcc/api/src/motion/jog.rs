@@ -1,7 +1,7 @@
 //! Jogging: the program writes the velocity of an arm while it moves, and the arm brakes when the program ceases to. Not
 //! here: who holds a key or a switch.
 
-use super::frame::{self, InMotion};
+use super::frame;
 use super::{ArmDescription, CartesianLimits};
 use crate::engine::Failure;
 use crate::error::ErrorKind;
@@ -183,12 +183,12 @@ impl Jog {
         let (fault_in, stop) = net.feedback(&requests.stop);
         let off = Self::off(net, &sent.out("outLastUpdated"), &stop);
         let over = net.override_in();
-        let InMotion { frame, velocity } = frame::commanded(net, arm, tool);
-        let parts = [("inValue", (&velocity).into())];
+        let begin = frame::commanded(net, arm, tool);
+        let parts = [("inValue", (&begin.velocity).into())];
         let parts = net.add("World::TwistToVelocities", parts);
         let wanted = [("inValue", (&sent.out("outValue")).into())];
         let wanted = net.add("World::TwistToVelocities", wanted);
-        let (at_in, at) = net.state("World::Frame", &frame);
+        let (at_in, at) = net.state("World::Frame", &begin.frame);
         let bounds = limits.bounds(1.0);
         let mut next = Vec::new();
         let parts = ["outTransVel", "outRotVel"].map(|port| (wanted.out(port), parts.out(port)));

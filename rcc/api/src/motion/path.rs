@@ -1,12 +1,12 @@
 //! The motions of one arm to a goal: joints together, or a frame at the flange along a path.
 
 use super::frame::{self, Course, Route};
-use super::{ArmDescription, CartesianLimits, JointLimits};
+use super::{ArmDescription, CartesianLimits};
 use crate::engine::Failure;
 use crate::error::ErrorKind;
 use crate::net::{Net, array};
 use crate::order::{Operation, Ports, Requests};
-use crate::plan::{Plan, bounds, unfit, unplanned};
+use crate::plan::{Plan, joint_bounds, unfit, unplanned};
 use crate::pose::Pose;
 use crate::preparation::{Begins, Goals};
 use takt_motion::plan::{State, plan};
@@ -91,10 +91,8 @@ impl Operation for ArmMotion {
         let begin = begins.get(&arm.name).ok_or_else(|| arm.no_start())?;
         let Path::Frame(route) = self.path()? else {
             let from: Vec<_> = begin.joints.iter().map(|q| State::at_rest(*q)).collect();
-            let limit = |joint: &JointLimits| {
-                bounds([joint.velocity, joint.acceleration, joint.jerk], speed)
-            };
-            let bounds: Vec<_> = arm.joints.iter().map(limit).collect();
+            let joints = arm.joints.iter();
+            let bounds: Vec<_> = joints.map(|joint| joint_bounds(joint, speed)).collect();
             let joints = plan(&from, &self.goal(begins)?, &bounds, arm.period);
             let joints = joints.map_err(|error| unplanned(arm, error))?;
             return Ok(Plan::new(arm, joints));

@@ -283,3 +283,11 @@ fn stream_nets_track_goals_once_written() {
     }
     assert!(poses.contains("ArmKinematics::InvKin(") && poses.contains("Key='unreachable_left'"));
 }
+
+#[test]
+fn full_speed_leaves_room_for_device_clock() {
+    for (speed, velocity) in [(1.0, 2.0 * 0.999), (0.9995, 2.0 * 0.999), (0.5, 1.0)] {
+        let [text, ..] = arm("left").limit_texts(speed);
+        assert_eq!(text, array(&[velocity; 7]), "{speed}");
+    }
+}

@@ -97,13 +97,32 @@ struct BaseMonitor {
     error: Out<i32>,
 }
 
+/// A base whose speed may differ further from what was commanded than by what it gains in this time, s, at the largest
+/// change of its speed, has been given a step, which its driver smooths.
+const STEP_S: f64 = 0.25;
+
+impl BaseMonitor {
+    /// The velocity from which a net goes on: the one that a net commanded in the cycle before, not the one that the driver,
+    /// whose cycles are longer, has come to with it. A base whose driver smooths a step goes on from what the driver reports.
+    fn commanded(&self, cycle: &Cycle<'_>) -> Option<Twist> {
+        let reported = self.base.commanded.get(cycle.image);
+        let follows = self.base.error.get(cycle.image) == Some(0);
+        let Some(recent) = self.base.command.recent(cycle).filter(|_| follows) else {
+            return reported;
+        };
+        let off = reported.unwrap_or_default();
+        let is_step = (recent.vel - off.vel).xy().norm() > STEP_S * self.base.velocity_max
+            || (recent.rot.z - off.rot.z).abs() > STEP_S * self.base.rotation_max;
+        if is_step { reported } else { Some(recent) }
+    }
+}
+
 impl Primitive for BaseMonitor {
     fn step(&mut self, cycle: &Cycle<'_>) {
         self.pose.set(cycle, self.base.pose.get(cycle.image));
         self.velocity
             .set(cycle, self.base.velocity.get(cycle.image));
-        self.commanded
-            .set(cycle, self.base.commanded.get(cycle.image));
+        self.commanded.set(cycle, self.commanded(cycle));
         let error = self.base.error.get(cycle.image);
         self.error.set(cycle, error.unwrap_or(1));
     }
@@ -275,13 +294,17 @@ pub(super) fn table() -> Vec<Definition> {
         )),
         Definition::new(
             "RobotBase::BaseMonitor",
-            "Where a base is and how it moves, as its driver last reported.",
+            "Where a base is and how it moves, as its driver last reported, and what was commanded.",
             base_monitor,
         )
         .text("Robot", ROBOT)
         .output::<Frame>("outPos", "pose in the frame in which it started, m")
         .output::<Twist>("outVel", "velocity in its own frame, m/s and rad/s")
-        .output::<Twist>("outCmdVel", "commanded velocity in its own frame, m/s and rad/s")
+        .output::<Twist>(
+            "outCmdVel",
+            "velocity that a net commanded in the cycle before, where one did and the base follows, else the one that the \
+             driver reports, in its own frame, m/s and rad/s",
+        )
         .output::<i32>("outError", ERROR)
         .null(NullRule::Own(
             "Null while the driver does not know the value; an unknown error is 1.",

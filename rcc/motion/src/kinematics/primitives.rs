@@ -445,27 +445,55 @@ struct VelKin {
     kinematics: Arc<dyn Kinematics>,
     joints: ArrayIn<f64>,
     velocities: ArrayIn<f64>,
+    accelerations: Option<ArrayIn<f64>>,
+    tool: Frame,
     values: Box<[f64]>,
-    rates: Box<[f64]>,
+    rates: [Box<[f64]>; 2],
     columns: Box<[Twist]>,
     twist: Out<Twist>,
+    acceleration: Out<Twist>,
+}
+
+impl VelKin {
+    /// Velocity and acceleration of the tool at the copied joints.
+    fn motion(&mut self) -> [Twist; 2] {
+        self.kinematics.jacobian(&self.values, &mut self.columns);
+        let [velocities, accelerations] = &self.rates;
+        let (mut velocity, mut acceleration) = (Twist::default(), Twist::default());
+        for ((column, rate), change) in self.columns.iter().zip(velocities).zip(accelerations) {
+            // The axes before this one turn it and its lever; so do they with its share of what moves further out.
+            let turning = velocity.rot * 2.0 + column.rot * *rate;
+            acceleration.vel += column.vel * *change + turning.cross(&column.vel) * *rate;
+            acceleration.rot += column.rot * *change + velocity.rot.cross(&column.rot) * *rate;
+            velocity.vel += column.vel * *rate;
+            velocity.rot += column.rot * *rate;
+        }
+        if self.tool.translation.vector.norm_squared() > 0.0 {
+            let flange = self.kinematics.forward(&self.values);
+            let lever = flange.rotation * self.tool.translation.vector;
+            let around = velocity.rot.cross(&lever);
+            velocity.vel += around;
+            acceleration.vel += acceleration.rot.cross(&lever) + velocity.rot.cross(&around);
+        }
+        [velocity, acceleration]
+    }
 }
 
 impl Primitive for VelKin {
     fn step(&mut self, cycle: &Cycle<'_>) {
+        let [rates, changes] = &mut self.rates;
         let joints = copy(&self.joints, cycle, &mut self.values);
-        let moving = joints.and_then(|()| copy(&self.velocities, cycle, &mut self.rates));
-        let twist = moving.map(|()| {
-            self.kinematics.jacobian(&self.values, &mut self.columns);
-            let mut sum = Twist::default();
-            for (column, rate) in self.columns.iter().zip(&self.rates) {
-                sum.vel += column.vel * *rate;
-                sum.rot += column.rot * *rate;
-            }
-            sum
-        });
+        let moving = joints.and_then(|()| copy(&self.velocities, cycle, rates));
+        let changing = self
+            .accelerations
+            .as_ref()
+            .is_none_or(|port| copy(port, cycle, changes).is_some());
+        let motion = moving.map(|()| self.motion());
         let is_number = |twist: &Twist| twist.vel.iter().chain(&twist.rot).all(|v| v.is_finite());
-        self.twist.set(cycle, twist.filter(is_number));
+        let velocity = motion.map(|[velocity, _]| velocity).filter(is_number);
+        let acceleration = motion.filter(|_| changing).map(|[_, rate]| rate);
+        self.twist.set(cycle, velocity);
+        self.acceleration.set(cycle, acceleration.filter(is_number));
     }
 }
 
@@ -473,30 +501,48 @@ fn vel_kin() -> Definition {
     let build = |b: &mut Build<'_, '_>| -> Result<VelKin, Fault> {
         let kinematics = b.kinematics("Robot")?;
         let joints = kinematics.joints();
+        let tool: Frame = b.value("Tool")?;
+        if !is_finite(&tool) {
+            let why = "the numbers of this frame are not finite".to_owned();
+            return Err(b.parameter_fault("Tool", why));
+        }
+        let accelerations = b.is_linked("inAccelerations").then_some("inAccelerations");
+        let accelerations = accelerations.map(|name| joints_input(b, name, &*kinematics));
         Ok(VelKin {
             joints: joints_input(b, "inJoints", &*kinematics)?,
             velocities: joints_input(b, "inVelocities", &*kinematics)?,
+            accelerations: accelerations.transpose()?,
+            tool,
             values: vec![0.0; joints].into(),
-            rates: vec![0.0; joints].into(),
+            rates: [vec![0.0; joints].into(), vec![0.0; joints].into()],
             columns: vec![Twist::default(); joints].into(),
             twist: b.output("outTwist"),
+            acceleration: b.output("outAcceleration"),
             kinematics,
         })
     };
     Definition::new(
         "ArmKinematics::VelKin",
-        "The velocity of the flange of an arm at given joint velocities.",
+        "The velocity and acceleration of the flange of an arm, or of a tool at it, at given rates of its joints.",
         build,
     )
     .active()
     .array_input::<f64>(port("inJoints", "joint positions, rad").required())
     .array_input::<f64>(port("inVelocities", "joint velocities, rad/s").required())
+    .array_input::<f64>(port(
+        "inAccelerations",
+        "joint accelerations, rad/s²; 0 if not connected",
+    ))
     .text("Robot", ROBOT)
+    .parameter::<Frame>("Tool", "{}", "frame in the flange whose motion it is, m")
     .output::<Twist>(
         "outTwist",
-        "velocity of the flange in the base, m/s and rad/s",
+        "velocity of the flange or the tool in the base, m/s and rad/s",
     )
-    .null(NullRule::Own("Null if an input is null or not a number."))
+    .output::<Twist>("outAcceleration", "its acceleration, m/s² and rad/s²")
+    .null(NullRule::Own(
+        "Null if an input is null or not a number; inAccelerations concerns outAcceleration only.",
+    ))
 }
 
 /// Cost bound of a forward solution.

@@ -1,10 +1,11 @@
 //! `Motion::Lin`, `Motion::Circ` and `Motion::Spline`: a frame along a line, an arc or a smooth curve. Whether an arm can
 //! follow is decided by its kinematics.
 
+use nalgebra::{UnitQuaternion, Vector3};
 use takt_net::definition::port;
 use takt_net::{Build, Cycle, Definition, Fault, Frame, In, NullRule, Out, Primitive, Twist};
 
-use super::course::{Departure, Geometry, WHOLE};
+use super::course::{Departure, Geometry, WHOLE, stopping_ways};
 use super::frame_path::{FramePath, FrameState, is_sensible};
 use super::path::Path;
 use super::profile::{Bounds, State};
@@ -92,7 +93,11 @@ impl Cartesian {
     }
 }
 
-/// Begins a course in a state: on a line from there to `to`, or else beside the path, to be on it at `join` at the latest.
+/// Rounds in which a line is found that begins where the motion across it ends: its direction depends on where that is.
+const ROUNDS: usize = 4;
+
+/// Begins a course in a state: on a line to `to`, or else beside the path, to be on it at `join` at the latest. A line to
+/// `to` begins where what does not move along it comes to rest, so that a frame in motion needs no way back.
 pub(super) fn begin(
     path: &mut FramePath,
     course: &mut super::course::Course,
@@ -100,14 +105,29 @@ pub(super) fn begin(
     (to, join): (Option<Frame>, Option<f64>),
     speed: f64,
 ) {
+    let mut off = [State::default(); 6];
     if let Some(to) = to {
         path.path = path.path.starting_at(state.frame, &to);
+        for _ in 0..ROUNDS {
+            let along = path.depart(state, 0.0, &mut off);
+            let mut ways = [0.0; 6];
+            let departure = Departure {
+                along,
+                off: &off,
+                join,
+            };
+            stopping_ways(path, &departure, &mut ways);
+            let [x, y, z, a, b, c] = ways;
+            let at = state.frame.translation.vector + Vector3::new(x, y, z);
+            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(a, b, c));
+            let start = Frame::from_parts(at.into(), turn * state.frame.rotation);
+            path.path = path.path.starting_at(start, &to);
+        }
     }
     let nearest = || path.path.nearest(&state.frame.translation.vector);
     let part = join
         .and_then(|join| Some(nearest()?.min(join)))
         .unwrap_or(0.0);
-    let mut off = [State::default(); 6];
     let along = path.depart(state, part, &mut off);
     let departure = Departure {
         along,

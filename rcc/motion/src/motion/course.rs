@@ -2,7 +2,7 @@
 //! any state onto the path. Nets and plans run the same course. Its owner knows the path.
 
 use super::lead::{Lead, SAMPLES};
-use super::profile::{Bounds, Profile, State};
+use super::profile::{Bounds, Profile, State, stopping};
 
 /// Override below which a motion holds.
 const HOLD_BELOW: f64 = 0.001;
@@ -19,6 +19,9 @@ pub(super) const WHOLE: [f64; 2] = [1.0, 1.0];
 const LEAST: f64 = 0.1;
 /// Acceleration beside the path, relative to that along it, up to which a motion accelerates mostly along it.
 pub(super) const MOSTLY: f64 = 0.1;
+
+/// Part of the limits with which the way of a deviation to rest is found: with the rest it ends there for certain.
+const SETTLING: f64 = 0.9;
 
 /// Margin of a gentle deviation for its jerk.
 const GENTLE: f64 = 1.2;
@@ -261,9 +264,10 @@ impl Course {
                 self.is_leading = false;
                 self.part = 1.0;
                 self.profile.set_bounds(self.bounds);
-                if let Aim::End(speed) = self.aim {
-                    self.profile.go_to(self.length, speed);
-                }
+                match self.aim {
+                    Aim::End(speed) => self.profile.go_to(self.length, speed),
+                    Aim::Hold | Aim::Stop => self.profile.is_at_rest() || self.profile.brake(),
+                };
             }
         }
     }
@@ -374,6 +378,16 @@ fn share(path: &impl Geometry, from: &Departure<'_>, length: f64) -> [f64; 2] {
     // The more of the acceleration one of them has, the more of the jerk ends it.
     let jerk = 0.5 + (beside - forwards).clamp(-0.5 + LEAST, 0.5 - LEAST);
     [acceleration, jerk]
+}
+
+/// How far each coordinate of a deviation moves until it is at rest, braking with its share of the limits. A path that
+/// begins there is one that the deviation ends on without a way back.
+pub(super) fn stopping_ways(path: &impl Geometry, from: &Departure<'_>, ways: &mut [f64]) {
+    let (length, _) = path.along(WHOLE);
+    let share = share(path, from, length).map(|part| part * SETTLING);
+    for (axis, (off, way)) in from.off.iter().zip(ways).enumerate() {
+        *way = stopping(*off, axis_bounds(path, from.off, axis, share));
+    }
 }
 
 /// The bounds with the least acceleration that stops a deviation on its way to zero there.

@@ -83,35 +83,37 @@ fn most_rate(velocity: &Vector3<f64>, direction: &Vector3<f64>, limit: f64) -> f
     (along + (along * along + square * rest).max(0.0).sqrt()).max(0.0) / square
 }
 
+/// The same half of a velocity, of a direction and of an acceleration.
+type Halves = (Vector3<f64>, Vector3<f64>, Vector3<f64>);
+
+/// What a velocity gains until its acceleration has ended.
+fn gained(acceleration: &Vector3<f64>, bounds: Bounds) -> Vector3<f64> {
+    acceleration * (acceleration.norm() / (2.0 * bounds.jerk))
+}
+
 impl FramePath {
+    /// The rate of the path (1/s) that fits a velocity best, for a frame in that state. What moves against the path
+    /// deviates by more than its own velocity, but not by more than the limit.
+    fn rate(&self, now: &FrameState, velocity: &Twist, direction: &Twist) -> f64 {
+        let (length, bounds) = self.along(WHOLE);
+        let rate = share(velocity, direction).clamp(0.0, bounds.velocity / length);
+        let vel = (now.velocity.vel, direction.vel, now.acceleration.vel);
+        let rot = (now.velocity.rot, direction.rot, now.acceleration.rot);
+        let limits = [(vel, self.translation), (rot, self.rotation)];
+        let most = |((velocity, direction, acceleration), bounds): &(Halves, Bounds)| {
+            let limit = bounds.velocity - acceleration.norm_squared() / bounds.jerk;
+            most_rate(velocity, direction, limit)
+        };
+        limits.iter().map(most).fold(rate, f64::min)
+    }
+
     /// The motion along the path from `part` on, and the deviations from it, of a frame in that state.
     pub(super) fn depart(&self, now: &FrameState, part: f64, off: &mut [State; 6]) -> State {
         let (length, bounds) = self.along(WHOLE);
         let direction = self.path.velocity(part, 1.0);
         let (mut rate, mut acceleration) = (0.0, 0.0);
         if length > 0.0 {
-            rate = share(&now.velocity, &direction).clamp(0.0, bounds.velocity / length);
-            // What moves against the path deviates by more than its own velocity, but not by more than the limit.
-            let limits = [
-                (
-                    now.velocity.vel,
-                    direction.vel,
-                    now.acceleration.vel,
-                    self.translation,
-                ),
-                (
-                    now.velocity.rot,
-                    direction.rot,
-                    now.acceleration.rot,
-                    self.rotation,
-                ),
-            ];
-            for (velocity, direction, acceleration, bounds) in limits {
-                let limit = bounds.velocity - acceleration.norm_squared() / bounds.jerk;
-                rate = rate.min(most_rate(&velocity, &direction, limit));
-            }
-        }
-        if rate > 0.0 {
+            rate = self.rate(now, &now.velocity, &direction);
             let inwards = self.path.acceleration(part, rate, 0.0);
             let rest = Twist {
                 vel: now.acceleration.vel - inwards.vel,
@@ -123,9 +125,16 @@ impl FramePath {
                 (rest.vel - direction.vel * forwards).norm() / self.translation.acceleration,
                 (rest.rot - direction.rot * forwards).norm() / self.rotation.acceleration,
             ];
-            // Where less than most of it is along the path, the deviation gets all: one of the two needs the jerk.
-            if beside[0].max(beside[1]) <= MOSTLY * forwards.abs() / most {
+            if rate > 0.0 && beside[0].max(beside[1]) <= MOSTLY * forwards.abs() / most {
                 acceleration = forwards;
+            } else {
+                // Where less than most of it is along the path, the deviation gets all of the acceleration: one of the
+                // two needs the jerk. With it, the deviation gets the velocity that ends with the acceleration.
+                let lasting = Twist {
+                    vel: now.velocity.vel + gained(&now.acceleration.vel, self.translation),
+                    rot: now.velocity.rot + gained(&now.acceleration.rot, self.rotation),
+                };
+                rate = self.rate(now, &lasting, &direction);
             }
         }
         let (here, velocity, whole) = (

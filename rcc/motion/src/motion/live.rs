@@ -7,7 +7,7 @@ use std::time::Duration;
 use takt_net::Frame;
 
 use super::cartesian;
-use super::course::{Course, Departure, Geometry, Progress};
+use super::course::{Course, Geometry, Progress};
 use super::frame_path::{FramePath, FrameState, is_sensible};
 use super::path::Path;
 use super::plan::{FrameBounds, PlanError, Route};
@@ -54,7 +54,6 @@ fn course(period: Duration, axes: usize) -> Result<Course, PlanError> {
 pub struct JointMotion {
     course: Course,
     line: JointLine,
-    off: Box<[State]>,
     progress: Progress,
 }
 
@@ -81,12 +80,11 @@ impl JointMotion {
         }
         Ok(Self {
             course: course(period, joints)?,
-            line: JointLine {
-                from: vec![0.0; joints].into(),
-                to: vec![0.0; joints].into(),
-                bounds: vec![UNIT; joints].into(),
-            },
-            off: vec![State::default(); joints].into(),
+            line: JointLine::new(
+                vec![0.0; joints].into(),
+                vec![0.0; joints].into(),
+                vec![UNIT; joints].into(),
+            ),
             progress: Progress::default(),
         })
     }
@@ -116,18 +114,9 @@ impl JointMotion {
             return Err(PlanError::Number);
         }
         bounds.iter().try_for_each(|bounds| bounds.check())?;
-        for (start, state) in self.line.from.iter_mut().zip(from) {
-            *start = state.position;
-        }
         self.line.to.copy_from_slice(to);
         self.line.bounds.copy_from_slice(bounds);
-        let along = self.line.depart(from, &mut self.off);
-        let departure = Departure {
-            along,
-            off: &self.off,
-            join: None,
-        };
-        self.course.begin(&self.line, &departure, speed);
+        self.line.begin(&mut self.course, from, speed);
         self.progress = self.course.progress();
         Ok(())
     }

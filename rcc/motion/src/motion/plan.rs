@@ -12,7 +12,7 @@ pub use super::frame_path::FrameState;
 pub use super::profile::{Bounds, State};
 pub use check::{Cause, Unfit};
 
-use super::course::{Course, Departure, Geometry, Progress, WHOLE};
+use super::course::{Course, Geometry, Progress, WHOLE};
 use super::frame_path::{FramePath, is_sensible};
 use super::lead::Lead;
 use super::limits::{LARGEST, SMALLEST};
@@ -279,11 +279,8 @@ pub fn plan(
         return Err(PlanError::Number);
     }
     bounds.iter().try_for_each(|bounds| bounds.check())?;
-    let line = JointLine {
-        from: from.iter().map(|state| state.position).collect(),
-        to: to.into(),
-        bounds: bounds.into(),
-    };
+    let start = from.iter().map(|state| state.position).collect();
+    let mut line = JointLine::new(start, to.into(), bounds.into());
     let mut course = course(line.along(WHOLE), period)?;
     let is_moving = from
         .iter()
@@ -294,14 +291,7 @@ pub fn plan(
     });
     if is_moving {
         course = course.with_lead(joints, period.as_secs_f64());
-        let mut off = vec![State::default(); joints];
-        let along = line.depart(from, &mut off);
-        let departure = Departure {
-            along,
-            off: &off,
-            join: None,
-        };
-        course.begin(&line, &departure, 1.0);
+        line.begin(&mut course, from, 1.0);
     }
     run(course, first, period, |progress, lead| JointSample {
         progress: progress.part.clamp(0.0, 1.0),

@@ -272,10 +272,12 @@ impl Profile {
 }
 
 /// Distance to standstill: from the present acceleration to the strongest deceleration, some time at it, and back.
-fn stopping(state: State, bounds: Bounds) -> f64 {
-    let direction = 1.0_f64.copysign(state.velocity);
-    let (speed, acceleration) = (state.velocity.abs(), state.acceleration * direction);
+pub(super) fn stopping(state: State, bounds: Bounds) -> f64 {
     let jerk = bounds.jerk;
+    // The velocity when the acceleration has ended decides: a strong deceleration turns the coordinate back.
+    let gained = state.acceleration * state.acceleration.abs() / (2.0 * jerk);
+    let direction = 1.0_f64.copysign(state.velocity + gained);
+    let (speed, acceleration) = (state.velocity * direction, state.acceleration * direction);
     // Speed to be taken by deceleration.
     let whole = speed + acceleration * acceleration / (2.0 * jerk);
     let peak = (jerk * whole)

@@ -6,7 +6,7 @@ use takt_net::{
     ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, FaultKind, NullRule, Primitive,
 };
 
-use super::course::{Departure, Geometry, Group, MOSTLY, Progress, WHOLE};
+use super::course::{Course, Departure, Geometry, Group, MOSTLY, Progress, WHOLE, stopping_ways};
 use super::lead::Lead;
 use super::profile::{Bounds, State};
 use super::runner::{Runner, with_ports};
@@ -18,26 +18,87 @@ pub(super) struct JointLine {
     pub(super) from: Box<[f64]>,
     pub(super) to: Box<[f64]>,
     pub(super) bounds: Box<[Bounds]>,
+    /// Deviations at the beginning.
+    off: Box<[State]>,
+    /// How far they move until they are at rest, rad.
+    ways: Box<[f64]>,
 }
 
+/// Rounds in which a line is found that begins where the motion beside it ends: its direction depends on where that is.
+const ROUNDS: usize = 4;
+
 impl JointLine {
+    /// A line of as many joints as each of these has.
+    pub(super) fn new(from: Box<[f64]>, to: Box<[f64]>, bounds: Box<[Bounds]>) -> Self {
+        Self {
+            off: vec![State::default(); to.len()].into(),
+            ways: vec![0.0; to.len()].into(),
+            from,
+            to,
+            bounds,
+        }
+    }
+
     fn distances(&self) -> impl Iterator<Item = f64> {
         let ends = self.from.iter().zip(&self.to);
         ends.map(|(from, to)| to - from)
     }
 
+    /// Begins a course in these states: on a line that begins where what does not move along it comes to rest, so that
+    /// no joint needs a way back.
+    pub(super) fn begin(&mut self, course: &mut Course, joints: &[State], speed: f64) {
+        let (mut off, mut ways) = (
+            std::mem::take(&mut self.off),
+            std::mem::take(&mut self.ways),
+        );
+        ways.fill(0.0);
+        for _ in 0..ROUNDS {
+            self.start_beside(joints, &ways);
+            let along = self.depart(joints, &mut off);
+            stopping_ways(
+                self,
+                &Departure {
+                    along,
+                    off: &off,
+                    join: None,
+                },
+                &mut ways,
+            );
+        }
+        self.start_beside(joints, &ways);
+        let along = self.depart(joints, &mut off);
+        course.begin(
+            self,
+            &Departure {
+                along,
+                off: &off,
+                join: None,
+            },
+            speed,
+        );
+        (self.off, self.ways) = (off, ways);
+    }
+
+    fn start_beside(&mut self, joints: &[State], ways: &[f64]) {
+        for ((start, state), way) in self.from.iter_mut().zip(joints).zip(ways) {
+            *start = state.position + way;
+        }
+    }
+
     /// The motion along the line, and the deviations from it, of joints in these states: along the line as fast as
     /// fits the joints best, relative to their limits.
-    pub(super) fn depart(&self, joints: &[State], off: &mut [State]) -> State {
+    fn depart(&self, joints: &[State], off: &mut [State]) -> State {
         let (length, along) = self.along(WHOLE);
-        let (mut forwards, mut speed, mut acceleration) = (0.0, 0.0, 0.0);
+        let is_line = length > 0.0;
+        let (mut forwards, mut speed, mut lasting, mut acceleration) = (0.0, 0.0, 0.0, 0.0);
         for ((distance, bounds), joint) in self.distances().zip(&self.bounds).zip(joints) {
             let weight = distance / length / bounds.velocity.powi(2);
+            let gained = joint.acceleration * joint.acceleration.abs() / (2.0 * bounds.jerk);
             forwards += distance / length * weight;
             speed += joint.velocity * weight;
+            lasting += (joint.velocity + gained) * weight;
             acceleration += joint.acceleration * weight;
         }
-        let is_along = length > 0.0 && speed > 0.0;
         // A joint that moves against the line deviates by more than its own velocity, but not by more than its limit.
         let against = |((distance, bounds), joint): ((f64, &Bounds), &State)| {
             let part = distance / length;
@@ -49,29 +110,37 @@ impl JointLine {
                 f64::INFINITY
             }
         };
-        let pairs = self.distances().zip(&self.bounds).zip(joints);
-        let most = pairs.map(against).fold(along.velocity, f64::min);
-        let along = if is_along {
+        let pairs = || self.distances().zip(&self.bounds).zip(joints);
+        let most = pairs().map(against).fold(along.velocity, f64::min);
+        let along = if is_line {
             let along_line = acceleration / forwards;
-            let off = |((distance, bounds), joint): ((f64, &Bounds), &State)| {
+            let beside = |((distance, bounds), joint): ((f64, &Bounds), &State)| {
                 (joint.acceleration - distance / length * along_line).abs() / bounds.acceleration
             };
-            let pairs = self.distances().zip(&self.bounds).zip(joints);
-            // Where less than most of it is along the line, the deviation gets all: one of the two needs the jerk.
-            let rest = pairs.map(off).fold(0.0, f64::max);
-            let is_mostly_along = rest <= MOSTLY * along_line.abs() / along.acceleration;
+            let rest = pairs().map(beside).fold(0.0, f64::max);
+            let is_mostly_along =
+                speed > 0.0 && rest <= MOSTLY * along_line.abs() / along.acceleration;
+            // Where less than most of it is along the line, the deviation gets all of the acceleration: one of the two
+            // needs the jerk. With it, the deviation gets the velocity that ends with the acceleration.
+            let (speed, acceleration) = if is_mostly_along {
+                (speed, along_line)
+            } else {
+                (lasting, 0.0)
+            };
             State {
                 position: 0.0,
-                velocity: (speed / forwards).min(most),
-                acceleration: if is_mostly_along { along_line } else { 0.0 },
+                velocity: (speed / forwards).max(0.0).min(most),
+                acceleration,
             }
         } else {
             State::default()
         };
-        for ((distance, joint), off) in self.distances().zip(joints).zip(off) {
-            let part = if length > 0.0 { distance / length } else { 0.0 };
+        for (((distance, start), joint), off) in
+            self.distances().zip(&self.from).zip(joints).zip(off)
+        {
+            let part = if is_line { distance / length } else { 0.0 };
             *off = State {
-                position: 0.0,
+                position: joint.position - start,
                 velocity: joint.velocity - part * along.velocity,
                 acceleration: joint.acceleration - part * along.acceleration,
             };
@@ -227,7 +296,6 @@ struct Ptp {
     runner: Runner,
     line: JointLine,
     from: Option<JointsFrom>,
-    off: Box<[State]>,
     position: ArrayOut<f64>,
     velocity: ArrayOut<f64>,
     acceleration: ArrayOut<f64>,
@@ -242,16 +310,8 @@ impl Ptp {
         if !from.read(cycle) {
             return false;
         }
-        for (start, state) in self.line.from.iter_mut().zip(&from.states) {
-            *start = state.position;
-        }
-        let along = self.line.depart(&from.states, &mut self.off);
-        let departure = Departure {
-            along,
-            off: &self.off,
-            join: None,
-        };
-        self.runner.course.begin(&self.line, &departure, speed);
+        self.line
+            .begin(&mut self.runner.course, &from.states, speed);
         true
     }
 }
@@ -287,11 +347,11 @@ fn build(b: &mut Build<'_, '_>) -> Result<Ptp, Fault> {
     if joints == 0 {
         return Err(b.parameter_fault("From", "a motion needs at least one joint".to_owned()));
     }
-    let line = JointLine {
-        from: joint_positions(b, "From", joints)?.into(),
-        to: joint_positions(b, "To", joints)?.into(),
-        bounds: joint_bounds(b, joints)?.into(),
-    };
+    let line = JointLine::new(
+        joint_positions(b, "From", joints)?.into(),
+        joint_positions(b, "To", joints)?.into(),
+        joint_bounds(b, joints)?.into(),
+    );
     if let Some(from) = &from {
         from.fits(b, joints)?;
     }
@@ -299,7 +359,6 @@ fn build(b: &mut Build<'_, '_>) -> Result<Ptp, Fault> {
         runner: Runner::new(b, line.along(WHOLE), from.is_some().then_some(joints))?,
         line,
         from,
-        off: vec![State::default(); joints].into(),
         position: b.array_output("outPosition", joints)?,
         velocity: b.array_output("outVelocity", joints)?,
         acceleration: b.array_output("outAcceleration", joints)?,

@@ -1,6 +1,7 @@
 //! Motions in nets, checked by their outputs: velocity, acceleration and jerk are computed from
 //! differences of positions alone.
 
+mod blends;
 mod coupled;
 mod departures;
 mod plans;

@@ -285,3 +285,52 @@ fn vel_kin_is_the_derivative_of_kin() {
     fixture.step();
     assert_eq!(fixture.read("twist"), "null");
 }
+
+#[test]
+fn tool_acceleration_is_rate_of_velocity() {
+    let net = "j=Core::DoubleArrayNetcommIn(Key='j',Value='[0,0,0,0,0,0,0]'),\
+         v=Core::DoubleArrayNetcommIn(Key='v',Value='[0,0,0,0,0,0,0]'),\
+         a=Core::DoubleArrayNetcommIn(Key='a',Value='[0,0,0,0,0,0,0]'),\
+         kin=ArmKinematics::Kin(inJoints=j.outValue,Robot='arm'),\
+         tool=World::FrameValue(Value='{pos:{x:0.1,y:-0.05,z:0.2}}'),\
+         tip=World::FrameTransform(inFirst=kin.outFrame,inSecond=tool.outValue),\
+         vel=ArmKinematics::VelKin(inJoints=j.outValue,inVelocities=v.outValue,inAccelerations=a.outValue,Robot='arm',\
+         Tool='{pos:{x:0.1,y:-0.05,z:0.2}}'),\
+         w1=World::FrameNetcommOut(inValue=tip.outValue,Key='frame'),\
+         w2=World::TwistNetcommOut(inValue=vel.outTwist,Key='twist'),\
+         w3=World::TwistNetcommOut(inValue=vel.outAcceleration,Key='acceleration')";
+    let mut fixture = Fixture::new(net, &arm("kuka_lwr4"));
+    let joints = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7];
+    let rates = [1.0, -1.0, 0.5, 2.0, -0.3, 0.1, 1.5];
+    let changes = [0.5, 2.0, -1.5, 0.7, 3.0, -2.0, 1.0];
+    let mut at = |t: f64| {
+        let q =
+            std::array::from_fn::<_, 7, _>(|i| joints[i] + rates[i] * t + changes[i] * t * t / 2.0);
+        let v = std::array::from_fn::<_, 7, _>(|i| rates[i] + changes[i] * t);
+        fixture.write("j", &format!("{q:?}"));
+        fixture.write("v", &format!("{v:?}"));
+        fixture.write("a", &format!("{changes:?}"));
+        fixture.step();
+        let twist = |key| Twist::parse(&fixture.read(key)).expect("a twist");
+        let frame = Frame::parse(&fixture.read("frame")).expect("a frame");
+        (frame, twist("twist"), twist("acceleration"))
+    };
+    let (before, after, (_, velocity, acceleration)) = (at(-1e-5), at(1e-5), at(0.0));
+    let moved = (after.0.translation.vector - before.0.translation.vector) / 2e-5;
+    assert!((velocity.vel - moved).norm() < 1e-6, "{velocity:?} {moved}");
+    let rate = [
+        (after.1.vel - before.1.vel) / 2e-5,
+        (after.1.rot - before.1.rot) / 2e-5,
+    ];
+    assert!(
+        (acceleration.vel - rate[0]).norm() < 1e-5,
+        "{acceleration:?} {rate:?}"
+    );
+    assert!(
+        (acceleration.rot - rate[1]).norm() < 1e-5,
+        "{acceleration:?} {rate:?}"
+    );
+    fixture.write("a", "[nan,0,0,0,0,0,0]");
+    fixture.step();
+    assert_eq!(fixture.read("acceleration"), "null");
+}
