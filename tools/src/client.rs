@@ -253,6 +253,15 @@ impl Client {
         Ok(self.inner.next_push(within)?)
     }
 
+    /// A request about machines; returns the values of the reply.
+    pub(crate) fn machine(
+        &mut self,
+        command: &str,
+        args: impl IntoIterator<Item = Value>,
+    ) -> anyhow::Result<Vec<Value>> {
+        Ok(self.inner.call(command, args)?.values)
+    }
+
     /// All nets, in the order in which they were loaded.
     pub(crate) fn nets(&mut self) -> anyhow::Result<Vec<NetInfo>> {
         let nets = self.describe([])?.into_iter();

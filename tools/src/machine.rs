@@ -1,4 +1,7 @@
-//! `takt machine`: check and draw machines here. Nothing is run, and no controller is needed.
+//! `takt machine`: check and draw machines here, without a controller; load and command them in a running one
+//! ([`live`]).
+
+mod live;
 
 use std::path::{Path, PathBuf};
 
@@ -12,11 +15,27 @@ use crate::output::{complain, say};
 /// Largest file that is read, bytes: more than the compiler accepts.
 const FILE_BYTES_MAX: u64 = 4 << 20;
 
-/// Check and draw state machines.
+/// Check, draw, load and command state machines.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Machine {
     /// Check a machine and its components: all errors, with their locations.
     Check(Check),
+    /// Load a machine with its components; print its name.
+    Load(live::Load),
+    /// Activate a machine and change it to automatic mode.
+    Start(live::Target),
+    /// Change a machine to its final state, and wait until it has ended.
+    Stop(live::Stop),
+    /// Execute one step of a machine.
+    Step(live::Target),
+    /// End a machine where it is, with its components; drivers brake what they moved.
+    End(live::Target),
+    /// Show machines: status, state, components, variables, costs.
+    State(live::State),
+    /// Execute text commands, such as `servo.gain := 2` or `generator.start()`.
+    Call(live::Call),
+    /// Follow the states of a machine until it has ended.
+    Watch(live::Watch),
     /// Draw the states of a machine: an SVG on standard output, or DOT.
     Graph(Graph),
 }
@@ -25,6 +44,14 @@ impl Machine {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         match self {
             Self::Check(check) => check.run(),
+            Self::Load(load) => load.run(),
+            Self::Start(target) => target.command("start"),
+            Self::Stop(stop) => stop.run(),
+            Self::Step(target) => target.step(),
+            Self::End(target) => target.end(),
+            Self::State(state) => state.run(),
+            Self::Call(call) => call.run(),
+            Self::Watch(watch) => watch.run(),
             Self::Graph(graph) => graph.run(),
         }
     }
@@ -46,8 +73,13 @@ pub(crate) struct Check {
 /// Draw a machine.
 #[derive(Debug, Args)]
 pub(crate) struct Graph {
-    /// The machine; component files are relative to it.
+    /// The machine; component files are relative to it. With `--live`, the name of a loaded one.
     file: PathBuf,
+    /// Draw a machine of a controller, with its present state.
+    #[arg(long, conflicts_with_all = ["state", "dot"])]
+    live: bool,
+    #[command(flatten)]
+    server: crate::net::server::Server,
     /// Draw the machine of that name inside.
     #[arg(long, value_name = "NAME")]
     machine: Option<String>,
@@ -163,6 +195,12 @@ fn json(name: &str, text: &str, compiled: &Compiled) -> serde_json::Value {
 
 impl Graph {
     fn run(self) -> anyhow::Result<Verdict> {
+        if self.live {
+            let name = self.file.display().to_string();
+            let picture = live::graph(&self.server, &name, self.machine.as_deref())?;
+            say(picture.trim_end())?;
+            return Ok(Verdict::Good);
+        }
         let (text, compiled) = compile(&self.file)?;
         let name = self.file.display().to_string();
         let program = match compiled {

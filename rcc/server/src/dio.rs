@@ -8,6 +8,7 @@ mod devices;
 mod error;
 mod figures;
 mod limits;
+mod machines;
 mod nets;
 mod pace;
 mod push;

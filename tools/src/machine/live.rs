@@ -178,7 +178,11 @@ fn text<'m>(members: &'m BTreeMap<String, Value>, key: &str) -> &'m str {
 }
 
 /// The picture of a loaded machine, or of one inside, with its present state.
-pub(super) fn graph(server: &Server, machine: &str, inside: Option<&str>) -> anyhow::Result<String> {
+pub(super) fn graph(
+    server: &Server,
+    machine: &str,
+    inside: Option<&str>,
+) -> anyhow::Result<String> {
     let args = [machine].into_iter().chain(inside).map(Value::from);
     let reply = server.connect()?.machine("magr", args)?;
     let picture = reply.first().and_then(Value::as_str).map(str::to_owned);
@@ -193,7 +197,11 @@ impl Target {
 
     pub(super) fn step(&self) -> anyhow::Result<Verdict> {
         let mut client = self.server.connect()?;
-        command(&mut client, &self.machine, &format!("{}.step()", self.machine))?;
+        command(
+            &mut client,
+            &self.machine,
+            &format!("{}.step()", self.machine),
+        )?;
         let after = described(&mut client, &self.machine)?;
         say(text(&after, "state"))?;
         Ok(Verdict::Good)
@@ -266,7 +274,10 @@ fn details(members: &BTreeMap<String, Value>) -> anyhow::Result<()> {
     if !error.is_empty() {
         say(&format!("last error {error}"))?;
     }
-    let (cost, longest) = (text(members, "step_cost_us"), text(members, "longest_step_us"));
+    let (cost, longest) = (
+        text(members, "step_cost_us"),
+        text(members, "longest_step_us"),
+    );
     let components = text(members, "components_cost_us");
     say(&format!(
         "steps {}, transitions {}; a step costs up to {cost} us (longest {longest} us), its components {components} us",
@@ -279,10 +290,17 @@ fn details(members: &BTreeMap<String, Value>) -> anyhow::Result<()> {
             let part = component.as_map().and_then(|map| map.get(key));
             part.and_then(Value::as_str).unwrap_or_default().to_owned()
         };
-        say(&format!("  {name:<18} {:<16} {}", part("phase"), part("net")))?;
+        say(&format!(
+            "  {name:<18} {:<16} {}",
+            part("phase"),
+            part("net")
+        ))?;
     }
     for (name, value) in maps("variables").into_iter().flatten() {
-        say(&format!("  {name:<18} {}", value.as_str().unwrap_or_default()))?;
+        say(&format!(
+            "  {name:<18} {}",
+            value.as_str().unwrap_or_default()
+        ))?;
     }
     Ok(())
 }
@@ -315,7 +333,9 @@ impl Call {
             let place = || format!("{}:{}", script.display(), number + 1);
             if let Some(time) = line.strip_prefix("wait ") {
                 let time = takt_core::span::parse(time.trim());
-                let time = time.map_err(|why| anyhow::anyhow!("{why}")).with_context(place)?;
+                let time = time
+                    .map_err(|why| anyhow::anyhow!("{why}"))
+                    .with_context(place)?;
                 std::thread::sleep(time);
             } else if !line.is_empty() {
                 command(&mut client, &self.machine, line).with_context(place)?;

@@ -40,7 +40,7 @@ const TAP_RECORDS_MAX: usize = 256;
 /// Most values in these records, less than a message may have.
 const TAP_VALUES_MAX: usize = 60_000;
 
-type Outcome = Result<Vec<Value>, CommandError>;
+pub(super) type Outcome = Result<Vec<Value>, CommandError>;
 
 impl Connection {
     /// Executes a command; the result is the values of the `ok` reply. Pushes whose data would be lost by
@@ -79,6 +79,11 @@ impl Connection {
             "eva" => self.evaluate(args),
             "nesc" => self.schedule(args, tag()),
             "gsy" => self.watch_rule(args, tag()),
+            "mane" => self.load_machine(args),
+            "maco" => self.command_machine(args),
+            "main" => self.describe_machines(args),
+            "magr" => self.draw_machine(args),
+            "maen" => self.end_machine(args),
             _ => Err(CommandError::UnknownCommand),
         }
     }
@@ -492,7 +497,7 @@ impl Connection {
         session.ok_or(CommandError::InvalidSession)
     }
 
-    fn known_session(&self, name: &str) -> Option<SessionId> {
+    pub(super) fn known_session(&self, name: &str) -> Option<SessionId> {
         name.parse()
             .ok()
             .filter(|s| self.controller.session_nets(*s).is_some())

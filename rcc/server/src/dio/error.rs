@@ -40,6 +40,9 @@ pub(super) enum CommandError {
     /// A net that was to be evaluated once has faults.
     #[error("net rejected")]
     NetRejected { reason: String },
+    /// No such machine inside.
+    #[error("invalid machine")]
+    InvalidMachine,
     /// No such device.
     #[error("invalid device")]
     InvalidDevice,
@@ -110,6 +113,7 @@ impl CommandError {
             | Self::SchedulingNotPossible { reason } => reply.with(reason.as_str()),
             Self::InvalidSyntax
             | Self::InvalidDevice
+            | Self::InvalidMachine
             | Self::BadHandshake
             | Self::UnknownCommand
             | Self::ParameterType

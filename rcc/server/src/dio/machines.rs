@@ -26,7 +26,9 @@ impl Connection {
         };
         let session = match args.optional(2, Args::text)? {
             None => SessionId::NONE,
-            Some(name) => self.known_session(name).ok_or(CommandError::InvalidSession)?,
+            Some(name) => self
+                .known_session(name)
+                .ok_or(CommandError::InvalidSession)?,
         };
         let request = MachineRequest {
             text: args.text(0)?.to_owned(),
@@ -107,7 +109,10 @@ fn describe(info: &MachineInfo) -> Value {
         ("error", info.failure(0).unwrap_or_default()),
         ("steps", view.steps.to_string()),
         ("transitions", view.transitions.to_string()),
-        ("longest_step_us", micros(view.longest.try_into().unwrap_or_default())),
+        (
+            "longest_step_us",
+            micros(view.longest.try_into().unwrap_or_default()),
+        ),
         ("step_cost_us", micros(info.cost.step)),
         ("components_cost_us", micros(info.cost.components)),
     ];

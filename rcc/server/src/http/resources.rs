@@ -5,6 +5,7 @@ mod devices;
 mod ethercat;
 mod eval;
 mod interfaces;
+mod machines;
 mod metrics;
 mod modules;
 mod nets;
@@ -20,7 +21,7 @@ use super::{Request, Response};
 use crate::site::Site;
 
 /// List of the resources, sent with status 404.
-const MAP: &str = "Resources: / /status/ /metrics /stats/ /nets/ /eval/ /sessions/ /types/ \
+const MAP: &str = "Resources: / /status/ /metrics /stats/ /nets/ /machines/ /eval/ /sessions/ /types/ \
     /modules/ /modulesdetails/ /devices/ /ethercat/ /extensions/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
 
 /// A response, or an error response.
@@ -69,6 +70,11 @@ impl Handler<'_> {
             ("nets", [net], false) => self.net(net),
             ("nets", [net], true) => self.control_net(net),
             ("nets", [net, part], false) => self.net_part(net, part),
+            ("machines", [], false) => Ok(self.machines()),
+            ("machines", [], true) => self.load_machine(),
+            ("machines", [machine], false) => self.machine(machine),
+            ("machines", [machine], true) => self.control_machine(machine),
+            ("machines", [machine, part @ ..], false) => self.machine_part(machine, part),
             ("ethercat", [], false) => Ok(self.segments()),
             ("ethercat", [segment], false) => self.segment(segment),
             ("ethercat", [segment, slave, kind, rest @ ..], false) => {

@@ -39,7 +39,10 @@ impl Handler<'_> {
         };
         let name = self.controller.load_machine(&request);
         let name = name.map_err(Response::conflict)?;
-        Ok(Response::redirect("302 Found", &format!("/machines/{name}/")))
+        Ok(Response::redirect(
+            "302 Found",
+            &format!("/machines/{name}/"),
+        ))
     }
 
     pub(super) fn machine(&self, name: &str) -> Outcome {
@@ -73,7 +76,10 @@ impl Handler<'_> {
         let figures = Element::new("figures")
             .with("steps", view.steps)
             .with("transitions", view.transitions)
-            .with("longest", ms(Duration::try_from(view.longest).unwrap_or_default()))
+            .with(
+                "longest",
+                ms(Duration::try_from(view.longest).unwrap_or_default()),
+            )
             .with("step", ms(info.cost.step))
             .with("components", ms(info.cost.components));
         let element = summary(&info).containing(inside).containing(members);
