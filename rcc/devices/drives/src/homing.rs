@@ -229,13 +229,8 @@ impl Homing {
         let too_far = moved > self.motion.travel_max;
         let mut wanted = 0.0;
         match self.step {
-            HomingStep::Leave | HomingStep::Off if !input.proximity => {
-                let next = match self.step {
-                    HomingStep::Leave => HomingStep::Seek,
-                    _ => HomingStep::Index,
-                };
-                self.enter(next, input);
-            }
+            HomingStep::Leave if !input.proximity => self.enter(HomingStep::Seek, input),
+            HomingStep::Off if !input.proximity => self.enter(HomingStep::Index, input),
             HomingStep::Leave | HomingStep::Off if too_far => self.fail(HomingError::SwitchStuck),
             HomingStep::Leave => wanted = leave,
             HomingStep::Off => wanted = away * self.motion.index_speed,
@@ -248,11 +243,11 @@ impl Homing {
                     self.enter(HomingStep::Start, input);
                 }
                 None if moved > 2.0 * self.motion.index_every => {
-                    self.fail(HomingError::IndexNotFound)
+                    self.fail(HomingError::IndexNotFound);
                 }
                 None => wanted = away * self.motion.index_speed,
             },
-            HomingStep::Start => wanted = self.to_start(),
+            HomingStep::Start => wanted = self.velocity_to_start(),
             HomingStep::Done | HomingStep::Failed(_) | HomingStep::Cancelled => {}
         }
         self.ramp(wanted, input.dt_s);
@@ -266,7 +261,7 @@ impl Homing {
     }
 
     /// Velocity to the start, from which it comes to rest there; zero at the start, or without one.
-    fn to_start(&self) -> f64 {
+    fn velocity_to_start(&self) -> f64 {
         let (Some(index), Some(start)) = (self.index, self.motion.start) else {
             return 0.0;
         };
