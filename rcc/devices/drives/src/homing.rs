@@ -356,7 +356,9 @@ mod tests {
             let before = axis.position;
             axis.position = (axis.moves)(before, output.target);
             let passed = |at: &f64| (before < *at) != (axis.position < *at);
-            latched = latched.or(axis.index.filter(passed)).filter(|_| output.arm);
+            latched = latched
+                .or_else(|| axis.index.filter(passed))
+                .filter(|_| output.arm);
         }
         (homing, steps, axis.position)
     }

@@ -41,7 +41,7 @@ use servo::ServoAxis;
 use takt_core::Error;
 use takt_core::device::bus::BusAccess;
 use takt_core::device::driver::{
-    DeviceDriver, DriverEnds, DriverEvent, DriverThread, SHUTDOWN_MAX,
+    DeviceDriver, DeviceEnd, DriverEnds, DriverEvent, DriverThread, SHUTDOWN_MAX,
 };
 use takt_core::device::link_watch::{LinkErrors, LinkWatch};
 use takt_device_drives as drives;
@@ -123,21 +123,16 @@ impl Ethercat {
     ) -> Result<Self, Error> {
         check(config).map_err(Error::Cell)?;
         drives::report_quirks(&config.name, &config.arms);
-        let master = Master::new(master_config(config)).map_err(|e| Error::Cell(e.to_string()))?;
+        let master = Master::new(master_config(config));
+        let master = master.map_err(|e| Error::Cell(e.to_string()))?;
         let Wires { first, second } = wires.into();
         let links = watched(&config.name, &first, second.as_ref());
-        let port = |wire: Wire| Port::new(wire.link, wire.source);
+        let ports = [first]
+            .into_iter()
+            .chain(second)
+            .map(|wire| Port::new(wire.link, wire.source));
         let devices = describe(config).into_iter().map(|d| d.name).collect();
-        let mut given = ends.devices.into_iter();
-        let arms = config.arms.iter().zip(&mut given);
-        let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
-        let ios = config.ios.iter().zip(&mut given);
-        let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
-        let servos = config.servos.iter().zip(&mut given);
-        let servos = servos
-            .map(|(servo, end)| ServoAxis::new(config, servo, end))
-            .collect();
-        let youbots = YouBots::new(config, &mut given);
+        let units = Units::new(config, ends.devices);
         let shared = Arc::<Shared>::default();
         let (own_clock, followed) = latest(1, Estimate::default);
         let (own_waiting, waiting) = latest(1, || None);
@@ -147,14 +142,11 @@ impl Ethercat {
         let slaves = slave_names(&master);
         let mut driver = Box::new(Driver {
             master,
-            ports: [first].into_iter().chain(second).map(port).collect(),
+            ports: ports.collect(),
             errors: links.iter().map(LinkWatch::errors).collect(),
             servo: Servo::new(&ServoConfig::new(config.cycle)),
             cycle: config.cycle,
-            arms,
-            ios,
-            servos,
-            youbots,
+            units,
             buffer: [0; FRAME],
             clocks: [own_clock, ends.clock],
             shared: Arc::clone(&shared),
@@ -315,6 +307,33 @@ struct Refused {
     too_large: Option<usize>,
 }
 
+/// What a segment drives, each with its end of a device.
+struct Units {
+    arms: Vec<Arm>,
+    ios: Vec<InOut>,
+    servos: Vec<ServoAxis>,
+    youbots: YouBots,
+}
+
+impl Units {
+    /// In the order of [`describe`].
+    fn new(config: &EthercatConfig, ends: Vec<DeviceEnd>) -> Self {
+        let mut ends = ends.into_iter();
+        let arms = config.arms.iter().zip(&mut ends);
+        let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
+        let ios = config.ios.iter().zip(&mut ends);
+        let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
+        let servos = config.servos.iter().zip(&mut ends);
+        let servos = servos.map(|(servo, end)| ServoAxis::new(config, servo, end));
+        Self {
+            arms,
+            ios,
+            servos: servos.collect(),
+            youbots: YouBots::new(config, &mut ends),
+        }
+    }
+}
+
 struct Driver {
     master: Master,
     /// One, or two of a ring.
@@ -323,10 +342,7 @@ struct Driver {
     errors: Vec<Arc<LinkErrors>>,
     servo: Servo,
     cycle: Duration,
-    arms: Vec<Arm>,
-    ios: Vec<InOut>,
-    servos: Vec<ServoAxis>,
-    youbots: YouBots,
+    units: Units,
     buffer: [u8; FRAME],
     /// Clock of the segment, for this thread and for the controller.
     clocks: [LatestWriter<Estimate>; 2],
@@ -363,6 +379,7 @@ impl Driver {
                 self.send(SegmentEvent::AsExpected);
             }
             let lacks: Vec<_> = self
+                .units
                 .ios
                 .iter_mut()
                 .flat_map(|io| io.find(&self.master))
@@ -462,9 +479,12 @@ impl Driver {
         while let Some(emergency) = self.master.poll_emergency() {
             self.events.push(SegmentEvent::Emergency(emergency)).ok();
         }
-        self.servos.iter_mut().for_each(|servo| servo.take(tick));
-        for (number, arm) in self.arms.iter_mut().enumerate() {
-            arm.cycle(&mut self.master, &mut self.servos, tick, stopping);
+        self.units
+            .servos
+            .iter_mut()
+            .for_each(|servo| servo.take(tick));
+        for (number, arm) in self.units.arms.iter_mut().enumerate() {
+            arm.cycle(&mut self.master, &mut self.units.servos, tick, stopping);
             while let Some((slave, axis, event)) = arm.poll_event() {
                 self.events
                     .push(SegmentEvent::Axis(slave, axis, event))
@@ -476,28 +496,28 @@ impl Driver {
                     .ok();
             }
         }
-        for (number, servo) in self.servos.iter_mut().enumerate() {
+        for (number, servo) in self.units.servos.iter_mut().enumerate() {
             servo.publish(tick);
             while let Some(event) = servo.poll_event() {
                 self.events.push(SegmentEvent::Servo(number, event)).ok();
             }
         }
-        let unproven = self.arms.iter().map(Arm::unproven).sum();
+        let unproven = self.units.arms.iter().map(Arm::unproven).sum();
         self.shared.unproven.store(unproven, Ordering::Relaxed);
-        for io in &mut self.ios {
+        for io in &mut self.units.ios {
             io.cycle(&mut self.master, tick);
         }
         while let Some(reply) = self.master.poll_reply() {
             let Some(reply) = self.inspector.handle_reply(reply) else {
                 continue;
             };
-            let mut arms = self.arms.iter_mut();
+            let mut arms = self.units.arms.iter_mut();
             let other = arms.try_fold(reply, |reply, arm| arm.handle_reply(reply, tick).err());
             if let Some(reply) = other {
-                self.youbots.handle_reply(reply, tick);
+                self.units.youbots.handle_reply(reply, tick);
             }
         }
-        self.youbots.cycle(&mut self.master, tick, stopping);
+        self.units.youbots.cycle(&mut self.master, tick, stopping);
         self.inspector.cycle(&mut self.master, tick.scheduled);
         let frames = self.master.frames();
         let shared = &self.shared;
@@ -509,11 +529,11 @@ impl Driver {
             i2t,
             clamped,
             repeats,
-        } = self.youbots.figures();
+        } = self.units.youbots.figures();
         for (to, count) in shared.youbots.iter().zip([timeouts, i2t, clamped, repeats]) {
             to.store(count, Ordering::Relaxed);
         }
-        self.waiting.write(self.youbots.waits_for());
+        self.waiting.write(self.units.youbots.waits_for());
         let operational = self.master.is_operational();
         shared.operational.store(operational, Ordering::Relaxed);
     }
@@ -540,7 +560,7 @@ impl Driver {
         let now = tick.scheduled;
         let latest = now + SHUTDOWN_MAX.into();
         let end = *self.stop_by.get_or_insert(latest);
-        let off = self.arms.iter().all(Arm::is_off) && self.youbots.rest();
+        let off = self.units.arms.iter().all(Arm::is_off) && self.units.youbots.rest();
         if off || now >= end || !self.master.is_exchanging() {
             ControlFlow::Break(())
         } else {

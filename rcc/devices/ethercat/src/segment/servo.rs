@@ -247,7 +247,7 @@ impl ServoAxis {
         self.sense(master, encoder);
         self.step_power(order, now);
         let homing = self.step_homing(now);
-        let target = homing.or(order.target.map(f64::from).filter(|_| self.is_homed));
+        let target = homing.or_else(|| order.target.map(f64::from).filter(|_| self.is_homed));
         let volts = self.volts(target);
         self.watch();
         let (is_enabled, is_released) = (self.power.is_enabled(), self.power.is_released());
@@ -292,7 +292,8 @@ impl ServoAxis {
 
     fn increments(&self) -> i32 {
         let position = self.position();
-        position.clamp(i32::MIN.into(), i32::MAX.into()) as i32
+        let nearest = if position < 0 { i32::MIN } else { i32::MAX };
+        i32::try_from(position).unwrap_or(nearest)
     }
 
     /// Begins, continues and ends homing; its target while it is under way.
@@ -333,7 +334,12 @@ impl ServoAxis {
             HomingStep::Done => {
                 self.is_homed = true;
                 let by = homing.shift().unwrap_or_default().round();
-                self.shift = self.shift.saturating_add(by as i64);
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    reason = "whole counts; the cast saturates"
+                )]
+                let counts = by as i64;
+                self.shift = self.shift.saturating_add(counts);
                 self.target = None;
                 self.note(ServoEvent::Homed);
                 return Some(target + by);
@@ -345,7 +351,13 @@ impl ServoAxis {
                     self.fail(ServoFault::NotFollowing);
                 }
             }
-            _ => {}
+            HomingStep::Leave
+            | HomingStep::Seek
+            | HomingStep::Off
+            | HomingStep::Index
+            | HomingStep::Start
+            | HomingStep::Failed(_)
+            | HomingStep::Cancelled => {}
         }
         // After a failure it brakes first.
         let is_over = matches!(homing.step(), HomingStep::Failed(_) | HomingStep::Cancelled);

@@ -93,7 +93,12 @@ impl ServoAxis {
             Power::Releasing(since) if passed(since) >= brake_time => Power::On,
             Power::On if !self.is_wanted_on => Power::Braking(now),
             Power::Braking(since) if passed(since) >= brake_time => Power::Off,
-            state => state,
+            state @ (Power::Off
+            | Power::Enabling(_)
+            | Power::Releasing(_)
+            | Power::On
+            | Power::Braking(_)
+            | Power::Fault(_)) => state,
         };
         let late = matches!(self.power, Power::Enabling(since) if passed(since) > READY_WITHIN);
         let lost = self.power.is_controlled() && !self.sensed.ready;

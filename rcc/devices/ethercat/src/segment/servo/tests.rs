@@ -89,6 +89,11 @@ impl Cell {
         self.state(1 + axis, |state| io.bool_in[HOMED].read(&state.signals)) == Some(true)
     }
 
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a small number of a failure"
+    )]
     fn failure(&mut self, axis: usize) -> usize {
         let io = self.signals.io.clone().unwrap();
         let failure = self.state(1 + axis, |state| io.real_in[FAILURE].read(&state.signals));
