@@ -12,6 +12,10 @@ use super::profile::{Bounds, State};
 /// Tolerance for rounding: how far a sample may exceed a limit, relative to the limit.
 const ROUNDING: f64 = 1e-9;
 
+/// By how much the limits are lowered if there is no plan, relative to them. Where a motion reaches a limit just at one
+/// instant, two kinds of profile meet, and rounding may rule out both of them.
+const LOWERED: [f64; 3] = [0.0, 1e-9, 1e-7];
+
 /// The position at which a coordinate comes to rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Target {
@@ -41,6 +45,24 @@ impl Planner {
     /// Plans a motion from `now` to rest. It moves backwards only if the lowest velocity, `lowest`,
     /// is below zero. Returns whether there is a plan; if not, `plan` is invalid.
     pub(super) fn plan(
+        &mut self,
+        now: State,
+        target: Target,
+        bounds: Bounds,
+        lowest: f64,
+        plan: &mut Trajectory<1>,
+    ) -> bool {
+        LOWERED.into_iter().any(|by| {
+            let bounds = Bounds {
+                velocity: bounds.velocity * (1.0 - by),
+                acceleration: bounds.acceleration * (1.0 - 3.0 * by),
+                jerk: bounds.jerk,
+            };
+            self.plan_within(now, target, bounds, lowest, plan)
+        })
+    }
+
+    fn plan_within(
         &mut self,
         now: State,
         target: Target,

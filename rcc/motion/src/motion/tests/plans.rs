@@ -284,3 +284,25 @@ fn plan_after_its_end_is_at_rest() {
         assert!(end.joints[0].velocity.abs() < 1e-12, "{time:?}");
     }
 }
+
+/// Two kinds of profile meet there; 20 mm at 1 m/s² and 10 m/s³ are such a distance.
+#[test]
+fn plans_that_just_reach_a_limit_exist() {
+    for (velocity, acceleration, jerk) in [(0.25, 1.0, 10.0), (0.25, 1.0, 4.0), (1.0, 1.0, 1.0)] {
+        let bounds = Bounds {
+            velocity,
+            acceleration,
+            jerk,
+        };
+        let to_acceleration: f64 = 2.0 * acceleration.powi(3) / jerk.powi(2);
+        let to_velocity = velocity * (velocity / acceleration + acceleration / jerk);
+        for distance in [to_acceleration, to_velocity] {
+            let mut distance = (0..20).fold(distance, |distance, _| distance.next_down());
+            for _ in 0..40 {
+                let plan = plan(&[State::at_rest(0.0)], &[distance], &[bounds], PERIOD);
+                assert!(plan.is_ok(), "{distance:e} with {bounds:?}: {plan:?}");
+                distance = distance.next_up();
+            }
+        }
+    }
+}
