@@ -35,6 +35,10 @@ position = [0, 0, 0.2]
 mass = 0.3
 centre_of_mass = [0, 0, 0.05]
 
+[[home]]
+device = "lwr"
+joints = [0, 30, 0, -90, 0, 60, 0]
+
 [[device]]
 name = "lwr"
 type = "kuka_lwr_fri"
@@ -218,6 +222,7 @@ fn description_of_every_device_kind_is_complete() {
         let axes = chain.map_or(0, |chain| chain["axes"].as_list().unwrap().len());
         assert_eq!(axes, if model.is_empty() { 0 } else { joints }, "{name}");
         assert_eq!(device.contains_key("base"), name == "lwr", "{name}");
+        assert_eq!(device.contains_key("home"), name == "lwr", "{name}");
     }
     let speed = |name: &str| {
         let parameters = first[name].as_map().unwrap()["parameters"]
@@ -238,6 +243,8 @@ fn description_of_every_device_kind_is_complete() {
     let pen = lwr["tools"].as_map().unwrap()["pen"].as_map().unwrap();
     assert_eq!(pen["mass"].as_str(), Some("0.3"));
     assert_eq!(texts(&pen["centre_of_mass"]), [0.0, 0.0, 0.05]);
+    let home = texts(&lwr["home"]);
+    assert!((home[3] + 90_f64.to_radians()).abs() < 1e-12, "{home:?}");
 }
 
 #[test]

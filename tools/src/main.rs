@@ -11,6 +11,7 @@
 
 #[cfg(feature = "can")]
 mod can;
+mod cell;
 mod client;
 mod confirm;
 #[cfg(feature = "demo")]
@@ -21,6 +22,8 @@ mod ecat;
 mod emulate;
 #[cfg(feature = "fri")]
 mod fri;
+mod grip;
+mod io;
 mod irl;
 mod jitter;
 #[cfg(any(feature = "can", feature = "ethercat"))]
@@ -77,12 +80,19 @@ enum Command {
     #[cfg(feature = "ethercat")]
     #[command(subcommand)]
     Ecat(ecat::Ecat),
+    /// Frames of a cell.
+    #[command(subcommand)]
+    Cell(cell::Cell),
     /// Emulate robots and devices at an interface.
     #[command(subcommand)]
     Emulate(emulate::Emulate),
     #[cfg(feature = "fri")]
     #[command(subcommand)]
     Fri(fri::Fri),
+    Grip(grip::Grip),
+    /// Read and set inputs and outputs of devices.
+    #[command(subcommand)]
+    Io(io::Io),
     #[command(subcommand)]
     Irl(irl::Irl),
     /// Measure how late cycles begin on this host.
@@ -111,9 +121,12 @@ fn main() -> ExitCode {
         Command::Can(can) => can.run(),
         #[cfg(feature = "ethercat")]
         Command::Ecat(ecat) => ecat.run(),
+        Command::Cell(cell) => cell.run(),
         Command::Emulate(emulate) => emulate.run(),
         #[cfg(feature = "fri")]
         Command::Fri(fri) => fri.run(),
+        Command::Grip(grip) => grip.run(),
+        Command::Io(io) => io.run(),
         Command::Irl(irl) => irl.run(),
         Command::Jitter(jitter) => jitter.run(),
         Command::Machine(machine) => machine.run(),

@@ -1,7 +1,13 @@
-//! `takt move`: one motion of an arm, through the Robotics API. It is planned before anything is loaded.
+//! `takt move`: one motion of an arm, through the Robotics API. It is planned before anything is loaded, except a jog, which
+//! follows keys.
 
+mod direction;
 mod failure;
 mod goal;
+mod jog;
+mod jogging;
+mod keyboard;
+mod keys;
 mod picture;
 mod report;
 
@@ -19,14 +25,14 @@ use crate::quantity::{Place, angle, place};
 use crate::signal::Stop;
 use crate::{Verdict, confirm};
 
-pub(crate) use failure::Refused;
-use failure::hinted;
+pub(crate) use failure::{Refused, hinted};
 use report::Report;
+pub(crate) use report::word;
 
 /// How often a motion is checked for requests to stop, and its progress shown.
 const SLICE: Duration = Duration::from_millis(50);
 
-/// Move an arm: one motion, planned and checked before anything is loaded.
+/// Move an arm: one motion, planned and checked before anything is loaded, or by keys.
 ///
 /// The motion begins at the commanded position, and ends at rest. Ctrl-C brakes on the path and waits for rest; a second
 /// one ends at once, and the controller brakes. Arms ask for confirmation before they move, unless the controller simulates
@@ -37,7 +43,8 @@ const SLICE: Duration = Duration::from_millis(50);
 #[command(after_help = "Examples:
   takt move left ptp 0 30deg 0 -70deg 0 45deg 0 --speed 0.2
   takt move left lin -0.6m,-50mm,600mm --dry-run --svg line.svg
-  takt move left home --yes")]
+  takt move left home --yes
+  takt move left jog")]
 pub(crate) struct Move {
     /// Name of the arm, as in cell.toml.
     arm: String,
@@ -48,6 +55,14 @@ pub(crate) struct Move {
 /// Where, and on which path.
 #[derive(Debug, Subcommand)]
 enum Motion {
+    #[command(flatten)]
+    Planned(Planned),
+    Jog(jog::Jog),
+}
+
+/// A motion that is planned beforehand.
+#[derive(Debug, Subcommand)]
+enum Planned {
     Ptp(Ptp),
     Lin(Lin),
     Circ(Circ),
@@ -67,10 +82,13 @@ struct Ptp {
 /// Move the flange along a straight line.
 #[derive(Debug, Args)]
 struct Lin {
-    /// Pose of the flange in the base of the arm: X,Y,Z or X,Y,Z,A,B,C, where A turns about z, then B about the new y, then C
+    /// Pose of the flange in the base of the arm, or in --frame: X,Y,Z or X,Y,Z,A,B,C, where A turns about z, then B about the new y, then C
     /// about the new x. Without angles the orientation remains.
     #[arg(value_name = "POSE", value_parser = place)]
     to: Place,
+    /// Poses are in this frame of the cell: `[[frame]]` of cell.toml, `world`, or DEVICE.base.
+    #[arg(long, value_name = "NAME")]
+    frame: Option<String>,
     #[command(flatten)]
     options: Options,
 }
@@ -84,11 +102,16 @@ struct Circ {
     /// The pose at its end, as of `lin`.
     #[arg(value_name = "POSE", value_parser = place)]
     to: Place,
+    /// Poses are in this frame of the cell: `[[frame]]` of cell.toml, `world`, or DEVICE.base.
+    #[arg(long, value_name = "NAME")]
+    frame: Option<String>,
     #[command(flatten)]
     options: Options,
 }
 
-/// Move all joints to zero; a joint whose range excludes zero, to the middle of its range.
+/// Move all joints to the home position of the arm: `[[home]]` of cell.toml.
+///
+/// Without that all joints move to zero, and a joint whose range excludes zero to the middle of its range.
 #[derive(Debug, Args)]
 struct Home {
     #[command(flatten)]
@@ -120,7 +143,7 @@ struct Options {
 }
 
 /// Reads a speed factor.
-fn speed(text: &str) -> Result<f64, String> {
+pub(crate) fn speed(text: &str) -> Result<f64, String> {
     let factor = crate::output::share(text.trim())?;
     if factor > 0.0 {
         Ok(factor)
@@ -129,10 +152,13 @@ fn speed(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Arguments of the process, with a space before negative numbers of `takt move`, so that `-70deg` is no option.
+/// Arguments of the process, with a space before negative numbers of `takt move` and `takt grip`, so that `-70deg` is no option.
 pub(crate) fn arguments(all: impl Iterator<Item = OsString>) -> Vec<OsString> {
     let mut all: Vec<_> = all.collect();
-    if all.get(1).is_some_and(|command| command == "move") {
+    if all
+        .get(1)
+        .is_some_and(|command| command == "move" || command == "grip")
+    {
         for argument in all.iter_mut().skip(2) {
             let is_number = argument.to_str().is_some_and(|text| {
                 let digits = text.strip_prefix('-').unwrap_or_default();
@@ -148,7 +174,7 @@ pub(crate) fn arguments(all: impl Iterator<Item = OsString>) -> Vec<OsString> {
     all
 }
 
-impl Motion {
+impl Planned {
     const fn options(&self) -> &Options {
         match self {
             Self::Ptp(Ptp { options, .. })
@@ -170,20 +196,27 @@ impl Motion {
 
 impl Move {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
-        let options = self.motion.options();
+        match &self.motion {
+            Motion::Planned(motion) => self.run_planned(motion),
+            Motion::Jog(jog) => jog.run(&self.arm),
+        }
+    }
+
+    fn run_planned(&self, motion: &Planned) -> anyhow::Result<Verdict> {
+        let options = motion.options();
         if let Some(path) = &options.svg {
             check_writable(path)?;
         }
         let cell = options.server.cell()?;
         let arm = cell.arm(&self.arm).map_err(hinted)?;
-        let activity = goal::activity(&self.motion, &arm)?;
+        let activity = goal::activity(motion, &cell, &arm)?;
         let activity = activity.speed(options.speed);
         if options.print_net {
             say(activity.explain().map_err(hinted)?.trim_end())?;
             return Ok(Verdict::Good);
         }
         let plan = activity.plan().map_err(hinted)?;
-        let mut report = Report::new(&arm, self.motion.name(), options.speed, &plan);
+        let mut report = Report::new(&arm, motion.name(), options.speed, &plan);
         if let Some(path) = &options.svg {
             picture::draw(path, &arm, &plan)?;
         }
@@ -196,10 +229,7 @@ impl Move {
             }
             return Ok(Verdict::Good);
         }
-        let kind = arm.description().kind.as_str();
-        let is_simulated = takt_core::device::sim::kinds().contains(&kind);
-        let what = format!("moving {} ({kind})", self.arm);
-        confirm::motion(&what, options.yes || is_simulated)?;
+        confirm_arm(&arm, options.yes)?;
         let begin = Instant::now();
         let outcome = perform(activity, &plan)?;
         report.end(begin.elapsed(), &outcome, arm.commanded().ok());
@@ -218,6 +248,26 @@ impl Move {
     }
 }
 
+/// Asks before an arm moves, unless the controller simulates it.
+fn confirm_arm(arm: &Arm, is_confirmed: bool) -> anyhow::Result<()> {
+    let it = arm.description();
+    confirm_device("moving", &it.name, &it.kind, is_confirmed)
+}
+
+/// Asks before something is done with a device that can move, unless the controller simulates it.
+pub(crate) fn confirm_device(
+    action: &str,
+    name: &str,
+    kind: &str,
+    is_confirmed: bool,
+) -> anyhow::Result<()> {
+    let is_simulated = takt_core::device::sim::kinds().contains(&kind);
+    confirm::motion(
+        &format!("{action} {name} ({kind})"),
+        is_confirmed || is_simulated,
+    )
+}
+
 /// Begins a motion and waits until the arm is at rest.
 fn perform(activity: Activity, plan: &Plan) -> anyhow::Result<Outcome> {
     let stop = Stop::listen()?;
@@ -226,6 +276,13 @@ fn perform(activity: Activity, plan: &Plan) -> anyhow::Result<Outcome> {
     let outcome = follow(&handle, &stop, &bar);
     bar.finish_and_clear();
     outcome
+}
+
+/// Begins an activity and waits until it has ended; Ctrl-C cancels it.
+pub(crate) fn perform_unplanned(activity: Activity) -> anyhow::Result<Outcome> {
+    let stop = Stop::listen()?;
+    let handle = activity.begin().map_err(hinted)?;
+    follow(&handle, &stop, &ProgressBar::hidden())
 }
 
 fn follow(handle: &Handle, stop: &Stop, bar: &ProgressBar) -> anyhow::Result<Outcome> {
@@ -247,7 +304,7 @@ fn follow(handle: &Handle, stop: &Stop, bar: &ProgressBar) -> anyhow::Result<Out
         }
         anyhow::ensure!(
             stop.requests() < 2,
-            "ended before the arm was at rest: the controller brakes it"
+            "ended before the device was at rest: the controller brakes it"
         );
     }
 }

@@ -34,6 +34,8 @@ const ANGLES: Units<'_> = &[("deg", std::f64::consts::PI / 180.0), ("rad", 1.0)]
 /// `m` is the last one, since `mm` ends in it.
 const LENGTHS: Units<'_> = &[("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)];
 
+const FORCES: Units<'_> = &[("kN", 1e3), ("N", 1.0)];
+
 fn read(text: &str, units: Units<'_>) -> Option<f64> {
     let text = text.trim();
     let of = |(unit, size): &(&str, f64)| {
@@ -55,12 +57,21 @@ pub(crate) fn angle(text: &str) -> Result<f64, String> {
 }
 
 /// Reads a length, m.
-fn length(text: &str) -> Result<f64, String> {
+pub(crate) fn length(text: &str) -> Result<f64, String> {
     let wrong = || {
         let text = text.trim();
         format!("`{text}` is no length: write a number and a unit, such as 0.5m or -20mm")
     };
     read(text, LENGTHS).ok_or_else(wrong)
+}
+
+/// Reads a force, N.
+pub(crate) fn force(text: &str) -> Result<f64, String> {
+    let wrong = || {
+        let text = text.trim();
+        format!("`{text}` is no force: write a number and a unit, such as 20N")
+    };
+    read(text, FORCES).ok_or_else(wrong)
 }
 
 /// Reads a pose: `X,Y,Z` or `X,Y,Z,A,B,C`.
@@ -103,6 +114,16 @@ mod tests {
         for wrong in ["5", "", "deg", "5m", "NaN", "infdeg", "1e999rad", "5 degs"] {
             let error = angle(wrong).unwrap_err();
             assert!(error.contains("such as 5deg"), "{wrong}: {error}");
+        }
+    }
+
+    #[test]
+    fn force_and_length_need_units() {
+        assert_eq!(force("20N"), Ok(20.0));
+        assert_eq!(force("0.02 kN"), Ok(20.0));
+        assert_eq!(length("50mm"), Ok(0.05));
+        for wrong in ["20", "N", "NaNN", "20mm", "infkN"] {
+            assert!(force(wrong).unwrap_err().contains("such as 20N"), "{wrong}");
         }
     }
 

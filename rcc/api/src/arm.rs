@@ -58,6 +58,11 @@ impl Arm {
         self
     }
 
+    /// Its limits on lines, arcs, curves and jogs.
+    pub const fn limits(&self) -> CartesianLimits {
+        self.limits
+    }
+
     /// The same arm with another motion centre, given in the flange: poses of its motions and paths are those of the
     /// motion centre, such as the tip of a tool.
     #[must_use]
@@ -91,6 +96,11 @@ impl Arm {
     /// A motion to joint positions, rad: all joints start and arrive together.
     pub fn ptp(&self, to: impl Into<Vec<f64>>) -> Activity {
         self.motion(Ok(Path::Ptp(to.into())))
+    }
+
+    /// The same to the home position of the arm, [`ArmDescription::home`].
+    pub fn home(&self) -> Activity {
+        self.ptp(self.description.home.as_slice())
     }
 
     /// A motion of all joints together to a pose of the motion centre in the base of the arm, or in a frame: of all joint
@@ -272,6 +282,9 @@ impl Arm {
     }
 
     /// The same, at most for `timeout`; `None` if the arm still has something to do.
+    ///
+    /// # Errors
+    /// As [`Self::finish`].
     #[track_caller]
     pub fn finish_for(&self, timeout: Duration) -> Option<Result<(), Error>> {
         let until = Instant::now() + timeout;

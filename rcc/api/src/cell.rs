@@ -104,6 +104,15 @@ impl Cell {
         Ok(Io::find(&self.session, device)?)
     }
 
+    /// All devices with inputs or outputs.
+    ///
+    /// # Errors
+    /// If the connection is lost.
+    #[track_caller]
+    pub fn ios(&self) -> Result<Vec<Io>, Error> {
+        Ok(Io::all(&self.session)?)
+    }
+
     /// A gripper by its name.
     ///
     /// # Errors
@@ -111,6 +120,15 @@ impl Cell {
     #[track_caller]
     pub fn gripper(&self, name: &str) -> Result<Gripper, Error> {
         Ok(Gripper::find(&self.session, name)?)
+    }
+
+    /// All grippers.
+    ///
+    /// # Errors
+    /// If the connection is lost.
+    #[track_caller]
+    pub fn grippers(&self) -> Result<Vec<Gripper>, Error> {
+        Ok(Gripper::all(&self.session)?)
     }
 
     /// A mobile base by its name.

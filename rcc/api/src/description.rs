@@ -17,6 +17,8 @@ pub(crate) struct Descriptions(BTreeMap<String, Value>);
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Interface {
     pub(crate) name: &'static str,
+    /// Type of the device.
+    pub(crate) kind: String,
     parameters: BTreeMap<String, f64>,
 }
 
@@ -33,6 +35,7 @@ impl Interface {
         let parameters = parameters.map(|(key, value)| (key.to_owned(), value));
         Self {
             name,
+            kind: "simulated".to_owned(),
             parameters: parameters.into(),
         }
     }
@@ -65,11 +68,20 @@ impl Descriptions {
         wanted: &'static str,
         interfaces: &[&'static str],
     ) -> Result<Interface, ErrorKind> {
-        let of = |device: &Value| interfaces.iter().find_map(|it| interface(device, it));
-        self.0.get(name).and_then(of).ok_or_else(|| {
-            let others = self.0.iter().filter(|(_, device)| of(device).is_some());
-            ErrorKind::no_device(wanted, name, others.map(|(name, _)| name.clone()).collect())
+        let mut all = self.with_interface(interfaces);
+        let at = all.iter().position(|(known, _)| known == name);
+        at.map(|at| all.swap_remove(at).1).ok_or_else(|| {
+            let others = all.into_iter().map(|(name, _)| name);
+            ErrorKind::no_device(wanted, name, others.collect())
         })
+    }
+
+    /// All devices with one of some interfaces: their names, and the first of these that they have.
+    pub(crate) fn with_interface(&self, interfaces: &[&'static str]) -> Vec<(String, Interface)> {
+        let of = |device: &Value| interfaces.iter().find_map(|it| interface(device, it));
+        let all = self.0.iter();
+        all.filter_map(|(name, device)| Some((name.clone(), of(device)?)))
+            .collect()
     }
 }
 
@@ -91,6 +103,7 @@ fn interface(device: &Value, name: &'static str) -> Option<Interface> {
     });
     Some(Interface {
         name,
+        kind: text(device, "type").unwrap_or_default().to_owned(),
         parameters: known.collect(),
     })
 }
@@ -108,11 +121,52 @@ pub(crate) fn arm(name: &str, device: &Value) -> Option<ArmDescription> {
     };
     let joints = device.as_map()?.get("joints")?.as_list()?.iter();
     let joints: Option<Vec<_>> = joints.map(joint).collect();
+    let joints = joints.filter(|joints| !joints.is_empty())?;
+    let home = device.as_map()?.get("home").and_then(Value::as_list);
+    let position = |joint: &Value| joint.as_str()?.parse().ok();
+    // One that cannot be read has no joints, and no motion goes there.
+    let home = home.map(|home| {
+        home.iter()
+            .map(position)
+            .collect::<Option<_>>()
+            .unwrap_or_default()
+    });
     Some(ArmDescription {
         name: name.to_owned(),
         kind: text(device, "type").unwrap_or_default().to_owned(),
         model: text(device, "kinematics").unwrap_or_default().to_owned(),
-        joints: joints.filter(|joints| !joints.is_empty())?,
+        home: home.unwrap_or_else(|| joints.iter().map(JointLimits::rest).collect()),
+        joints,
         period: Duration::from_secs_f64(number(device, "period")?),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn described(home: Option<Value>) -> ArmDescription {
+        let joint = |min: &str, max: &str| {
+            let limits = [("position_min", min), ("position_max", max)];
+            let others = ["velocity_max", "acceleration_max", "jerk_max"].map(|key| (key, "1"));
+            Value::map_of(limits.into_iter().chain(others))
+        };
+        let joints = [("-1", "2"), ("0.5", "1.5"), ("-3", "-1")];
+        let joints = joints.map(|(min, max)| joint(min, max));
+        let members = [
+            ("joints", Value::list_of(joints)),
+            ("period", "0.001".into()),
+        ];
+        let home = home.map(|home| ("home", home));
+        arm("left", &Value::map_of(members.into_iter().chain(home))).unwrap()
+    }
+
+    #[test]
+    fn home_is_that_of_cell_else_zero_or_middle() {
+        assert_eq!(described(None).home, [0.0, 1.0, -2.0]);
+        let home = described(Some(Value::list_of(["0.1", "1", "-1.5"]))).home;
+        assert_eq!(home, [0.1, 1.0, -1.5]);
+        let unread = described(Some(Value::list_of(["0.1", "x", "-1.5"])));
+        assert!(unread.check_joints(&unread.home).is_err());
+    }
 }

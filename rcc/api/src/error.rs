@@ -69,7 +69,10 @@ pub enum ErrorKind {
     #[error("{0}")]
     Invalid(String),
     /// A joint position is out of its range; nothing was begun.
-    #[error("{joint}: {value:.4} rad is out of its range, {min:.4} to {max:.4} rad")]
+    #[error(
+        "{joint}: {value:.4} rad is out of its range, {min:.4} to {max:.4} rad\nhint: positions are in rad; `deg` converts \
+         degrees"
+    )]
     Limit {
         /// Arm and joint.
         joint: String,
@@ -133,7 +136,10 @@ pub enum ErrorKind {
         holder: Option<String>,
     },
     /// The path leaves the reach of the arm, or the range of a joint.
-    #[error("{device}: the arm cannot follow the path at {progress:.0} % of the motion: {cause}")]
+    #[error(
+        "{device}: the arm cannot follow the path at {progress:.0} % of the motion: {cause}\nhint: give a nearer pose, or begin \
+         with other joint positions"
+    )]
     Unreachable {
         /// The arm.
         device: String,
@@ -191,6 +197,13 @@ pub enum ErrorKind {
 }
 
 impl ErrorKind {
+    /// A number of an argument is NaN or infinite.
+    pub(crate) fn not_finite(device: &str, what: &str) -> Self {
+        Self::Invalid(format!(
+            "{device}: {what} is not finite\nhint: one of its numbers is NaN or infinite; check what it is calculated from"
+        ))
+    }
+
     /// There is no such device; `known` are those of its kind.
     pub(crate) fn no_device(wanted: &'static str, name: &str, known: Vec<String>) -> Self {
         Self::NoDevice {
@@ -238,8 +251,12 @@ impl From<takt_client::Error> for ErrorKind {
             error,
             Client::Closed { .. } | Client::Connection { .. } | Client::Unread { .. }
         );
-        if is_lost {
+        if is_lost && text.contains("\nhint: ") {
             Self::Lost(text)
+        } else if is_lost {
+            Self::Lost(format!(
+                "{text}\nhint: the controller brakes what this program moved; connect again"
+            ))
         } else {
             Self::Connection(text)
         }

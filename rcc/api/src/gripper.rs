@@ -39,13 +39,36 @@ pub struct Gripper {
 impl Gripper {
     pub(crate) fn find(session: &Arc<Session>, name: &str) -> Result<Self, ErrorKind> {
         let devices = Descriptions::read(session)?;
-        Ok(Self {
+        let interface = devices.interface(name, "gripper", &[FINGERS, SERVO])?;
+        Ok(Self::new(session, name.to_owned(), interface))
+    }
+
+    fn new(session: &Arc<Session>, name: String, interface: Interface) -> Self {
+        Self {
             session: Arc::clone(session),
-            name: name.to_owned(),
-            interface: devices.interface(name, "gripper", &[FINGERS, SERVO])?,
+            name,
+            interface,
             speed: Speed::FULL,
             timeout: TIMEOUT,
-        })
+        }
+    }
+
+    /// All grippers of a cell.
+    pub(crate) fn all(session: &Arc<Session>) -> Result<Vec<Self>, ErrorKind> {
+        let devices = Descriptions::read(session)?.with_interface(&[FINGERS, SERVO]);
+        let devices = devices.into_iter();
+        let gripper = |(name, interface)| Self::new(session, name, interface);
+        Ok(devices.map(gripper).collect())
+    }
+
+    /// Its device type, such as `schunk_wsg`.
+    pub fn kind(&self) -> &str {
+        &self.interface.kind
+    }
+
+    /// The largest width, m; `None` if only the gripper itself knows it.
+    pub fn width_max(&self) -> Option<f64> {
+        (self.interface.name == FINGERS).then(|| self.interface.number("width_max"))
     }
 
     /// Its name in the cell.

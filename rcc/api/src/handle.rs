@@ -70,6 +70,9 @@ impl Handle {
     }
 
     /// Waits until it has ended, at most for `timeout`; `None` if it goes on.
+    ///
+    /// # Errors
+    /// As [`Self::wait`].
     pub fn wait_for(&self, timeout: Duration) -> Option<Result<Outcome, Error>> {
         let until = Instant::now() + timeout;
         self.session.wait_until(until, |_| self.outcome())
@@ -129,6 +132,9 @@ impl Handle {
     }
 
     /// The outcome, if it has ended.
+    ///
+    /// # Errors
+    /// The error with which it ended.
     pub fn outcome(&self) -> Option<Result<Outcome, Error>> {
         let engine = self.session.engine();
         let of = |id: &ActivityId| match engine.state(*id) {

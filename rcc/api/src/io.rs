@@ -1,6 +1,7 @@
 //! Digital and analogue inputs and outputs of a device: inputs are expressions, outputs are set by activities. Each
 //! output is a device of its own, so that outputs do not wait for each other. An output stays as it is set.
 
+use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -18,6 +19,25 @@ const REPORT_S: f64 = 1.0;
 
 /// Longest pulse, s.
 const PULSE_MAX_S: f64 = 3600.0;
+
+/// Most ports of a kind that are read: more than any device has.
+const PORTS_MAX: u32 = 4096;
+
+/// Ports that are read in one cycle.
+const PORTS_READ: usize = 64;
+
+/// States of inputs and outputs, by ports; `None` where the device does not know one, as while it is offline.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct IoState {
+    /// Digital inputs.
+    pub digital_inputs: Vec<Option<bool>>,
+    /// Digital outputs, whichever client set them.
+    pub digital_outputs: Vec<Option<bool>>,
+    /// Analogue inputs, in the unit of the device.
+    pub analogue_inputs: Vec<Option<f64>>,
+    /// Analogue outputs, in the unit of the device, whichever client set them.
+    pub analogue_outputs: Vec<Option<f64>>,
+}
 
 /// Inputs and outputs of a device. Ports count from 0.
 #[derive(Clone, Debug)]
@@ -46,17 +66,87 @@ impl Kind {
             Self::AnalogueOutput => ["analogue output", "anout", "IO::OutRealSensor"],
         }
     }
+
+    /// The primitive that reports its values to programs.
+    const fn shown(self) -> &'static str {
+        match self {
+            Self::DigitalInput | Self::DigitalOutput => "Core::BooleanNetcommOut",
+            Self::AnalogueInput | Self::AnalogueOutput => "Core::DoubleNetcommOut",
+        }
+    }
 }
 
 impl Io {
     pub(crate) fn find(session: &Arc<Session>, device: &str) -> Result<Self, ErrorKind> {
         let wanted = "device with inputs or outputs";
         let interface = Descriptions::read(session)?.interface(device, wanted, &["io"])?;
-        Ok(Self {
+        Ok(Self::new(session, device.to_owned(), interface))
+    }
+
+    /// All devices of a cell that have inputs or outputs.
+    pub(crate) fn all(session: &Arc<Session>) -> Result<Vec<Self>, ErrorKind> {
+        let devices = Descriptions::read(session)?.with_interface(&["io"]);
+        let devices = devices.into_iter();
+        let io = |(name, interface)| Self::new(session, name, interface);
+        Ok(devices.map(io).collect())
+    }
+
+    fn new(session: &Arc<Session>, device: String, interface: Interface) -> Self {
+        Self {
             session: Arc::clone(session),
-            device: device.to_owned(),
+            device,
             interface,
+        }
+    }
+
+    /// The name of the device.
+    pub fn name(&self) -> &str {
+        &self.device
+    }
+
+    /// The device type, such as `kuka_lwr_fri`.
+    pub fn kind(&self) -> &str {
+        &self.interface.kind
+    }
+
+    /// The present states of all inputs and outputs.
+    ///
+    /// # Errors
+    /// If the controller rejects to read them, or the connection is lost.
+    #[track_caller]
+    pub fn state(&self) -> Result<IoState, Error> {
+        Ok(IoState {
+            digital_inputs: self.read(Kind::DigitalInput)?,
+            digital_outputs: self.read(Kind::DigitalOutput)?,
+            analogue_inputs: self.read(Kind::AnalogueInput)?,
+            analogue_outputs: self.read(Kind::AnalogueOutput)?,
         })
+    }
+
+    /// The present values of all ports of a kind.
+    fn read<T: FromStr>(&self, kind: Kind) -> Result<Vec<Option<T>>, ErrorKind> {
+        let [_, parameter, primitive] = kind.names();
+        let count = self.interface.number(parameter);
+        let ports = (0..PORTS_MAX).take_while(|port| f64::from(*port) < count);
+        let ports: Vec<_> = ports.collect();
+        let mut all = Vec::new();
+        for ports in ports.chunks(PORTS_READ) {
+            let mut net = Net::default();
+            for port in ports {
+                let at = [
+                    ("DeviceID", self.device.as_str().into()),
+                    ("Port", port.to_string().into()),
+                ];
+                let value = net.add(primitive, at).out("outIO");
+                let key = port.to_string();
+                let shown = [("inValue", (&value).into()), ("Key", key.as_str().into())];
+                net.add(kind.shown(), shown);
+            }
+            let values = self.session.evaluate(&net.finish_once())?;
+            let value = |port: &u32| values.get(&format!("out{port}"))?.parse().ok();
+            all.extend(ports.iter().map(value));
+        }
+        Ok(all)
     }
 
     /// A digital input, as an expression.

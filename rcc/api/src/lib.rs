@@ -38,7 +38,7 @@ pub use error::{Error, ErrorKind};
 pub use expression::{Condition, Number};
 pub use gripper::Gripper;
 pub use handle::Handle;
-pub use io::Io;
+pub use io::{Io, IoState};
 pub use live::{JointGoal, JointVelocities, Live, LiveHandle, Twist};
 pub use outcome::Outcome;
 pub use plan::Plan;

@@ -45,6 +45,18 @@ pub struct JointLimits {
     pub jerk: f64,
 }
 
+impl JointLimits {
+    /// Zero, or the middle of the range if that excludes zero, rad.
+    pub(crate) fn rest(&self) -> f64 {
+        let (min, max) = (self.position_min, self.position_max);
+        if (min..=max).contains(&0.0) {
+            0.0
+        } else {
+            f64::midpoint(min, max)
+        }
+    }
+}
+
 /// Limits of motions of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CartesianLimits {
@@ -127,7 +139,9 @@ impl CartesianLimits {
             .iter()
             .find(|(_, limit)| !(*limit > 0.0 && limit.is_finite()));
         wrong.map_or(Ok(()), |(limit, value)| {
-            let text = format!("{name}: the limit `{limit}` is {value}; it is above 0");
+            let text = format!(
+                "{name}: the limit `{limit}` is {value}; it is above 0\nhint: limits are in m, rad and s"
+            );
             Err(ErrorKind::Invalid(text))
         })
     }
@@ -144,6 +158,9 @@ pub struct ArmDescription {
     pub model: String,
     /// Its joints, from the base.
     pub joints: Vec<JointLimits>,
+    /// Its joint positions at home, rad: those of its cell file, else 0, and the middle of its range for a joint that cannot be
+    /// at 0.
+    pub home: Vec<f64>,
     /// Period of the nets that command it.
     pub period: Duration,
 }
@@ -257,7 +274,11 @@ impl ArmDescription {
     pub(crate) fn check_joints(&self, to: &[f64]) -> Result<(), ErrorKind> {
         let (name, joints) = (&self.name, &self.joints);
         if to.len() != joints.len() {
-            let text = format!("{name} has {} joints, not {}", joints.len(), to.len());
+            let text = format!(
+                "{name} has {} joints, not {}\nhint: one position for each joint, from the base",
+                joints.len(),
+                to.len()
+            );
             return Err(ErrorKind::Invalid(text));
         }
         for (number, (to, limits)) in to.iter().zip(joints).enumerate() {

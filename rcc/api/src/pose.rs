@@ -56,7 +56,7 @@ impl Pose {
         self.0.rotation.coords.into()
     }
 
-    /// The pose as an isometry.
+    /// The pose as an isometry, m.
     pub const fn isometry(&self) -> &Isometry3<f64> {
         &self.0
     }

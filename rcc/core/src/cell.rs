@@ -61,7 +61,9 @@ use crate::ids::check_device_name;
 use crate::{files, span};
 pub use access::{Loopback, OnLoss};
 pub use drivers::{DriverKind, Section};
-pub use frames::{BaseConfig, CellFrames, FRAMES_MAX, FrameConfig, Placement, ToolConfig, WORLD};
+pub use frames::{
+    BaseConfig, CellFrames, FRAMES_MAX, FrameConfig, HomeConfig, Placement, ToolConfig, WORLD,
+};
 use location::located;
 
 /// Net threads that a controller may have.
@@ -80,7 +82,7 @@ pub struct CellConfig {
     pub devices: Vec<Arc<dyn DriverConfig>>,
     /// Its buses, each with devices of its own.
     pub buses: Vec<Arc<dyn DriverConfig>>,
-    /// Its named frames, bases and tools.
+    /// Its named frames, bases, tools and home positions.
     pub frames: CellFrames,
 }
 
@@ -95,6 +97,8 @@ struct Rest {
     base: Vec<BaseConfig>,
     #[serde(default)]
     tool: Vec<ToolConfig>,
+    #[serde(default)]
+    home: Vec<HomeConfig>,
 }
 
 /// Settings of the controller itself.
@@ -293,6 +297,7 @@ impl CellConfig {
                 frames: rest.frame,
                 bases: rest.base,
                 tools: rest.tool,
+                homes: rest.home,
             },
         })
     }

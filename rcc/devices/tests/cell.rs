@@ -95,12 +95,13 @@ fn driver_table_has_each_section_once() {
 }
 
 /// Sections of docs/cell.md, with a cell in which the program meets an unknown key there.
-const SECTIONS: [(&str, &str); 28] = [
+const SECTIONS: [(&str, &str); 29] = [
     ("[controller]", "[controller]\nzz = 1"),
     ("[[controller.thread]]", "[[controller.thread]]\nzz = 1"),
     ("[[frame]]", "[[frame]]\nzz = 1"),
     ("[[base]]", "[[base]]\nzz = 1"),
     ("[[tool]]", "[[tool]]\nzz = 1"),
+    ("[[home]]", "[[home]]\nzz = 1"),
     (
         "[[device]] of type kuka_lwr_fri",
         "[[device]]\ntype = 'kuka_lwr_fri'\nzz = 1",

@@ -1,7 +1,7 @@
 //! Robot arms.
 
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{IntoPyDict as _, PyDict};
 use takt_api as api;
 use takt_api::motion::CartesianLimits;
 
@@ -115,6 +115,21 @@ impl Arm {
         Ok(joints.iter().map(JointLimits::of).collect())
     }
 
+    /// Its limits on lines, arcs, curves and jogs, by the keywords of `with_limits`.
+    #[getter]
+    fn limits<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let limits = self.0.get(py)?.limits();
+        let values = [
+            limits.velocity,
+            limits.acceleration,
+            limits.jerk,
+            limits.rot_velocity,
+            limits.rot_acceleration,
+            limits.rot_jerk,
+        ];
+        LIMITS.into_iter().zip(values).into_py_dict(py)
+    }
+
     /// Force and torque at the tool.
     #[getter]
     fn force(&self, py: Python<'_>) -> PyResult<Force> {
@@ -154,6 +169,12 @@ impl Arm {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Activity> {
         Activity::motion(py, self.0.get(py)?.ptp(to), options)
+    }
+
+    /// A motion to the home position of the arm.
+    #[pyo3(signature = (**options))]
+    fn home(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Activity> {
+        Activity::motion(py, self.0.get(py)?.home(), options)
     }
 
     /// A motion of all joints together to a pose of the motion centre.

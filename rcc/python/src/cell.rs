@@ -123,6 +123,22 @@ impl Cell {
         Ok(arms.into_iter().map(Arm::new).collect())
     }
 
+    /// All devices with inputs or outputs.
+    fn ios(&self, py: Python<'_>) -> PyResult<Vec<Io>> {
+        let cell = self.open(py)?;
+        let ios = py.detach(|| cell.ios());
+        let ios = ios.map_err(|error| error::raise_here(py, &error))?;
+        Ok(ios.into_iter().map(Io::new).collect())
+    }
+
+    /// All grippers.
+    fn grippers(&self, py: Python<'_>) -> PyResult<Vec<Gripper>> {
+        let cell = self.open(py)?;
+        let grippers = py.detach(|| cell.grippers());
+        let grippers = grippers.map_err(|error| error::raise_here(py, &error))?;
+        Ok(grippers.into_iter().map(Gripper::new).collect())
+    }
+
     /// Sets the speed of all activities of this program, also of those that run.
     fn set_override(&self, py: Python<'_>, factor: f64) -> PyResult<()> {
         let cell = self.open(py)?;

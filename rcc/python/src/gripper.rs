@@ -29,6 +29,18 @@ impl Gripper {
         Ok(self.0.get(py)?.name().to_owned())
     }
 
+    /// Its device type.
+    #[getter]
+    fn kind(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(self.0.get(py)?.kind().to_owned())
+    }
+
+    /// The largest width, m; `None` if only the gripper itself knows it.
+    #[getter]
+    fn width_max(&self, py: Python<'_>) -> PyResult<Option<f64>> {
+        Ok(self.0.get(py)?.width_max())
+    }
+
     /// The same gripper, slower.
     fn with_speed(&self, py: Python<'_>, factor: f64) -> PyResult<Self> {
         Ok(Self::new(self.0.get(py)?.clone().with_speed(factor)))

@@ -28,8 +28,47 @@ impl Io {
     }
 }
 
+/// States of inputs and outputs, by ports; `None` where the device does not know one.
+#[pyclass(frozen, get_all, eq, module = "takt")]
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct IoState {
+    /// Digital inputs.
+    digital_inputs: Vec<Option<bool>>,
+    /// Digital outputs.
+    digital_outputs: Vec<Option<bool>>,
+    /// Analogue inputs, in the unit of the device.
+    analogue_inputs: Vec<Option<f64>>,
+    /// Analogue outputs, in the unit of the device.
+    analogue_outputs: Vec<Option<f64>>,
+}
+
 #[pymethods]
 impl Io {
+    /// The name of the device.
+    #[getter]
+    fn name(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(self.0.get(py)?.name().to_owned())
+    }
+
+    /// Its device type.
+    #[getter]
+    fn kind(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(self.0.get(py)?.kind().to_owned())
+    }
+
+    /// The present states of all inputs and outputs.
+    fn state(&self, py: Python<'_>) -> PyResult<IoState> {
+        let io = self.0.get(py)?;
+        let state = py.detach(|| io.state());
+        let state = state.map_err(|error| error::raise_here(py, &error))?;
+        Ok(IoState {
+            digital_inputs: state.digital_inputs,
+            digital_outputs: state.digital_outputs,
+            analogue_inputs: state.analogue_inputs,
+            analogue_outputs: state.analogue_outputs,
+        })
+    }
+
     /// A digital input.
     fn input(&self, py: Python<'_>, port: u32) -> PyResult<Condition> {
         self.port(py, |io| io.input(port)).map(Condition)

@@ -51,7 +51,7 @@ mod native {
     #[pymodule_export]
     use super::handle::Handle;
     #[pymodule_export]
-    use super::io::Io;
+    use super::io::{Io, IoState};
     #[pymodule_export]
     use super::live::{Live, LiveHandle, Twist};
     #[pymodule_export]

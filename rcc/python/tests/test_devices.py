@@ -24,6 +24,20 @@ def test_outputs_are_set_and_inputs_follow(cell: takt.Cell) -> None:
     assert cell.value(plant.analogue_input(1)) == -2.5 == cell.value(plant.analogue_output(1))
 
 
+def test_devices_are_listed_with_kind_and_state(cell: takt.Cell) -> None:
+    plant = cell.io("plant")
+    assert plant.name in [io.name for io in cell.ios()] and plant.kind
+    assert plant.set(5, True).run() == Outcome.Completed
+    state = plant.state()
+    assert state.digital_outputs[5] is True and state.digital_inputs[5] is True and state == plant.state()
+    assert plant.set(5, False).run() == Outcome.Completed
+    assert plant.state().digital_outputs[5] is False
+    grippers = {gripper.name: gripper for gripper in cell.grippers()}
+    assert set(grippers) == {"gripper", "hand"}
+    assert grippers["hand"].width_max == pytest.approx(0.023) and grippers["gripper"].width_max is None
+    assert grippers["gripper"].kind
+
+
 def test_pulse_ends_by_time_and_cancel(cell: takt.Cell) -> None:
     plant = cell.io("plant")
     pulse = plant.pulse(0, True, 0.2).begin()

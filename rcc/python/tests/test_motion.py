@@ -29,6 +29,26 @@ def test_ptp_array_reaches_goal(left: takt.Arm) -> None:
     np.testing.assert_allclose(commanded, goal(0.3), atol=1e-9)
 
 
+def test_home_moves_joints_to_zero(left: takt.Arm) -> None:
+    assert left.home(speed=0.8).run() == Outcome.Completed
+    np.testing.assert_allclose(left.commanded(), np.zeros(7), atol=1e-9)
+    assert left.ptp(BENT).run() == Outcome.Completed
+
+
+def test_limits_are_keywords_of_with_limits(left: takt.Arm) -> None:
+    assert left.limits == {
+        "velocity": 0.25,
+        "acceleration": 1.0,
+        "jerk": 10.0,
+        "rot_velocity": 0.5,
+        "rot_acceleration": 2.5,
+        "rot_jerk": 25.0,
+    }
+    slower = left.with_limits(velocity=0.1)
+    assert slower.limits["velocity"] == 0.1
+    assert left.with_limits(**slower.limits).limits == slower.limits
+
+
 def test_lin_accepts_pose_matrix_and_pair(left: takt.Arm) -> None:
     start = left.pose()
     up = start.matrix()

@@ -7,12 +7,27 @@ use takt_api::{Error, ErrorKind};
 #[error("{0}")]
 pub(crate) struct Refused(String);
 
+impl Refused {
+    /// With this text.
+    pub(crate) fn new(text: &str) -> Self {
+        Self(text.to_owned())
+    }
+}
+
 /// An error with a remedy where there is one.
-pub(super) fn hinted(error: Error) -> anyhow::Error {
+pub(crate) fn hinted(error: Error) -> anyhow::Error {
     // The line of the program is one of this tool, and says nothing to its user.
     let text = error.kind.to_string();
+    let cause = text.split("\nhint: ").next().unwrap_or_default();
+    // What the Robotics API advises is for programs.
+    let is_own = matches!(
+        error.kind,
+        ErrorKind::Limit { .. } | ErrorKind::Unreachable { .. } | ErrorKind::Conflict { .. }
+    );
     let with = |hint: &str| {
-        if hint.is_empty() || text.contains("\nhint: ") {
+        if is_own {
+            format!("{cause}\nhint: {hint}")
+        } else if hint.is_empty() || text.contains("\nhint: ") {
             text.clone()
         } else {
             format!("{text}\nhint: {hint}")
@@ -35,7 +50,7 @@ pub(super) fn hinted(error: Error) -> anyhow::Error {
         | ErrorKind::PredecessorFailed(_)
         | ErrorKind::Ended { .. } => state.to_owned(),
         ErrorKind::Invalid(_) => {
-            return anyhow::anyhow!(with("`takt help move` lists all arguments"));
+            return anyhow::anyhow!(with("`--help` lists all arguments"));
         }
         ErrorKind::Lost(_) => {
             return anyhow::anyhow!(with("the controller brakes what this command moved"));

@@ -105,11 +105,7 @@ impl Report {
             end.took.as_secs_f64()
         );
         if let Some(at) = &end.at {
-            let at = at
-                .iter()
-                .map(|angle| format!("{:.2}", plain(angle.to_degrees())));
-            let at: Vec<_> = at.collect();
-            let _ = write!(text, ", {} at {} deg", self.arm, at.join(" "));
+            let _ = write!(text, ", {} at {} deg", self.arm, degrees(at));
         }
         text
     }
@@ -134,12 +130,20 @@ impl Report {
     }
 }
 
+/// Angles, rad, in degrees.
+pub(super) fn degrees(angles: &[f64]) -> String {
+    let angles = angles.iter();
+    let angles = angles.map(|angle| format!("{:.2}", plain(angle.to_degrees())));
+    angles.collect::<Vec<_>>().join(" ")
+}
+
 /// Without the sign of a zero that is shown with two digits.
 fn plain(number: f64) -> f64 {
     if number.abs() < 0.005 { 0.0 } else { number }
 }
 
-fn word(outcome: &Outcome) -> String {
+/// An outcome in words.
+pub(crate) fn word(outcome: &Outcome) -> String {
     match outcome {
         Outcome::Completed => "completed".to_owned(),
         Outcome::Cancelled => "cancelled".to_owned(),

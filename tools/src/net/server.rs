@@ -28,9 +28,11 @@ impl Server {
     /// The same for motions.
     pub(crate) fn cell(&self) -> anyhow::Result<takt_api::Cell> {
         let token = token::of_client(self.token_file.as_deref(), self.connect.as_deref())?;
-        Ok(match self.connect.as_deref() {
-            Some(address) => takt_api::Cell::connect_with(address, token.as_ref())?,
-            None => takt_api::Cell::connect_here(token.as_ref())?,
-        })
+        let cell = match self.connect.as_deref() {
+            Some(address) => takt_api::Cell::connect_with(address, token.as_ref()),
+            None => takt_api::Cell::connect_here(token.as_ref()),
+        };
+        // The line of the program is one of this tool, and says nothing to its user.
+        cell.map_err(|error| anyhow::anyhow!(error.kind.to_string()))
     }
 }

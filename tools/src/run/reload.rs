@@ -138,7 +138,7 @@ pub(super) fn apply(
         running.frames = new.frames.clone();
         reloaded
             .applied
-            .push("frames, bases and tools are new".to_owned());
+            .push("frames, bases, tools and home positions are new".to_owned());
     }
     if changes.log {
         let log = new.controller.log.as_deref();

@@ -267,11 +267,16 @@ pub(crate) struct Cell {
 impl Cell {
     /// Starts it; the system chooses all ports.
     pub(crate) fn start() -> Self {
+        Self::start_with("")
+    }
+
+    /// The same with more tables in its cell file.
+    pub(crate) fn start_with(tables: &str) -> Self {
         let folder = Folder::new();
         let stop = folder.file("stop.sock");
         let config = format!(
             "[controller]\nwebsocket = \"127.0.0.1:0\"\ntcp = \"127.0.0.1:0\"\nstop_socket = \"{stop}\"\n\
-             [[device]]\nname = \"left\"\ntype = \"kuka_lwr_fri\"\nlisten = \"127.0.0.1:0\"\n"
+             [[device]]\nname = \"left\"\ntype = \"kuka_lwr_fri\"\nlisten = \"127.0.0.1:0\"\n{tables}"
         );
         let config = folder.write("cell.toml", &config);
         let mut process = Process::start(&["run", "--config", &config]);

@@ -57,18 +57,19 @@ pub(crate) struct InMotion {
 
 impl Route {
     pub(crate) fn check(&self, name: &str) -> Result<(), ErrorKind> {
-        let invalid = |what: &str| Err(ErrorKind::Invalid(format!("{name}: {what}")));
+        let not_finite = |what: &str| Err(ErrorKind::not_finite(name, what));
         match self {
-            Self::Line(to) if !to.is_finite() => invalid("the pose is not finite"),
+            Self::Line(to) if !to.is_finite() => not_finite("the pose"),
             Self::Arc { via, to } if !(via.is_finite() && to.is_finite()) => {
-                invalid("a pose of the arc is not finite")
+                not_finite("a pose of the arc")
             }
             Self::Spline(points) if !points.iter().all(Pose::is_finite) => {
-                invalid("a point of the curve is not finite")
+                not_finite("a point of the curve")
             }
             Self::Spline(points) if !(1..=POINTS_MAX).contains(&points.len()) => {
                 let count = points.len();
-                invalid(&format!("{count} points; a curve has 1 to {POINTS_MAX}"))
+                let text = format!("{name}: {count} points; a curve has 1 to {POINTS_MAX}");
+                Err(ErrorKind::Invalid(text))
             }
             Self::Line(_) | Self::Arc { .. } | Self::Spline(_) => Ok(()),
         }

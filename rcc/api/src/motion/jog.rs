@@ -272,8 +272,7 @@ impl Operation for Jog {
         match self {
             Self::Centre { arm, limits, tool } => {
                 if !tool.is_finite() {
-                    let text = format!("{}: the motion centre is not finite", arm.name);
-                    return Err(ErrorKind::Invalid(text));
+                    return Err(ErrorKind::not_finite(&arm.name, "the motion centre"));
                 }
                 limits.check(&arm.name)
             }

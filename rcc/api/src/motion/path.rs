@@ -41,14 +41,15 @@ impl Operation for ArmMotion {
 
     fn check(&self) -> Result<(), ErrorKind> {
         let name = &self.arm.name;
-        let invalid = |what: &str| Err(ErrorKind::Invalid(format!("{name}: {what}")));
         if !self.tool.is_finite() {
-            return invalid("the motion centre is not finite");
+            return Err(ErrorKind::not_finite(name, "the motion centre"));
         }
         self.limits.check(name)?;
         match self.path()? {
             Path::Ptp(to) => self.arm.check_joints(to),
-            Path::Pose { to, .. } if !to.is_finite() => invalid("the pose is not finite"),
+            Path::Pose { to, .. } if !to.is_finite() => {
+                Err(ErrorKind::not_finite(name, "the pose"))
+            }
             Path::Pose { hint, .. } => match hint {
                 Some(hint) => self.arm.check_joints(hint),
                 None => Ok(()),

@@ -22,6 +22,7 @@ fn arm(name: &str) -> ArmDescription {
         kind: "kuka_lwr_sim".to_owned(),
         model: "kuka_lwr4".to_owned(),
         joints: vec![joint; 7],
+        home: vec![0.0; 7],
         period: Duration::from_millis(2),
     }
 }
@@ -106,7 +107,10 @@ fn limits_that_are_not_positive_are_refused() {
     let mut motion = along(Route::Line(flange()));
     motion.limits.jerk = f64::NAN;
     let error = motion.check().unwrap_err().to_string();
-    assert_eq!(error, "left: the limit `jerk` is NaN; it is above 0");
+    assert_eq!(
+        error,
+        "left: the limit `jerk` is NaN; it is above 0\nhint: limits are in m, rad and s"
+    );
     let error = along(Route::Spline(Vec::new())).check().unwrap_err();
     assert_eq!(error.to_string(), "left: 0 points; a curve has 1 to 63");
 }

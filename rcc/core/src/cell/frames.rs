@@ -1,5 +1,5 @@
-//! Where things are in a cell: its named frames, the bases of its devices, and the tools of its arms. The controller keeps
-//! them for programs and computes nothing with them.
+//! Where things are in a cell: its named frames, the bases of its devices, the tools of its arms and their home positions.
+//! The controller keeps them for programs and computes nothing with them.
 //!
 //! Frames are named `world`, by the name of a `[[frame]]`, or by device and part: `left.base`, `left.flange`,
 //! `left.screwdriver` for a tool of `left`, and `platform.odometry` for the frame in which a mobile base starts.
@@ -14,7 +14,7 @@ use crate::ids::check_device_name;
 /// Name of the frame that has no parent.
 pub const WORLD: &str = "world";
 
-/// Most frames, bases and tools of a cell, of each kind.
+/// Most frames, bases, tools and home positions of a cell, of each kind.
 pub const FRAMES_MAX: usize = 1024;
 
 /// Frames of a device that need no entry.
@@ -32,6 +32,8 @@ pub struct CellFrames {
     pub bases: Vec<BaseConfig>,
     /// Tools of arms.
     pub tools: Vec<ToolConfig>,
+    /// Home positions of arms.
+    pub homes: Vec<HomeConfig>,
 }
 
 /// A position and an orientation in a parent, as cell files have them.
@@ -132,6 +134,16 @@ pub struct ToolConfig {
     pub centre_of_mass: [f64; 3],
 }
 
+/// Where the joints of an arm are at home.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HomeConfig {
+    /// The arm.
+    pub device: String,
+    /// Position of each joint, from the base, degrees.
+    pub joints: Vec<f64>,
+}
+
 macro_rules! placed {
     ($($kind:ty)*) => {$(
         impl $kind {
@@ -162,12 +174,18 @@ impl CellFrames {
         self.tools.iter().filter(move |tool| tool.device == device)
     }
 
-    /// Devices that have a base or a tool.
+    /// The home position of an arm; `None` if the cell gives it none.
+    #[must_use]
+    pub fn home(&self, device: &str) -> Option<&HomeConfig> {
+        self.homes.iter().find(|home| home.device == device)
+    }
+
+    /// Devices that have a base, a tool or a home position.
     pub fn devices(&self) -> BTreeSet<&str> {
         let bases = self.bases.iter().map(|base| base.device.as_str());
-        bases
-            .chain(self.tools.iter().map(|tool| tool.device.as_str()))
-            .collect()
+        let tools = self.tools.iter().map(|tool| tool.device.as_str());
+        let homes = self.homes.iter().map(|home| home.device.as_str());
+        bases.chain(tools).chain(homes).collect()
     }
 
     /// Checks names, numbers and parents; `devices` are those of the cell file.
@@ -211,7 +229,25 @@ impl CellFrames {
                 ));
             }
         }
+        self.check_homes()?;
         self.check_cycles()
+    }
+
+    /// Checks home positions as far as they do not depend on the arm.
+    fn check_homes(&self) -> Result<(), String> {
+        let mut known = BTreeSet::new();
+        for HomeConfig { device, joints } in &self.homes {
+            check_device_name(device)?;
+            if !known.insert(device) {
+                return Err(format!("the home of device `{device}` is given twice"));
+            }
+            if joints.is_empty() || !joints.iter().all(|joint| joint.is_finite()) {
+                return Err(format!(
+                    "home of device `{device}`: joints are {joints:?}; one finite angle for each joint is expected"
+                ));
+            }
+        }
+        Ok(())
     }
 
     fn check_counts(&self) -> Result<(), String> {
@@ -219,6 +255,7 @@ impl CellFrames {
             ("frame", self.frames.len()),
             ("base", self.bases.len()),
             ("tool", self.tools.len()),
+            ("home", self.homes.len()),
         ];
         match counts.into_iter().find(|(_, count)| *count > FRAMES_MAX) {
             None => Ok(()),
@@ -338,7 +375,8 @@ mod tests {
              [[base]]\ndevice = 'hand'\nparent = 'left.flange'\n\
              [[frame]]\nname = 'camera'\nparent = 'left.pen'\n\
              [[tool]]\nname = 'pen'\ndevice = 'left'\nposition = [0, 0, 0.2]\nmass = 0.3\n\
-             centre_of_mass = [0, 0, 0.05]",
+             centre_of_mass = [0, 0, 0.05]\n\
+             [[home]]\ndevice = 'right'\njoints = [0, 30, 0]",
         )
         .unwrap();
         let frames = &cell.frames;
@@ -352,8 +390,10 @@ mod tests {
         );
         assert_eq!(
             frames.devices().into_iter().collect::<Vec<_>>(),
-            ["hand", "left"]
+            ["hand", "left", "right"]
         );
+        assert_eq!(frames.home("right").unwrap().joints.len(), 3);
+        assert_eq!(frames.home("left"), None);
     }
 
     #[test]
@@ -426,6 +466,21 @@ mod tests {
                 "[[tool]]\nname = 'flange'\ndevice = 'left'",
                 2,
                 "is reserved",
+            ),
+            (
+                "[[home]]\ndevice = 'left'\njoints = [0]\n[[home]]\ndevice = 'left'\njoints = [1]",
+                5,
+                "home of device `left` is given twice",
+            ),
+            (
+                "[[home]]\ndevice = 'a'\njoints = []\n[[home]]\ndevice = 'left'\njoints = [0]",
+                2,
+                "home of device `a`: joints are []",
+            ),
+            (
+                "[[home]]\ndevice = 'left'\njoints = [0, nan]",
+                2,
+                "one finite angle for each joint",
             ),
             (
                 "[[frame]]\nname = 'a'\nposition = [0, 0]",

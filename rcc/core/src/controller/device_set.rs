@@ -7,7 +7,7 @@ use std::time::Duration;
 use takt_motion::kinematics::Chain;
 use takt_net::JointLimits;
 
-use crate::cell::{BaseConfig, CellFrames, ToolConfig};
+use crate::cell::{BaseConfig, CellFrames, HomeConfig, ToolConfig};
 
 use crate::controller::clock::FollowedClock;
 use crate::device::driver::DeviceDriver;
@@ -43,6 +43,8 @@ pub struct DeviceDetails {
     pub base: Option<BaseConfig>,
     /// The tools that the cell gives it.
     pub tools: Vec<ToolConfig>,
+    /// The home position that the cell gives it; `None` if it gives none.
+    pub home: Option<HomeConfig>,
     /// Period of the nets that command it.
     pub period: Duration,
 }
@@ -132,18 +134,29 @@ impl DeviceSet {
             chain: arm.map(Chain::of),
             base: self.frames.base(&info.name).cloned(),
             tools: self.frames.tools(&info.name).cloned().collect(),
+            home: self.frames.home(&info.name).cloned(),
             period,
             info,
         }
     }
 
-    /// Logs which devices of frames do not exist: clients may create them later, or their names are misspelled.
+    /// Logs which devices of frames do not exist, since clients may create them later or their names are misspelled, and
+    /// which arms cannot be at home.
     pub(super) fn report_unknown_frames(&self) {
         for device in self.frames.devices() {
             if self.table.find(device).is_none() {
                 tracing::warn!(
-                    "device `{device}` of [[base]] or [[tool]] does not exist yet\nhint: unless a client creates it, \
-                     correct its name in the cell file"
+                    "device `{device}` of [[base]], [[tool]] or [[home]] does not exist yet\nhint: unless a client \
+                     creates it, correct its name in the cell file"
+                );
+            }
+        }
+        for (_, device) in self.table.all() {
+            let home = self.frames.home(&device.name);
+            if let Some(why) = home.and_then(|home| unfit(home, &device.limits)) {
+                tracing::warn!(
+                    "{}: the arm cannot be at home: {why}\nhint: correct [[home]] in the cell file",
+                    device.name
                 );
             }
         }
@@ -155,5 +168,46 @@ impl DeviceSet {
         for driver in self.drivers.drain(..) {
             drop(driver.stop());
         }
+    }
+}
+
+/// Why an arm with these limits cannot be at a home position, if so.
+fn unfit(home: &HomeConfig, limits: &[JointLimits]) -> Option<String> {
+    let (count, joints) = (home.joints.len(), limits.len());
+    if count != joints {
+        return Some(format!("it has {joints} joints, not {count}"));
+    }
+    let mut joints = home.joints.iter().zip(limits).enumerate();
+    joints.find_map(|(number, (joint, limits))| {
+        let [min, max] = [limits.position_min, limits.position_max].map(f64::to_degrees);
+        let is_inside = (min..=max).contains(joint);
+        (!is_inside).then(|| {
+            format!("joint {number}: {joint} deg is out of its range, {min:.1} to {max:.1} deg")
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn home_out_of_range_names_joint() {
+        let limits = JointLimits {
+            position_min: -1.0,
+            position_max: 1.0,
+            velocity_max: 1.0,
+            acceleration_max: 1.0,
+        };
+        let why = |joints: &[f64]| {
+            let (device, joints) = ("left".to_owned(), joints.to_vec());
+            unfit(&HomeConfig { device, joints }, &[limits; 2])
+        };
+        assert_eq!(why(&[0.0, -57.0]), None);
+        assert_eq!(why(&[0.0]).unwrap(), "it has 2 joints, not 1");
+        assert_eq!(
+            why(&[0.0, 58.0]).unwrap(),
+            "joint 1: 58 deg is out of its range, -57.3 to 57.3 deg"
+        );
     }
 }

@@ -113,6 +113,10 @@ class Cell:
         """
     def arms(self) -> list[Arm]:
         """All arms. Raises `Lost` if the connection is lost."""
+    def ios(self) -> list[Io]:
+        """All devices with inputs or outputs. Raises `Lost` if the connection is lost."""
+    def grippers(self) -> list[Gripper]:
+        """All grippers. Raises `Lost` if the connection is lost."""
     def set_override(self, factor: float) -> None:
         """Sets the speed of all activities of this program, 0 to 1, as part of their own: also of those that run.
 
@@ -226,6 +230,9 @@ class Arm:
     def joints(self) -> list[JointLimits]:
         """Limits of its joints, from the base."""
     @property
+    def limits(self) -> _Limits:
+        """Its limits on lines, arcs, curves and jogs, by the keywords of `with_limits`, in their units."""
+    @property
     def force(self) -> Force:
         """Force and torque at the tool, as expressions."""
     def with_speed(self, factor: float) -> Arm:
@@ -241,6 +248,12 @@ class Arm:
         """The same arm with its base at this pose in the world, which coupled arms share."""
     def ptp(self, to: _Numbers, **options: Unpack[_MotionOptions]) -> Activity:
         """A motion to joint positions, rad, one for each joint: all joints start and arrive together."""
+    def home(self, **options: Unpack[_MotionOptions]) -> Activity:
+        """The same to the home position of the arm: that of `[[home]]` in the cell file.
+
+        Without one every joint goes to 0, or to the middle of its range if it cannot be at 0. Raises `Limit` at the begin if the
+        position of the cell file is out of range.
+        """
     def ptp_to(self, to: _GoalLike, **options: Unpack[_MotionOptions]) -> Activity:
         """A motion of all joints together to a pose of the motion centre in the base of the arm, or in frames.
 
@@ -487,6 +500,14 @@ class Io:
     do not wait for each other. An output stays as it is set. A port that the device does not have is `NoPort`.
     """
 
+    @property
+    def name(self) -> str:
+        """The name of the device."""
+    @property
+    def kind(self) -> str:
+        """Its device type, such as `kuka_lwr_fri`."""
+    def state(self) -> IoState:
+        """The present states of all inputs and outputs. Raises `Rejected` if the controller does not read them, or `Lost`."""
     def input(self, port: int) -> Condition:
         """A digital input."""
     def analogue_input(self, port: int) -> Number:
@@ -506,6 +527,23 @@ class Io:
         """Sets an analogue output, in the unit of the device. `Invalid` if `value` is not finite."""
 
 @final
+class IoState:
+    """States of inputs and outputs, by `Io.state`; each list by ports, `None` where the device does not know one."""
+
+    @property
+    def digital_inputs(self) -> list[bool | None]:
+        """Digital inputs."""
+    @property
+    def digital_outputs(self) -> list[bool | None]:
+        """Digital outputs, whichever client set them."""
+    @property
+    def analogue_inputs(self) -> list[float | None]:
+        """Analogue inputs, in the unit of the device."""
+    @property
+    def analogue_outputs(self) -> list[float | None]:
+        """Analogue outputs, in the unit of the device, whichever client set them."""
+
+@final
 class Gripper:
     """A gripper of a cell, by `Cell.gripper`: fingers that move to a width, or one with commands of its own (Schunk WSG).
 
@@ -516,6 +554,12 @@ class Gripper:
     @property
     def name(self) -> str:
         """Its name in the cell."""
+    @property
+    def kind(self) -> str:
+        """Its device type, such as `schunk_wsg`."""
+    @property
+    def width_max(self) -> float | None:
+        """The largest width, m; `None` if only the gripper itself knows it."""
     def with_speed(self, factor: float) -> Gripper:
         """The same gripper, slower: the speed of its commands is multiplied by `factor`, above 0 to 1.
 

@@ -55,6 +55,10 @@ pub(super) fn value(device: DeviceDetails) -> (String, Value) {
         ("tools", Value::map_of(device.tools.iter().map(tool))),
     ];
     members.extend(device.chain.as_ref().map(|of| ("chain", chain(of))));
+    members.extend(device.home.map(|home| {
+        let joints: Vec<_> = home.joints.iter().map(|joint| joint.to_radians()).collect();
+        ("home", numbers(&joints))
+    }));
     members.extend(device.base.map(|base| {
         let placed = [
             ("parent", base.parent.as_str().into()),
