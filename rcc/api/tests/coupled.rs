@@ -112,7 +112,7 @@ fn coupled_motion_with_plan_completes() {
         let places = [left, right].map(|arm| (arm.base() * arm.pose().unwrap()).position());
         let [[a, b, c], [d, e, f]] = places;
         let table = Pose::xyz((a + d) / 2.0, (b + e) / 2.0, (c + f) / 2.0);
-        let held = coupled(table, &arms).unwrap().with_speed(0.4);
+        let held = coupled(table, &arms).unwrap().with_speed(0.25);
         let above = Pose::xyz(0.0, 0.0, 0.1) * table;
         let aside = Pose::xyz(-0.05, 0.05, 0.0) * above * Pose::IDENTITY.abc(0.15, 0.0, 0.0);
         for goal in [above, aside, above, table] {

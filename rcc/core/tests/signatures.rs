@@ -10,6 +10,7 @@ const OWN: &[&str] = &[
     "Takeover",
     "DeviceFailure",
     "ArmKinematics::VelKin",
+    "Homing::",
     "Irl::",
 ];
 

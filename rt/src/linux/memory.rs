@@ -126,24 +126,22 @@ fn keep_freed_memory(touched: usize) -> bool {
 #[cfg(target_env = "gnu")]
 pub(crate) fn return_free() -> io::Result<()> {
     let locked = IS_LOCKED.load(Ordering::Relaxed);
-    if let Some((start, length)) = heap().filter(|_| locked) {
+    for (start, length) in heaps().into_iter().filter(|_| locked) {
         // SAFETY: a range of this process; unlocking changes no content.
         let _ = unsafe { libc::munlock(ptr::without_provenance(start), length) };
     }
     // SAFETY: no pointer is involved; the allocator takes its lock itself.
     unsafe { libc::malloc_trim(KEPT_BYTES_MAX) };
-    // It may be shorter now.
-    let Some((start, length)) = heap().filter(|_| locked) else {
-        return Ok(());
-    };
-    // SAFETY: as above; locking changes no content either.
-    let status =
-        unsafe { libc::mlock2(ptr::without_provenance(start), length, libc::MLOCK_ONFAULT) };
-    if status == 0 {
-        Ok(())
-    } else {
-        Err(io::Error::last_os_error())
+    // They may be shorter now.
+    for (start, length) in heaps().into_iter().filter(|_| locked) {
+        // SAFETY: as above; locking changes no content either.
+        let status =
+            unsafe { libc::mlock2(ptr::without_provenance(start), length, libc::MLOCK_ONFAULT) };
+        if status != 0 {
+            return Err(io::Error::last_os_error());
+        }
     }
+    Ok(())
 }
 
 #[cfg(not(target_env = "gnu"))]
@@ -151,26 +149,33 @@ pub(crate) fn return_free() -> io::Result<()> {
     Ok(())
 }
 
-/// Start and length of the main heap in bytes.
+/// Threads that allocated before the number of heaps was set to one have heaps of their own, which other threads use too:
+/// mappings that begin at multiples of this.
 #[cfg(target_env = "gnu")]
-fn heap() -> Option<(usize, usize)> {
-    heap_of(&std::fs::read_to_string("/proc/self/maps").ok()?)
+const THREAD_HEAP_BYTES: usize = 64 << 20;
+
+/// Start and length of each heap in bytes.
+#[cfg(target_env = "gnu")]
+fn heaps() -> Vec<(usize, usize)> {
+    heaps_of(&std::fs::read_to_string("/proc/self/maps").unwrap_or_default())
 }
 
 /// The kernel lists parts that are locked differently line by line.
 #[cfg(target_env = "gnu")]
-fn heap_of(maps: &str) -> Option<(usize, usize)> {
+fn heaps_of(maps: &str) -> Vec<(usize, usize)> {
     let range = |line: &str| {
-        let (start, rest) = line.split_once('-')?;
-        let (end, _) = rest.split_once(' ')?;
+        let mut fields = line.split_whitespace();
+        let (start, end) = fields.next()?.split_once('-')?;
         let number = |text| usize::from_str_radix(text, 16).ok();
-        Some((number(start)?, number(end)?))
+        let (start, end) = (number(start)?, number(end)?);
+        let is_writable = fields.next()?.starts_with("rw");
+        let is_heap = match fields.nth(3) {
+            Some(name) => name == "[heap]",
+            None => is_writable && start.is_multiple_of(THREAD_HEAP_BYTES),
+        };
+        is_heap.then_some((start, end.checked_sub(start)?))
     };
-    let lines = maps.lines().filter(|line| line.ends_with("[heap]"));
-    let mut parts = lines.filter_map(range);
-    let (start, first_end) = parts.next()?;
-    let end = parts.next_back().map_or(first_end, |(_, end)| end);
-    Some((start, end.checked_sub(start)?))
+    maps.lines().filter_map(range).collect()
 }
 
 #[cfg(not(target_env = "gnu"))]
@@ -206,13 +211,20 @@ mod tests {
 
     #[cfg(target_env = "gnu")]
     #[test]
-    fn heap_range_spans_parts() {
+    fn heaps_are_those_of_process_and_threads() {
         let maps = "00400000-00500000 r-xp 0 fe:00 1 /bin/takt\n\
                     01000000-01200000 rw-p 0 00:00 0     [heap]\n\
                     01200000-01300000 rw-p 0 00:00 0     [heap]\n\
-                    7f000000-7f100000 rw-p 0 00:00 0\n";
-        assert_eq!(heap_of(maps), Some((0x0100_0000, 0x0030_0000)));
-        assert_eq!(heap_of(""), None);
+                    7c000000-7c100000 rw-p 0 00:00 0\n\
+                    7c100000-7fe00000 ---p 0 00:00 0\n\
+                    7ff00000-7ff10000 rw-p 0 00:00 0\n";
+        let heaps = [
+            (0x0100_0000, 0x0020_0000),
+            (0x0120_0000, 0x0010_0000),
+            (0x7c00_0000, 0x0010_0000),
+        ];
+        assert_eq!(heaps_of(maps), heaps);
+        assert!(heaps_of("").is_empty());
     }
 
     #[test]

@@ -19,10 +19,13 @@ use crate::preparation::{Begin, Begins, Goals};
 /// become faster while the object already brakes; the rest is for that.
 const SPEED_MAX: f64 = 0.8;
 
-/// Largest speed of a joint on a path that is checked beforehand, as part of its limit; and largest mean speed of a joint
-/// while the object would brake to rest. A path that fits does not brake: on it a joint gets from any place to the place of
-/// rest in at most the time of braking, so that its mean speed until there is less than its largest one.
+/// Largest speed of a joint on a path that is checked beforehand, as part of its limit.
 const CHECKED_SPEED_MAX: f64 = 0.6;
+
+/// Largest mean speed of a joint, as part of its limit, if the object braked to rest for the longest time of braking: where
+/// it is larger, the object brakes. More lets arms near a singularity leave the path by millimetres. A path with joints
+/// above this part for long may brake although it was checked: near stretched arms a lower speed completes.
+const BRAKING_SPEED_MAX: f64 = 0.4;
 
 /// Least time for which the net goes on after a device failed, s.
 const FAILURE_MIN_S: f64 = 1.0;
@@ -112,7 +115,7 @@ impl CoupledMotion {
         let period_s = arm.period.as_secs_f64();
         let fast = [
             arm.any_further(net, [&before, &joints], (period_s, SPEED_MAX)),
-            arm.any_further(net, [&joints, &rest_joints], (braking_s, CHECKED_SPEED_MAX)),
+            arm.any_further(net, [&joints, &rest_joints], (braking_s, BRAKING_SPEED_MAX)),
         ];
         let fast: Vec<_> = fast.into_iter().flatten().collect();
         let fast = net.any(&fast);

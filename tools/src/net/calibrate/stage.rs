@@ -150,6 +150,8 @@ fn parameters(definition: &Definition, instance: usize, size: usize) -> Vec<Stri
             ("Axis", _) if definition.name == "RobotArm::ToolParameters" => "6".to_owned(),
             ("Axis", _) => (instance % 7).to_string(),
             ("Key", _) => format!("k{instance}"),
+            // The default, a program that does nothing: what others cost is in their object code.
+            ("Code", _) => return None,
             (_, ParameterType::Text) => DEVICE.to_owned(),
             ("Value", ParameterType::Value(ty)) if ty.array => list(zero(ty.element), size),
             _ => return None,
