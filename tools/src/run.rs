@@ -53,11 +53,12 @@ pub(crate) struct Run {
 impl Run {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         let cell = read_cell(&self.config).map_err(WrongCell)?;
+        // Before all threads: each that allocated earlier would keep free memory of its own.
+        let host = prepare(&HostConfig::default());
         let book = LogBook::default();
         let logging = Logging::start(cell.controller.log.as_deref(), &book)?;
         let access = Access::of_cell(&cell)?;
-        let host = prepare(&HostConfig::default());
-        // Before all other threads, so that nothing delays a stop, and after memory is locked.
+        // Before threads with work, so that nothing delays a stop, and after memory is locked.
         let switch = StopSwitch::default();
         let channel = stop_channel(&cell, access.token(), &switch)?;
         if self.guard {

@@ -40,8 +40,26 @@ fn resident() -> u64 {
     kib << 10
 }
 
+/// The number of heaps that the allocator makes at most, read when a process starts.
+const HEAPS_MAX: &str = "MALLOC_ARENA_MAX";
+
+/// In a process of its own that has one heap from its start: programs prepare the host before they start threads, the test
+/// harness does not, and each heap of an earlier thread keeps free memory of its own.
 #[test]
 fn unloaded_nets_return_memory_to_host() {
+    if std::env::var_os(HEAPS_MAX).is_some() {
+        return measure();
+    }
+    let mut again = std::process::Command::new(std::env::current_exe().unwrap());
+    again.args([
+        "--exact",
+        "unloaded_nets_return_memory_to_host",
+        "--nocapture",
+    ]);
+    assert!(again.env(HEAPS_MAX, "1").status().unwrap().success());
+}
+
+fn measure() {
     let host = prepare(&HostConfig::default());
     let locked = host
         .grants()

@@ -4,13 +4,16 @@
 use std::fmt::Write as _;
 use std::sync::Arc;
 
-use takt_core::device::{DeviceDescription, DeviceTable, Part};
+use takt_core::device::{DeviceDescription, DeviceTable, Part, homing};
 use takt_net::definition::{InPort, Parameter, ParameterType};
 use takt_net::netcomm::Directory;
 use takt_net::{Definition, Element, JointLimits};
 
 /// Name of the device that primitives of devices get.
 const DEVICE: &str = "device";
+
+/// Name of the axis that homes.
+const AXIS: &str = "axis";
 
 /// A cell with a device that offers all that primitives need.
 pub(super) fn devices() -> anyhow::Result<DeviceTable> {
@@ -44,14 +47,22 @@ pub(super) fn devices() -> anyhow::Result<DeviceTable> {
         velocity_max: 2.0,
         acceleration_max: 4.0,
     };
+    let axis = Part::Io {
+        bool_in: homing::BOOL_IN,
+        bool_out: homing::BOOL_OUT,
+        real_in: homing::REAL_IN,
+        real_out: 0,
+    };
     let mut table = DeviceTable::default();
-    table.add(DeviceDescription {
-        name: DEVICE.to_owned(),
-        kind: "calibration",
-        limits: vec![limits; 7],
-        model: "kuka_lwr4".into(),
-        parts,
-    })?;
+    for (name, parts) in [(DEVICE, parts), (AXIS, vec![axis])] {
+        table.add(DeviceDescription {
+            name: name.to_owned(),
+            kind: "calibration",
+            limits: vec![limits; 7],
+            model: "kuka_lwr4".into(),
+            parts,
+        })?;
+    }
     Ok(table)
 }
 
@@ -145,13 +156,14 @@ fn parameters(definition: &Definition, instance: usize, size: usize) -> Vec<Stri
     };
     let own = |parameter: &Parameter| {
         let value = match (parameter.name, parameter.ty) {
+            // The default, a program that does nothing: what others cost is in their object code.
+            _ if definition.name == "Irl::Program" => return None,
             ("Size", _) => size.to_string(),
             // Tools belong to the last axis.
             ("Axis", _) if definition.name == "RobotArm::ToolParameters" => "6".to_owned(),
             ("Axis", _) => (instance % 7).to_string(),
             ("Key", _) => format!("k{instance}"),
-            // The default, a program that does nothing: what others cost is in their object code.
-            ("Code", _) => return None,
+            _ if definition.name == "Homing::Axis" => AXIS.to_owned(),
             (_, ParameterType::Text) => DEVICE.to_owned(),
             ("Value", ParameterType::Value(ty)) if ty.array => list(zero(ty.element), size),
             _ => return None,
