@@ -22,6 +22,8 @@ mod robot;
 #[cfg(feature = "ethercat")]
 pub(crate) mod segment;
 mod service;
+#[cfg(feature = "ethercat")]
+mod station;
 #[cfg(feature = "wsg")]
 mod wsg;
 #[cfg(feature = "ethercat")]
@@ -55,6 +57,8 @@ pub(crate) enum Emulate {
     Tx90(segment::Tx90),
     #[cfg(feature = "ethercat")]
     Youbot(youbot::YouBot),
+    #[cfg(feature = "ethercat")]
+    Station(station::StationArgs),
     #[cfg(feature = "wsg")]
     /// A Schunk WSG gripper, over TCP.
     Wsg(wsg::Wsg),
@@ -77,6 +81,8 @@ impl Emulate {
             Self::Tx90(tx90) => tx90.run(),
             #[cfg(feature = "ethercat")]
             Self::Youbot(youbot) => youbot.run(),
+            #[cfg(feature = "ethercat")]
+            Self::Station(station) => station.run(),
             #[cfg(feature = "wsg")]
             Self::Wsg(wsg) => wsg.run(),
         }

@@ -80,6 +80,14 @@ impl Station {
             motor.faults = faults;
         }
     }
+
+    /// The faults of an axis; none for an axis that does not exist.
+    pub fn faults(&self, axis: usize) -> StationFaults {
+        let motors = self.lock();
+        motors
+            .get(axis)
+            .map_or_else(StationFaults::default, |motor| motor.faults)
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -21,7 +21,7 @@ pub use image::{
 };
 pub use interface::{
     Answer, Base, CartesianImpedance, CartesianPosition, CartesianSine, Gripper, GripperCommand,
-    Interfaces, Io, JointImpedance, JointTorque, Order, Output, ServoGripper, Tool, Wheel,
+    Homing, Interfaces, Io, JointImpedance, JointTorque, Order, Output, ServoGripper, Tool, Wheel,
 };
 pub use owner::Target;
 pub use signal::{Command, Given, Layout, Signal, Words, is_in_force, withhold};

@@ -11,14 +11,14 @@ use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use takt_ethercat::emulator::{ServoDrive, SharedSegment, YouBot, YouBotConfig};
+use takt_ethercat::emulator::{SharedSegment, YouBot, YouBotConfig};
 use takt_ethercat::linux::monotonic;
 
 use crate::Verdict;
 use crate::emulate::segment;
 use crate::output::{complain, positive_span, say};
 use fault::Fault;
-use plan::{Emulation, Plan};
+use plan::{Emulation, Handles, Plan};
 
 /// Emulate a segment at an interface: slaves for any EtherCAT master, and faults on command.
 ///
@@ -32,6 +32,7 @@ use plan::{Emulation, Plan};
   takt ecat sim near --config /etc/takt/cell.toml --segment cell1
   takt ecat sim near --second near2 --devices tx90    a ring for `takt ecat scan far --second far2`
   echo 'cut 2' | takt ecat sim near --devices youbot --duration 1min
+  echo 'axis 1 no-index' | takt ecat sim near --devices station --duration 1min
 
 A file has one [[slave]] for each slave: kind = coupler, digital, analogue, drive, tx90 or a device; outputs, inputs,
 looped (terminals); axes (drive); behind = [slave, port]; alias, vendor, product, name, drift_ppm; files (FoE and BOOT); ethernet (EoE).
@@ -46,10 +47,10 @@ pub(crate) struct Sim {
     /// The interface behind the last slave, for a ring of two ends; also `tap:NAME`.
     #[arg(long, value_name = "IFACE")]
     second: Option<String>,
-    /// The segment: tx90, youbot, devices in their order, or a file.
+    /// The segment: tx90, youbot, station (three servomotors at terminals), devices in their order, or a file.
     #[arg(
         long,
-        value_name = "FILE|tx90|youbot|DEVICE,...",
+        value_name = "FILE|tx90|youbot|station|DEVICE,...",
         required_unless_present = "config"
     )]
     devices: Option<String>,
@@ -74,7 +75,7 @@ impl Sim {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let Emulation {
             segment,
-            drives,
+            handles,
             loops,
         } = self.emulation()?;
         let shared = SharedSegment::new(segment);
@@ -94,7 +95,7 @@ impl Sim {
             between_cycles,
             || {
                 while let Ok(line) = commands.try_recv() {
-                    execute(&line, &shared, &drives)?;
+                    execute(&line, &shared, &handles)?;
                 }
                 Ok(())
             },
@@ -108,6 +109,7 @@ impl Sim {
         }
         match self.devices.as_deref().unwrap_or_default() {
             "tx90" => Ok(Emulation::plain(segment::tx90(self.strict)?)),
+            "station" => Ok(Emulation::station()),
             "youbot" => {
                 let (segment, _) = YouBot::segment(&YouBotConfig::default());
                 Ok(Emulation::plain(segment))
@@ -120,7 +122,7 @@ impl Sim {
                     takt_core::files::read_text(Path::new(path), takt_core::files::TEXT_BYTES_MAX)
                         .map_err(|error| {
                             anyhow!(
-                                "cannot read {path}: {error}\nhint: segments without a file: tx90, youbot, devices by name"
+                                "cannot read {path}: {error}\nhint: segments without a file: tx90, youbot, station, devices by name"
                             )
                         })?;
                 let plan: Plan = toml::from_str(&text).with_context(|| path.to_owned())?;
@@ -144,10 +146,10 @@ fn lines() -> Receiver<String> {
     from
 }
 
-fn execute(line: &str, segment: &SharedSegment, drives: &[ServoDrive]) -> anyhow::Result<()> {
+fn execute(line: &str, segment: &SharedSegment, handles: &Handles) -> anyhow::Result<()> {
     let line = line.trim();
     let now = u64::try_from(monotonic()?.as_nanos()).unwrap_or(u64::MAX);
-    let inject = |fault: Fault| fault.inject(segment, drives, now);
+    let inject = |fault: Fault| fault.inject(segment, handles, now);
     match line {
         "" => Ok(()),
         "help" => say(fault::HELP),

@@ -9,6 +9,9 @@ const STEP_S: f64 = 1e-3;
 /// Largest current that friction absorbs at standstill, as volts.
 const FRICTION_V: f64 = 0.005;
 
+/// What an amplifier with that fault adds by itself, V: more than a driver compensates.
+const FAULTY_OFFSET_V: f64 = 0.5;
+
 /// A motor of the station.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StationMotor {
@@ -30,6 +33,18 @@ pub struct StationMotor {
     pub index_at: i64,
 }
 
+impl StationMotor {
+    /// The three motors of the station: each starts elsewhere, and has another offset.
+    #[must_use]
+    pub fn three() -> [Self; super::STATION_AXES] {
+        [(20.0, 0.02), (35.0, -0.03), (-10.0, 0.025)].map(|(start_deg, offset_v)| Self {
+            start_deg,
+            offset_v,
+            ..Self::default()
+        })
+    }
+}
+
 impl Default for StationMotor {
     /// 3,000 min⁻¹ at 10 V, gear 100, switch at -80 degrees.
     fn default() -> Self {
@@ -48,6 +63,10 @@ impl Default for StationMotor {
 
 /// Faults of a motor and its wires.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "each is a fault of its own, and several may be there"
+)]
 pub struct StationFaults {
     /// The encoder is cut off: open circuit, the counter stands.
     pub open_circuit: bool,
@@ -61,6 +80,47 @@ pub struct StationFaults {
     pub not_ready: bool,
     /// The motor is connected the wrong way round.
     pub reversed: bool,
+    /// The motor is not connected: it turns at no voltage.
+    pub motor_open: bool,
+    /// The amplifier adds 0.5 V more by itself.
+    pub offset: bool,
+    /// The supply is off: the amplifier is not ready, and the brake is closed.
+    pub power_lost: bool,
+}
+
+impl StationFaults {
+    /// Names of the faults, and what each does.
+    pub const NAMES: [(&'static str, &'static str); 10] = [
+        ("open-circuit", "the encoder is cut off"),
+        ("no-index", "the encoder gives no C pulse"),
+        ("switch-on", "the proximity switch is stuck on"),
+        ("switch-off", "the proximity switch is stuck off"),
+        ("brake-stuck", "the brake stays closed"),
+        ("not-ready", "the amplifier is not ready"),
+        ("reversed", "the motor turns the wrong way"),
+        ("motor-open", "the motor is not connected and does not move"),
+        ("offset", "the amplifier adds 0.5 V by itself"),
+        ("power-lost", "the supply is off, and the brake closes"),
+    ];
+
+    /// Adds the fault of this name; false if there is none.
+    #[must_use]
+    pub fn add(&mut self, name: &str) -> bool {
+        match name {
+            "open-circuit" => self.open_circuit = true,
+            "no-index" => self.no_index = true,
+            "switch-on" => self.proximity = Some(true),
+            "switch-off" => self.proximity = Some(false),
+            "brake-stuck" => self.brake_stuck = true,
+            "not-ready" => self.not_ready = true,
+            "reversed" => self.reversed = true,
+            "motor-open" => self.motor_open = true,
+            "offset" => self.offset = true,
+            "power-lost" => self.power_lost = true,
+            _ => return false,
+        }
+        true
+    }
 }
 
 /// A motor in motion.
@@ -97,11 +157,11 @@ impl Motor {
     }
 
     pub(super) const fn is_braked(&self) -> bool {
-        !self.released || self.faults.brake_stuck
+        !self.released || self.faults.brake_stuck || self.faults.power_lost
     }
 
     pub(super) const fn is_ready(&self) -> bool {
-        self.enabled && !self.faults.not_ready
+        self.enabled && !self.faults.not_ready && !self.faults.power_lost
     }
 
     pub(super) fn proximity(&self) -> bool {
@@ -145,10 +205,12 @@ impl Motor {
 
     fn step(&mut self, dt: f64) {
         let config = &self.config;
-        let powered = self.is_ready();
-        let sign = if self.faults.reversed { -1.0 } else { 1.0 };
+        let faults = self.faults;
+        let powered = self.is_ready() && !faults.motor_open;
+        let sign = if faults.reversed { -1.0 } else { 1.0 };
+        let offset = config.offset_v + if faults.offset { FAULTY_OFFSET_V } else { 0.0 };
         let volts = if powered {
-            self.volts * sign + config.offset_v
+            self.volts * sign + offset
         } else {
             0.0
         };

@@ -1,22 +1,18 @@
-//! The inputs and outputs by which nets home an axis, in one order for all drivers: the primitive `Homing::Axis` and the drivers
-//! share it.
+//! The inputs and outputs of an axis beside its homing ([`super::Part::Homing`]), in one order for all drivers, and why homing fails.
 
-/// Digital inputs: [`HOMED`], [`HOMING`], amplifier ready, proximity switch.
-pub const BOOL_IN: usize = 4;
-/// Digital outputs: [`HOME`].
-pub const BOOL_OUT: usize = 1;
-/// Analogue inputs: [`FAILURE`], offset voltage in V.
-pub const REAL_IN: usize = 2;
+/// Digital inputs: [`READY`], [`PROXIMITY`].
+pub const BOOL_IN: usize = 2;
+/// Analogue inputs: [`OFFSET`].
+pub const REAL_IN: usize = 1;
 
-/// Digital input: the zero of the axis is known.
-pub const HOMED: usize = 0;
-/// Digital input: homing is under way.
-pub const HOMING: usize = 1;
-/// Digital output: home while it is set; taken back before the end, the axis brakes.
-pub const HOME: usize = 0;
-/// Analogue input: number of the last failure, 0 without one.
-pub const FAILURE: usize = 0;
-/// What the numbers from 1 mean.
+/// Digital input: its amplifier is ready.
+pub const READY: usize = 0;
+/// Digital input: its proximity switch is on.
+pub const PROXIMITY: usize = 1;
+/// Analogue input: voltage that compensates the offset of its amplifier, V.
+pub const OFFSET: usize = 0;
+
+/// What the numbers of a failure of homing mean, from 1.
 pub const FAILURES: [&str; 7] = [
     "sensor not found",
     "switch stuck",
@@ -26,3 +22,18 @@ pub const FAILURES: [&str; 7] = [
     "time-out",
     "power lost",
 ];
+
+/// What the numbers of the steps of homing mean, from 0.
+pub const STEPS: [&str; 9] = [
+    "not begun",
+    "off the switch on which it began",
+    "to the switch",
+    "on the switch until it may leave",
+    "off the switch",
+    "to the index pulse",
+    "to its start",
+    "done",
+    "failed or cancelled",
+];
+/// The step in which it is on the switch until it may leave.
+pub const TOUCHED: i32 = 3;

@@ -3,7 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 use takt_net::device::{
-    Base, CartesianPosition, Gripper, Interfaces, Io, JointTorque, Layout, Order, ServoGripper,
+    Base, CartesianPosition, Gripper, Homing, Interfaces, Io, JointTorque, Layout, Order,
+    ServoGripper,
 };
 
 use crate::device::ARM_JOINTS_MAX;
@@ -58,6 +59,8 @@ pub enum Part {
     },
     /// It grips by itself, by commands of its own protocol.
     ServoGripper,
+    /// Its driver homes it.
+    Homing,
     /// An oscillation of its tool in Cartesian impedance can be commanded.
     CartesianSine,
 }
@@ -102,6 +105,7 @@ pub fn lay(parts: &[Part], joints: usize, layout: &mut Layout) -> Interfaces {
                 has.drives = Some((0..count).map(|_| layout.signal()).collect());
             }
             Part::ServoGripper => has.servo_gripper = Some(ServoGripper::new(layout)),
+            Part::Homing => has.homing = Some(Homing::new(layout)),
             Part::CartesianSine => has.cartesian_sine = Some(Order::new(layout)),
         }
     }
@@ -136,6 +140,7 @@ pub fn everything() -> Interfaces {
         Part::Wrench,
         Part::Drives { count: MANY },
         Part::ServoGripper,
+        Part::Homing,
         Part::CartesianSine,
     ];
     lay(&parts, ARM_JOINTS_MAX, &mut Layout::default())

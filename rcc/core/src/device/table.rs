@@ -156,6 +156,7 @@ impl Device {
             ("robotbase", base),
             ("gripper", gripper),
             ("servogripper", plain(has.servo_gripper.is_some())),
+            ("homing", plain(has.homing.is_some())),
             ("tool", plain(has.tool.is_some())),
             ("strategy", plain(has.strategy.is_some())),
             ("jointimpedance", plain(has.joint_impedance.is_some())),

@@ -2,11 +2,12 @@
 //! which that fails. It reads no terminal; positions are increments of the axis, before its zero is known.
 //!
 //! ```text
-//!  (1) on the switch        (2)                 (3)              (4)              (5)            (6)
-//! ┌──▶ Leave ─────────▶ Seek ────────▶ Off ──────────▶ Index ─────────▶ Start ─────────▶ Done
-//! Begin     off the switch    touched       off the switch     pulse latched     at its start
+//!  (1) on the switch        (2)                    (3)                  (4)              (5)            (6)
+//! ┌──▶ Leave ─────────▶ Seek ────────▶ Touched ─────────▶ Off ──────────▶ Index ─────────▶ Start ─────────▶ Done
+//! Begin     off the switch    switch on        may leave      off the switch     pulse latched     at its start
 //! ```
-//! Transitions 1 to 6 are in [`Homing::advance`]; each step but Done may end in Failed. The switch is approached in one direction and
+//! Transitions 1 to 6 are in [`Homing::advance`]; Touched is left out by an axis that may leave at once, and each step but Done may
+//! end in Failed. The switch is approached in one direction and
 //! the index searched in the other, so that play of gear and switch does not count.
 
 use std::fmt;
@@ -73,7 +74,9 @@ impl fmt::Display for HomingError {
                  connected, and `velocity_10v`"
             }
             Self::Timeout => "homing took too long\nhint: see `homing.timeout` and `homing.velocity`",
-            Self::PowerLost => "the axis lost its power\nhint: see the events of the axis before",
+            Self::PowerLost => {
+                "the axis lost its power, or does not get it\nhint: see the events of the axis before"
+            }
         })
     }
 }
@@ -97,7 +100,7 @@ pub struct HomingMotion {
     pub index_position: f64,
     /// Where it moves in the end.
     pub start: Option<f64>,
-    /// Time for all.
+    /// Time for all, but for the rest on the switch.
     pub timeout: Duration,
 }
 
@@ -108,6 +111,8 @@ pub enum HomingStep {
     Leave,
     /// Towards the switch.
     Seek,
+    /// At rest on the switch, until it may leave.
+    Touched,
     /// Back off the switch.
     Off,
     /// On to the index pulse.
@@ -122,6 +127,23 @@ pub enum HomingStep {
     Cancelled,
 }
 
+impl HomingStep {
+    /// Its number, as nets see it; 0 is a homing that has not begun.
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        match self {
+            Self::Leave => 1,
+            Self::Seek => 2,
+            Self::Touched => 3,
+            Self::Off => 4,
+            Self::Index => 5,
+            Self::Start => 6,
+            Self::Done => 7,
+            Self::Failed(_) | Self::Cancelled => 8,
+        }
+    }
+}
+
 /// What the axis shows in a cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HomingInput {
@@ -129,6 +151,8 @@ pub struct HomingInput {
     pub position: f64,
     /// The switch.
     pub proximity: bool,
+    /// Whether it may leave the switch; several axes so wait for each other.
+    pub may_leave: bool,
     /// Position at the index pulse, once it is latched.
     pub latched: Option<f64>,
     /// Time since the last cycle, s.
@@ -186,6 +210,15 @@ impl Homing {
         self.step
     }
 
+    /// Whether it is done, failed or cancelled.
+    #[must_use]
+    pub const fn has_ended(&self) -> bool {
+        matches!(
+            self.step,
+            HomingStep::Done | HomingStep::Failed(_) | HomingStep::Cancelled
+        )
+    }
+
     /// What to add to increments, once it is done, so that they count from zero of the axis.
     #[must_use]
     pub fn shift(&self) -> Option<f64> {
@@ -212,10 +245,7 @@ impl Homing {
     }
 
     const fn end(&mut self, step: HomingStep) {
-        if !matches!(
-            self.step,
-            HomingStep::Done | HomingStep::Failed(_) | HomingStep::Cancelled
-        ) {
+        if !self.has_ended() {
             self.step = step;
         }
     }
@@ -234,7 +264,12 @@ impl Homing {
             HomingStep::Leave | HomingStep::Off if too_far => self.fail(HomingError::SwitchStuck),
             HomingStep::Leave => wanted = leave,
             HomingStep::Off => wanted = away * self.motion.index_speed,
+            HomingStep::Seek if input.proximity && !input.may_leave => {
+                self.enter(HomingStep::Touched, input);
+            }
             HomingStep::Seek if input.proximity => self.enter(HomingStep::Off, input),
+            HomingStep::Touched if input.may_leave => self.enter(HomingStep::Off, input),
+            HomingStep::Touched => self.begun += Duration::from_secs_f64(input.dt_s.max(0.0)),
             HomingStep::Seek if too_far => self.fail(HomingError::SensorNotFound),
             HomingStep::Seek => wanted = self.motion.velocity,
             HomingStep::Index => match input.latched {
@@ -325,6 +360,8 @@ mod tests {
         switch: fn(f64) -> bool,
         /// The index pulse that lies between two positions.
         index: Option<f64>,
+        /// From when on it may leave the switch.
+        leaves: Duration,
         moves: fn(f64, f64) -> f64,
     }
 
@@ -332,6 +369,7 @@ mod tests {
         position: 0.0,
         switch: |at| at < -2000.0,
         index: Some(-1950.0),
+        leaves: Duration::ZERO,
         moves: |_, target| target,
     };
 
@@ -341,6 +379,7 @@ mod tests {
         let input = |axis: &Axis, latched, now| HomingInput {
             position: axis.position,
             proximity: (axis.switch)(axis.position),
+            may_leave: now >= axis.leaves,
             latched,
             dt_s: 1e-3,
             now,
@@ -387,6 +426,27 @@ mod tests {
             GOOD,
         );
         assert!((at + 1950.0).abs() < 10.0, "{at}");
+    }
+
+    #[test]
+    fn homing_rests_on_switch_until_it_may_leave() {
+        use HomingStep::{Done, Index, Off, Seek, Start, Touched};
+        let (at_once, ..) = home(MOTION, GOOD);
+        // Longer than its time: rest on the switch does not count.
+        let waits = Axis {
+            leaves: Duration::from_secs(30),
+            ..GOOD
+        };
+        let (homing, steps, _) = home(MOTION, waits);
+        assert_eq!(steps, [Seek, Touched, Off, Index, Start, Done]);
+        assert_eq!(homing.shift(), at_once.shift());
+        let never = Axis {
+            leaves: Duration::MAX,
+            ..GOOD
+        };
+        let (homing, steps, at) = home(MOTION, never);
+        assert_eq!(steps, [Seek, Touched]);
+        assert!(homing.is_at_rest() && (at + 2050.0).abs() < 10.0, "{at}");
     }
 
     #[test]

@@ -17,7 +17,7 @@ use takt_core::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceSta
 use takt_core::executor::End;
 
 #[path = "../../../core/tests/fixtures/mod.rs"]
-mod fixtures;
+pub(crate) mod fixtures;
 mod jumps;
 mod outputs;
 

@@ -278,6 +278,35 @@ impl ServoGripper {
     }
 }
 
+/// An axis that its driver homes.
+#[derive(Clone, Copy, Debug)]
+pub struct Homing {
+    /// Whether its zero is known.
+    pub homed: Signal<bool>,
+    /// Whether homing is under way.
+    pub homing: Signal<bool>,
+    /// Where homing is: 0 not begun, 1 off the switch on which it began, 2 to the switch, 3 on the switch until it may leave, 4 off
+    /// the switch, 5 to the index pulse, 6 to its start, 7 done, 8 failed or cancelled.
+    pub step: Signal<i32>,
+    /// Number of the last failure, 0 without one.
+    pub failure: Signal<i32>,
+    /// Homes while it is given; the value permits to leave the proximity switch. Taken back before the end, the axis brakes.
+    pub home: Command<bool>,
+}
+
+impl Homing {
+    /// An axis with this interface.
+    pub fn new(layout: &mut Layout) -> Self {
+        Self {
+            homed: layout.signal(),
+            homing: layout.signal(),
+            step: layout.signal(),
+            failure: layout.signal(),
+            home: layout.command(),
+        }
+    }
+}
+
 /// Torques at a joint.
 #[derive(Clone, Copy, Debug)]
 pub struct JointTorque {
@@ -300,6 +329,8 @@ pub struct Interfaces {
     pub gripper: Option<Gripper>,
     /// It grips by itself.
     pub servo_gripper: Option<ServoGripper>,
+    /// Its driver homes it.
+    pub homing: Option<Homing>,
     /// Its load can be set.
     pub tool: Option<Order<Tool>>,
     /// It has more than one control strategy.

@@ -4,10 +4,13 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use takt_cia402::emulator::FaultCode;
-use takt_ethercat::emulator::{Corrupt, EthernetFaults, Segment, ServoDrive, SharedSegment};
+use takt_ethercat::emulator::{
+    Corrupt, EthernetFaults, STATION_AXES, Segment, SharedSegment, StationFaults,
+};
 use takt_ethercat::eoe::EoeResult;
 use takt_ethercat::{AlState, AlStatusCode};
 
+use super::plan::Handles;
 use crate::output::span;
 
 /// The commands.
@@ -22,7 +25,10 @@ fall SLAVE CODE       a slave leaves OP for SAFE-OP with an AL status code, hexa
 fault DRIVE AXIS CODE an axis faults with a code of 603Fh, hexadecimal; drives and axes count from 0
 jump SLAVE TIME       the clock of a slave jumps ahead
 eoe SLAVE FAULT N     its next N Ethernet fragments are faulty: lose, swap, frame (wrong number), long (frames), deaf (frames)
-eoe SLAVE CODE N      its next N answers to EoE requests are refusals with a result code, hexadecimal";
+eoe SLAVE CODE N      its next N answers to EoE requests are refusals with a result code, hexadecimal
+axis AXIS FAULT       an axis of the test station gets a fault besides its others: open-circuit, no-index, switch-on, switch-off,
+                      brake-stuck, not-ready, reversed, motor-open, offset, power-lost
+axis AXIS ok          its faults are repaired";
 
 /// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,6 +47,8 @@ pub(super) enum Fault {
     Fall(usize, u16),
     /// An axis of a drive faults.
     Axis(usize, usize, u16),
+    /// An axis of the station gets the fault of that number, or all are repaired.
+    Station(usize, Option<usize>),
     /// A clock jumps.
     Jump(usize, Duration),
     /// The Ethernet port of a slave is faulty that many times.
@@ -110,10 +118,44 @@ impl FromStr for Fault {
             ["eoe", slave, fault, count] => {
                 Self::Ethernet(number(slave)?, fault.parse()?, number(count)?)
             }
+            ["axis", axis, "ok"] => Self::Station(number(axis)?, None),
+            ["axis", axis, name] => Self::Station(number(axis)?, Some(station_fault(name)?)),
             ["jump", slave, time] => Self::Jump(number(slave)?, span(time)?),
             _ => return Err(format!("`{line}` is not a command")),
         })
     }
+}
+
+/// The number of a fault of the station.
+fn station_fault(name: &str) -> Result<usize, String> {
+    let names = StationFaults::NAMES.map(|(name, _)| name);
+    let found = names.iter().position(|known| *known == name);
+    found.ok_or_else(|| {
+        format!(
+            "`{name}` is no fault of an axis; these are {}",
+            names.join(", ")
+        )
+    })
+}
+
+/// Injects faults into an axis of the station, or repairs them, and describes that.
+fn station(handles: &Handles, axis: usize, fault: Option<usize>) -> Result<String, String> {
+    let none = "the segment is not the test station; it is that of `--devices station`";
+    let station = handles.station.as_ref().ok_or(none)?;
+    if axis >= STATION_AXES {
+        let last = STATION_AXES - 1;
+        return Err(format!("there is no axis {axis}; axes are 0 to {last}"));
+    }
+    let Some((name, what)) = fault.and_then(|number| StationFaults::NAMES.get(number)) else {
+        station.inject(axis, StationFaults::default());
+        return Ok(format!("axis {axis} is repaired"));
+    };
+    let mut faults = station.faults(axis);
+    if !faults.add(name) {
+        return Err(format!("`{name}` is no fault of an axis"));
+    }
+    station.inject(axis, faults);
+    Ok(format!("axis {axis}: {what}"))
 }
 
 fn number<T: FromStr>(text: &str) -> Result<T, String> {
@@ -148,11 +190,12 @@ impl Fault {
     pub(super) fn inject(
         self,
         segment: &SharedSegment,
-        drives: &[ServoDrive],
+        handles: &Handles,
         now: u64,
     ) -> Result<String, String> {
         let mut segment = segment.lock();
         match self {
+            Self::Station(axis, fault) => station(handles, axis, fault),
             Self::Cable(slave, whole) => {
                 checked(&segment, slave)?;
                 segment.set_link(slave, whole);
@@ -193,7 +236,7 @@ impl Fault {
                 Ok(format!("slave {number} left OP: {code}"))
             }
             Self::Axis(number, axis, code) => {
-                let drive = drives.get(number);
+                let drive = handles.drives.get(number);
                 let drive = drive.ok_or_else(|| format!("there is no drive {number}"))?;
                 drive
                     .axis(axis, |axis| axis.fault(FaultCode(code)))
@@ -225,19 +268,50 @@ impl Fault {
 
 #[cfg(test)]
 mod tests {
-    use takt_ethercat::emulator::{Coupler, ServoConfig};
+    use takt_ethercat::emulator::{Coupler, ServoConfig, ServoDrive, Station, StationMotor};
 
     use super::*;
 
-    fn segment() -> (SharedSegment, Vec<ServoDrive>) {
+    fn segment() -> (SharedSegment, Handles) {
         let (slave, drive) = ServoDrive::slave(ServoConfig::default()).unwrap();
         let segment = Segment::line([Coupler::slave(), slave.with_ethernet()]);
-        (SharedSegment::new(segment), vec![drive])
+        let handles = Handles {
+            drives: vec![drive],
+            station: None,
+        };
+        (SharedSegment::new(segment), handles)
     }
 
     fn execute(line: &str) -> Result<String, String> {
-        let (segment, drives) = segment();
-        line.parse::<Fault>()?.inject(&segment, &drives, 0)
+        let (segment, handles) = segment();
+        line.parse::<Fault>()?.inject(&segment, &handles, 0)
+    }
+
+    #[test]
+    fn station_faults_are_injected_and_repaired_by_name() {
+        let (segment, station) = Station::segment(StationMotor::three());
+        let segment = SharedSegment::new(segment);
+        let handles = Handles {
+            station: Some(station.clone()),
+            ..Handles::default()
+        };
+        let execute = |line: &str| line.parse::<Fault>()?.inject(&segment, &handles, 0);
+        for (name, what) in StationFaults::NAMES {
+            assert!(HELP.contains(name), "{name}");
+            let before = station.faults(1);
+            assert_eq!(
+                execute(&format!("axis 1 {name}")),
+                Ok(format!("axis 1: {what}"))
+            );
+            assert_ne!(station.faults(1), before, "{name}");
+        }
+        assert_eq!(execute("axis 1 ok").as_deref(), Ok("axis 1 is repaired"));
+        assert_eq!(station.faults(1), StationFaults::default());
+        assert!(
+            execute("axis 3 offset")
+                .unwrap_err()
+                .contains("axes are 0 to 2")
+        );
     }
 
     #[test]
@@ -282,6 +356,11 @@ mod tests {
             ("fault 1 0 8611", "there is no drive 1"),
             ("fault 0 1 8611", "drive 0 has no axis 1"),
             ("fall 9 1B", "there is no slave 9"),
+            ("axis 0 offset", "the segment is not the test station"),
+            (
+                "axis 0 slow",
+                "`slow` is no fault of an axis; these are open-circuit",
+            ),
             ("eoe 0 lose 1", "slave 0 has no EoE"),
             ("eoe 1 all 1", "`all` is not a hexadecimal code"),
         ] {

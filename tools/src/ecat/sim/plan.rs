@@ -5,30 +5,47 @@ use serde::Deserialize;
 use takt_core::CellConfig;
 use takt_devices::ethercat::{AnalogueChannel, EthercatConfig, EthercatSlave};
 use takt_ethercat::emulator::{
-    Coupler, Io, PdoImage, Profile, Profiled, Segment, ServoConfig, ServoDrive, Slave,
+    Coupler, Io, PdoImage, Profile, Profiled, STATION_AXES, Segment, ServoConfig, ServoDrive,
+    Slave, Station, StationMotor,
 };
 use takt_ethercat::sii;
 
 use crate::ecat::cell;
 
+/// What faults of motors are injected into.
+#[derive(Debug, Default)]
+pub(super) struct Handles {
+    /// Its drives, in their order.
+    pub(super) drives: Vec<ServoDrive>,
+    /// The motors of the test station.
+    pub(super) station: Option<Station>,
+}
+
 /// A segment to emulate, with the handles of its slaves.
 #[derive(Debug)]
 pub(super) struct Emulation {
     pub(super) segment: Segment,
-    /// Its drives, in their order.
-    pub(super) drives: Vec<ServoDrive>,
+    pub(super) handles: Handles,
     /// Terminals whose outputs are connected to their inputs.
     pub(super) loops: Vec<Io>,
 }
 
 impl Emulation {
     /// A segment without handles.
-    pub(super) const fn plain(segment: Segment) -> Self {
+    pub(super) fn plain(segment: Segment) -> Self {
         Self {
             segment,
-            drives: Vec::new(),
+            handles: Handles::default(),
             loops: Vec::new(),
         }
+    }
+
+    /// The test station.
+    pub(super) fn station() -> Self {
+        let (segment, station) = Station::segment(StationMotor::three());
+        let mut emulation = Self::plain(segment);
+        emulation.handles.station = Some(station);
+        emulation
     }
 }
 
@@ -162,7 +179,7 @@ impl SlavePlan {
                 let made = profile.slave(times).context("invalid drive")?;
                 let Profiled { slave, io, drive } = made;
                 emulation.loops.extend(io.filter(|_| self.looped));
-                emulation.drives.extend(drive);
+                emulation.handles.drives.extend(drive);
                 slave
             }
             Kind::Tx90 => drive(ServoConfig::tx90(), strict, emulation)?,
@@ -231,7 +248,7 @@ fn drive(
         }
     }
     let (slave, drive) = ServoDrive::slave(config).context("invalid drive")?;
-    emulation.drives.push(drive);
+    emulation.handles.drives.push(drive);
     Ok(slave)
 }
 
@@ -276,6 +293,17 @@ pub(super) fn of_cell(
     strict: bool,
 ) -> anyhow::Result<Emulation> {
     let config = cell::segment(cell, name)?;
+    if !config.servos.is_empty() {
+        let is_station = config.servos.len() == STATION_AXES
+            && config.slaves.len() == Station::ENCODER + STATION_AXES;
+        ensure!(
+            is_station,
+            "{} has servo axes of terminals; only the test station of three is emulated\nhint: `--devices station`, or a file of \
+             slaves",
+            config.name
+        );
+        return Ok(Emulation::station());
+    }
     let mut free: Vec<&EthercatSlave> = config.slaves.iter().collect();
     let mut slaves = Vec::new();
     while !free.is_empty() {
@@ -403,7 +431,10 @@ mod tests {
         let cell = takt_devices::read_cell(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
         let emulation = of_cell(&cell, None, true).unwrap();
-        assert_eq!((emulation.segment.len(), emulation.drives.len()), (2, 1));
+        assert_eq!(
+            (emulation.segment.len(), emulation.handles.drives.len()),
+            (2, 1)
+        );
         let text = scanned(emulation);
         for part in [
             "   0  o TKMIX terminal",
@@ -456,7 +487,10 @@ mod tests {
             [[slave]]\nkind = 'tx90'\ndrift_ppm = 50.0\n";
         let plan: Plan = toml::from_str(text).unwrap();
         let emulation = plan.build(true, 1).unwrap();
-        assert_eq!((emulation.drives.len(), emulation.loops.len()), (2, 1));
+        assert_eq!(
+            (emulation.handles.drives.len(), emulation.loops.len()),
+            (2, 1)
+        );
         let text = scanned(emulation);
         for part in ["| o TK0402", "0:3", "00000009  000000AB", "TKTX90"] {
             assert!(text.contains(part), "{part}\n{text}");

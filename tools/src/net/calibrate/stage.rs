@@ -39,6 +39,7 @@ pub(super) fn devices() -> anyhow::Result<DeviceTable> {
         Part::Wrench,
         Part::Drives { count: 4 },
         Part::ServoGripper,
+        Part::Homing,
         Part::CartesianSine,
     ];
     let limits = JointLimits {

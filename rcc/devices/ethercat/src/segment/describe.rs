@@ -53,7 +53,7 @@ pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
         kind: "ethercat_servo",
         limits: Vec::new(),
         model: "".into(),
-        parts: vec![axis_part()],
+        parts: AXIS_PARTS.to_vec(),
     });
     let all = arms.chain(ios).chain(servos);
     all.chain(youbot::describe(config)).collect()
@@ -69,15 +69,16 @@ pub(super) fn part(io: &EthercatIo) -> Part {
     }
 }
 
-/// The signals of a servo axis, as nets see them.
-pub(super) const fn axis_part() -> Part {
+/// A servo axis, as nets see it.
+pub(super) const AXIS_PARTS: [Part; 2] = [
+    Part::Homing,
     Part::Io {
         bool_in: homing::BOOL_IN,
-        bool_out: homing::BOOL_OUT,
+        bool_out: 0,
         real_in: homing::REAL_IN,
         real_out: 0,
-    }
-}
+    },
+];
 
 /// Number of configured bits.
 pub(super) fn bits(of: &[(String, usize)]) -> usize {

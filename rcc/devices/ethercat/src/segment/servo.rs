@@ -12,7 +12,7 @@ use takt_ethercat::encoder::{Encoder, EncoderReading};
 use takt_ethercat::master::Master;
 use takt_rt::cycle::Tick;
 
-use super::describe::{axis_part, slave};
+use super::describe::{AXIS_PARTS, slave};
 use super::io::{Bit, Lack, Number};
 use crate::config::{AnalogueChannel, EthercatConfig, EthercatHoming, EthercatServo};
 use power::Power;
@@ -121,7 +121,11 @@ pub(super) struct ServoAxis {
     /// Whether a net wants homing, and whether its thread is alive.
     wanted: bool,
     is_fresh: bool,
+    /// Whether a wire of its encoder was broken in the last cycle.
+    was_open: bool,
     failure: Option<HomingError>,
+    /// Number of the step of the last homing.
+    step: u8,
     /// Target of the position loop and of the cycle before, increments.
     target: Option<f64>,
     /// Voltage that compensates the offset, V, and whether it is at its bound.
@@ -187,12 +191,14 @@ impl ServoAxis {
             homing: None,
             wanted: false,
             is_fresh: false,
+            was_open: false,
             failure: None,
+            step: 0,
             target: None,
             offset: 0.0,
             is_saturated: false,
             events: [None; 4],
-            end: Endpoint::new(end, &[axis_part()], 0),
+            end: Endpoint::new(end, &AXIS_PARTS, 0),
             config: servo.clone(),
         }
     }
@@ -213,6 +219,7 @@ impl ServoAxis {
     fn find(&mut self, master: &Master) {
         if !master.is_exchanging() {
             (self.is_found, self.encoder) = (false, None);
+            self.lose();
             return;
         }
         if std::mem::replace(&mut self.is_found, true) {
@@ -269,15 +276,27 @@ impl ServoAxis {
         })
     }
 
+    /// Its terminals are away: it returns without power, and does not go on by itself. Its counter may have lost its power too.
+    fn lose(&mut self) {
+        (self.power, self.is_wanted_on, self.target) = (Power::Off, false, None);
+        self.is_homed &= self.motion.is_none();
+        if let Some(homing) = self.homing.take()
+            && !homing.has_ended()
+        {
+            self.fail_homing(HomingError::PowerLost);
+        }
+    }
+
+    fn fail_homing(&mut self, error: HomingError) {
+        (self.failure, self.step) = (Some(error), HomingStep::Failed(error).number());
+        self.note(ServoEvent::NotHomed(error));
+    }
+
     fn sense(&mut self, master: &Master, encoder: EncoderReading) {
         let read = |bit: Option<Bit>, without| bit.map_or(Some(without), |bit| bit.read(master));
         let (ready, proximity) = (read(self.ready, true), read(self.proximity, false));
         // A slave with outputs only has no inputs that age.
         let online = encoder.online && ready.is_some() && proximity.is_some();
-        if !online && self.config.homing.is_some() {
-            // Its terminal may have lost its power, and its counter with it.
-            self.is_homed = false;
-        }
         self.sensed = Sensed {
             encoder,
             ready: ready.unwrap_or_default(),
@@ -299,9 +318,11 @@ impl ServoAxis {
     /// Begins, continues and ends homing; its target while it is under way.
     fn step_homing(&mut self, now: Duration) -> Option<f64> {
         let motion = self.motion?;
+        let leave = self.home_is_wanted();
         let input = HomingInput {
             position: float(self.position()),
             proximity: self.sensed.proximity,
+            may_leave: leave == Some(true),
             latched: self
                 .sensed
                 .encoder
@@ -310,18 +331,7 @@ impl ServoAxis {
             dt_s: self.cycle_s,
             now,
         };
-        let wanted = self.home_is_wanted();
-        let was_wanted = std::mem::replace(&mut self.wanted, wanted);
-        if self.wanted && !was_wanted {
-            (self.failure, self.is_homed) = (None, false);
-            if self.power == Power::Fault(ServoFault::NotFollowing) {
-                self.power = Power::Off;
-            }
-        }
-        let may_begin = self.wanted && !self.is_homed && self.failure.is_none();
-        if self.homing.is_none() && may_begin && self.power == Power::On {
-            self.homing = Some(Homing::new(motion, &input));
-        }
+        self.follow_request(leave.is_some(), motion, &input);
         let mut homing = self.homing.take()?;
         if !self.wanted {
             homing.cancel();
@@ -330,6 +340,7 @@ impl ServoAxis {
             homing.fail(HomingError::PowerLost);
         }
         let target = homing.advance(&input).target;
+        self.step = homing.step().number();
         match homing.step() {
             HomingStep::Done => {
                 self.is_homed = true;
@@ -345,14 +356,14 @@ impl ServoAxis {
                 return Some(target + by);
             }
             HomingStep::Failed(error) if self.failure.is_none() => {
-                self.failure = Some(error);
-                self.note(ServoEvent::NotHomed(error));
+                self.fail_homing(error);
                 if matches!(error, HomingError::WrongDirection | HomingError::NotMoving) {
                     self.fail(ServoFault::NotFollowing);
                 }
             }
             HomingStep::Leave
             | HomingStep::Seek
+            | HomingStep::Touched
             | HomingStep::Off
             | HomingStep::Index
             | HomingStep::Start
@@ -365,6 +376,26 @@ impl ServoAxis {
             self.homing = Some(homing);
         }
         Some(target)
+    }
+
+    /// Begins homing as a net requests it, if it can.
+    fn follow_request(&mut self, wanted: bool, motion: HomingMotion, input: &HomingInput) {
+        let was_wanted = std::mem::replace(&mut self.wanted, wanted);
+        if self.wanted && !was_wanted {
+            (self.failure, self.is_homed, self.step) = (None, false, 0);
+            if self.power == Power::Fault(ServoFault::NotFollowing) {
+                self.power = Power::Off;
+            }
+        }
+        let has_no_power = matches!(self.power, Power::Fault(_)) || !self.sensed.online;
+        if self.wanted && !self.is_homed && self.failure.is_none() && has_no_power {
+            self.homing = None;
+            self.fail_homing(HomingError::PowerLost);
+        }
+        let may_begin = self.wanted && !self.is_homed && self.failure.is_none();
+        if self.homing.is_none() && may_begin && self.power == Power::On {
+            self.homing = Some(Homing::new(motion, input));
+        }
     }
 
     /// The position loop: feed-forward of the target's velocity, its error, and a constant voltage.

@@ -28,10 +28,7 @@ pub(super) struct Seen {
 pub(super) struct Bench {
     master: Master,
     segment: Segment,
-    arms: Vec<Arm>,
-    ios: Vec<InOut>,
-    pub(super) servos: Vec<ServoAxis>,
-    youbots: YouBots,
+    pub(super) units: Units,
     pub(super) cycle: Nanos,
     tick: u64,
     /// Cycles by which the host was away so far.
@@ -76,22 +73,10 @@ impl Bench {
                 net_period: config.cycle,
             });
         }
-        let mut ends = ends.into_iter();
-        let arms = config.arms.iter().zip(&mut ends);
-        let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
-        let ios = config.ios.iter().zip(&mut ends);
-        let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
-        let servos = config.servos.iter().zip(&mut ends);
-        let servos = servos
-            .map(|(servo, end)| ServoAxis::new(config, servo, end))
-            .collect();
         let mut bench = Self {
             master: Master::new(master_config(config)).unwrap(),
             segment,
-            arms,
-            ios,
-            servos,
-            youbots: YouBots::new(config, &mut ends),
+            units: Units::new(config, ends),
             cycle: config.cycle.into(),
             tick: 1000,
             away: 0,
@@ -106,13 +91,21 @@ impl Bench {
                 return bench;
             }
         }
-        panic!("not operational, waits for {:?}", bench.youbots.waits_for());
+        panic!(
+            "not operational, waits for {:?}",
+            bench.units.youbots.waits_for()
+        );
     }
 
     fn status(&mut self) -> DeviceStatus {
         self.devices[self.device]
             .state
             .read_with(|state| state.status)
+    }
+
+    /// The number of the last cycle.
+    pub(super) const fn tick(&self) -> u64 {
+        self.tick
     }
 
     fn now(&self) -> Nanos {
@@ -152,24 +145,37 @@ impl Bench {
                 .write_with(|command| command.copy_from(given));
         }
         while let Some(reply) = self.master.poll_reply() {
-            let mut arms = self.arms.iter_mut();
+            let mut arms = self.units.arms.iter_mut();
             let other = arms.try_fold(reply, |reply, arm| arm.handle_reply(reply, &tick).err());
             if let Some(reply) = other {
-                self.youbots.handle_reply(reply, &tick);
+                self.units.youbots.handle_reply(reply, &tick);
             }
         }
-        self.servos.iter_mut().for_each(|servo| servo.take(&tick));
-        for arm in &mut self.arms {
-            arm.cycle(&mut self.master, &mut self.servos, &tick, self.is_ending);
+        let Units {
+            arms,
+            ios,
+            servos,
+            youbots,
+        } = &mut self.units;
+        servos.iter_mut().for_each(|servo| servo.take(&tick));
+        for arm in arms {
+            arm.cycle(&mut self.master, servos, &tick, self.is_ending);
         }
-        for servo in &mut self.servos {
+        for servo in servos {
             servo.publish(&tick);
         }
-        for io in &mut self.ios {
+        for io in ios {
             io.cycle(&mut self.master, &tick);
         }
         let is_ending = self.is_ending;
-        self.youbots.cycle(&mut self.master, &tick, is_ending);
+        youbots.cycle(&mut self.master, &tick, is_ending);
+    }
+
+    /// The segment is without power for a while.
+    pub(super) fn power_cycle(&mut self) {
+        self.segment.set_power(0, false);
+        (0..500).for_each(|_| self.cycle());
+        self.segment.set_power(0, true);
     }
 
     /// The host is away for so many cycles, while slaves go on.

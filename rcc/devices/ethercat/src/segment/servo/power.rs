@@ -63,8 +63,7 @@ impl ServoAxis {
 
     pub(super) fn step_power(&mut self, order: Order, now: Duration) {
         if !self.sensed.online {
-            // A returning axis does not move by itself.
-            (self.power, self.is_wanted_on) = (Power::Off, false);
+            self.lose();
             return;
         }
         if let Some(goal) = order.goal {
@@ -77,15 +76,17 @@ impl ServoAxis {
         if order.reset && matches!(self.power, Power::Fault(_)) && !is_latched {
             self.power = Power::Off;
         }
-        if self.sensed.encoder.open_circuit {
+        let is_open = self.sensed.encoder.open_circuit;
+        let was_open = std::mem::replace(&mut self.was_open, is_open);
+        if is_open && self.power.is_enabled() {
             self.fail(ServoFault::OpenCircuit);
+        } else if is_open && !was_open {
+            self.note(ServoEvent::Fault(ServoFault::OpenCircuit));
         }
         let passed = |since: Duration| now.saturating_sub(since);
         let brake_time = self.config.brake_time;
         self.power = match self.power {
-            Power::Off if self.is_wanted_on && !self.sensed.encoder.open_circuit => {
-                Power::Enabling(now)
-            }
+            Power::Off if self.is_wanted_on && !is_open => Power::Enabling(now),
             Power::Enabling(_) | Power::Releasing(_) if !self.is_wanted_on => Power::Off,
             Power::Enabling(since) if self.sensed.ready && passed(since) >= brake_time => {
                 Power::Releasing(now)

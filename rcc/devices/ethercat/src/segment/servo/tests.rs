@@ -1,25 +1,23 @@
 //! Servo axes on the emulated station, in virtual time: motion, homing, and every fault of motor, encoder, switch and amplifier.
 
-use takt_core::device::homing::{FAILURE, HOME, HOMED};
+use takt_core::device::homing::TOUCHED;
 use takt_core::device::{DeviceState, DeviceStatus};
 use takt_ethercat::emulator::{Station, StationFaults, StationMotor};
+use takt_net::device::Homing as Interface;
 use takt_net::device::JointError;
 
 use super::*;
 use crate::segment::wire_tests::{Bench, config};
 use takt_core::device::parts;
-use takt_net::device::{Interfaces, Layout};
+use takt_net::device::{Layout, Signal};
 
 /// A degree of a joint, increments.
 const DEGREE: f64 = 2000.0 * 100.0 / 360.0;
-const NONE: StationFaults = StationFaults {
-    open_circuit: false,
-    no_index: false,
-    proximity: None,
-    brake_stuck: false,
-    not_ready: false,
-    reversed: false,
-};
+fn faults(names: &[&str]) -> StationFaults {
+    let mut faults = StationFaults::default();
+    assert!(names.iter().all(|name| faults.add(name)), "{names:?}");
+    faults
+}
 
 fn cell() -> String {
     let mut text = "cycle = '1ms'\n".to_owned();
@@ -54,18 +52,22 @@ fn cell() -> String {
 struct Cell {
     bench: Bench,
     station: Station,
-    signals: Interfaces,
+    signals: Interface,
 }
 
 impl Cell {
     fn start(motor: StationMotor) -> Self {
-        let config = config(&cell());
+        Self::with(motor, &cell())
+    }
+
+    fn with(motor: StationMotor, text: &str) -> Self {
+        let config = config(text);
         let (segment, station) = Station::segment([motor; 3]);
         let mut layout = Layout::default();
         Self {
             bench: Bench::new(&config, segment, 0),
             station,
-            signals: parts::lay(&[axis_part()], 0, &mut layout),
+            signals: parts::lay(&AXIS_PARTS, 0, &mut layout).homing.unwrap(),
         }
     }
 
@@ -73,31 +75,40 @@ impl Cell {
         (0..cycles).for_each(|_| self.bench.cycle());
     }
 
+    /// Requests homing, and whether the axis may leave its switch, or withdraws it.
+    fn request(&mut self, axis: usize, leave: Option<bool>) {
+        let words = &mut self.bench.devices[1 + axis].given.words;
+        let every = if leave.is_some() { u64::MAX } else { 0 };
+        let leave = u64::from(leave == Some(true));
+        words[..4].copy_from_slice(&[1, 1, every, leave]);
+    }
+
     fn home(&mut self, axis: usize, is_on: bool) {
-        assert_eq!(HOME, 0, "its command is the first");
-        let given = &mut self.bench.devices[1 + axis].given;
-        let every = if is_on { u64::MAX } else { 0 };
-        given.words[..4].copy_from_slice(&[1, 1, every, 1]);
+        self.request(axis, is_on.then_some(true));
     }
 
     fn state<T>(&mut self, device: usize, read: impl Fn(&DeviceState) -> T) -> T {
         self.bench.devices[device].state.read_with(read)
     }
 
-    fn is_homed(&mut self, axis: usize) -> bool {
-        let io = self.signals.io.clone().unwrap();
-        self.state(1 + axis, |state| io.bool_in[HOMED].read(&state.signals)) == Some(true)
+    fn shows(&mut self, axis: usize, signal: Signal<bool>) -> bool {
+        self.state(1 + axis, |state| signal.read(&state.signals)) == Some(true)
     }
 
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "a small number of a failure"
-    )]
-    fn failure(&mut self, axis: usize) -> usize {
-        let io = self.signals.io.clone().unwrap();
-        let failure = self.state(1 + axis, |state| io.real_in[FAILURE].read(&state.signals));
-        failure.unwrap() as usize
+    fn is_homed(&mut self, axis: usize) -> bool {
+        self.shows(axis, self.signals.homed)
+    }
+
+    fn failure(&mut self, axis: usize) -> i32 {
+        let signal = self.signals.failure;
+        self.state(1 + axis, |state| signal.read(&state.signals))
+            .unwrap()
+    }
+
+    fn step(&mut self, axis: usize) -> i32 {
+        let signal = self.signals.step;
+        self.state(1 + axis, |state| signal.read(&state.signals))
+            .unwrap()
     }
 
     fn error(&mut self, joint: usize) -> i32 {
@@ -115,7 +126,7 @@ impl Cell {
     }
 
     fn events(&mut self, axis: usize) -> String {
-        let servo = &mut self.bench.servos[axis];
+        let servo = &mut self.bench.units.servos[axis];
         let events = std::iter::from_fn(|| servo.poll_event());
         events
             .map(|event| event.to_string())
@@ -138,6 +149,8 @@ impl Cell {
         events + &self.events(axis)
     }
 }
+
+mod nets;
 
 #[test]
 fn servo_axis_homed_moves_as_any_joint() {
@@ -213,57 +226,30 @@ fn servo_homing_names_each_fault() {
         ..StationMotor::default()
     };
     let usual = StationMotor::default();
-    for (motor, faults, error) in [
-        (far, NONE, HomingError::SensorNotFound),
-        (
-            usual,
-            StationFaults {
-                proximity: Some(false),
-                ..NONE
-            },
-            HomingError::NotMoving,
-        ),
-        (
-            usual,
-            StationFaults {
-                proximity: Some(true),
-                ..NONE
-            },
-            HomingError::NotMoving,
-        ),
-        (
-            usual,
-            StationFaults {
-                no_index: true,
-                ..NONE
-            },
-            HomingError::IndexNotFound,
-        ),
-        (
-            usual,
-            StationFaults {
-                brake_stuck: true,
-                ..NONE
-            },
-            HomingError::NotMoving,
-        ),
-        (
-            StationMotor {
-                stops_deg: [-500.0, 500.0],
-                ..usual
-            },
-            StationFaults {
-                proximity: Some(true),
-                ..NONE
-            },
-            HomingError::SwitchStuck,
-        ),
+    let wide = StationMotor {
+        stops_deg: [-500.0, 500.0],
+        ..usual
+    };
+    for (motor, names, error) in [
+        (far, &[][..], HomingError::SensorNotFound),
+        (wide, &["switch-off"], HomingError::SensorNotFound),
+        // Against an end stop.
+        (usual, &["switch-off"], HomingError::NotMoving),
+        (usual, &["switch-on"], HomingError::NotMoving),
+        (wide, &["switch-on"], HomingError::SwitchStuck),
+        (usual, &["no-index"], HomingError::IndexNotFound),
+        (usual, &["brake-stuck"], HomingError::NotMoving),
+        (usual, &["motor-open"], HomingError::NotMoving),
+        (usual, &["reversed"], HomingError::WrongDirection),
+        (usual, &["open-circuit"], HomingError::PowerLost),
+        (usual, &["not-ready"], HomingError::PowerLost),
+        (usual, &["power-lost"], HomingError::PowerLost),
     ] {
         let mut cell = Cell::start(motor);
-        cell.station.inject(2, faults);
+        cell.station.inject(2, faults(names));
         let events = cell.home_for(2, 20_000);
         assert!(!cell.is_homed(2), "{error:?}");
-        assert_eq!(cell.failure(2), usize::from(error.number()), "{events}");
+        assert_eq!(cell.failure(2), i32::from(error.number()), "{events}");
         assert!(
             events.contains(&format!("homing failed: {error}")),
             "{events}"
@@ -280,16 +266,10 @@ fn servo_homing_names_each_fault() {
 #[test]
 fn servo_reversed_motor_loses_power_within_limit() {
     let mut cell = Cell::start(StationMotor::default());
-    cell.station.inject(
-        0,
-        StationFaults {
-            reversed: true,
-            ..NONE
-        },
-    );
+    cell.station.inject(0, faults(&["reversed"]));
     let events = cell.home_for(0, 3000);
     let error = HomingError::WrongDirection;
-    assert_eq!(cell.failure(0), usize::from(error.number()), "{events}");
+    assert_eq!(cell.failure(0), i32::from(error.number()), "{events}");
     assert!(cell.station.is_braked(0), "{events}");
     assert!(
         (cell.station.angle(0) - 20.0).abs() < 30.0,
@@ -301,7 +281,7 @@ fn servo_reversed_motor_loses_power_within_limit() {
     cell.run(4000);
     assert!(cell.station.is_braked(0));
     // Once repaired, a new homing gives it power.
-    cell.station.inject(0, NONE);
+    cell.station.inject(0, StationFaults::default());
     cell.home(0, false);
     cell.run(10);
     cell.home_for(0, 8000);
@@ -327,25 +307,14 @@ fn servo_homing_withdrawn_brakes_and_begins_again() {
 
 #[test]
 fn servo_faults_close_brake_and_are_named() {
-    for (faults, part) in [
-        (
-            StationFaults {
-                open_circuit: true,
-                ..NONE
-            },
-            "a wire of its encoder is broken",
-        ),
-        (
-            StationFaults {
-                not_ready: true,
-                ..NONE
-            },
-            "amplifier is not ready",
-        ),
+    for (name, part) in [
+        ("open-circuit", "a wire of its encoder is broken"),
+        ("not-ready", "amplifier is not ready"),
+        ("power-lost", "amplifier is not ready"),
     ] {
         let mut cell = Cell::start(StationMotor::default());
         cell.home_for(1, 12_000);
-        cell.station.inject(1, faults);
+        cell.station.inject(1, faults(&[name]));
         cell.run(20);
         let events = cell.events(1);
         assert!(
@@ -356,7 +325,7 @@ fn servo_faults_close_brake_and_are_named() {
         assert_eq!(cell.status(), DeviceStatus::SafeOperational);
         // Once per onset.
         cell.run(500);
-        cell.station.inject(1, NONE);
+        cell.station.inject(1, StationFaults::default());
         cell.home(1, false);
         cell.run(4000);
         assert_eq!(
@@ -371,10 +340,8 @@ fn servo_faults_close_brake_and_are_named() {
 
 #[test]
 fn servo_offset_beyond_range_is_reported() {
-    let mut cell = Cell::start(StationMotor {
-        offset_v: 0.5,
-        ..StationMotor::default()
-    });
+    let mut cell = Cell::start(StationMotor::default());
+    cell.station.inject(0, faults(&["offset"]));
     cell.run(5000);
     let events = cell.events(0);
     assert_eq!(
@@ -383,4 +350,72 @@ fn servo_offset_beyond_range_is_reported() {
         "{events}"
     );
     assert!(cell.status() == DeviceStatus::Operational);
+}
+
+#[test]
+fn servo_homing_power_lost_brakes_and_is_named() {
+    for name in ["open-circuit", "not-ready", "power-lost"] {
+        let mut cell = Cell::start(StationMotor::default());
+        cell.home(0, true);
+        cell.run(700);
+        let moving = cell.station.angle(0);
+        assert!(
+            moving < 19.0 && cell.shows(0, cell.signals.homing),
+            "{moving}"
+        );
+        cell.station.inject(0, faults(&[name]));
+        cell.run(20);
+        let events = cell.events(0);
+        assert!(
+            events.contains(&format!("homing failed: {}", HomingError::PowerLost)),
+            "{events}"
+        );
+        assert!(cell.station.is_braked(0), "{name}");
+        // Once the power is back, it does not move by itself.
+        cell.station.inject(0, StationFaults::default());
+        let at = cell.station.angle(0);
+        cell.run(5000);
+        assert!((cell.station.angle(0) - at).abs() < 0.2, "{name}");
+        assert!(!cell.is_homed(0) && !cell.shows(0, cell.signals.homing));
+        // A new request homes it.
+        cell.home(0, false);
+        cell.run(10);
+        cell.home_for(0, 12_000);
+        assert!(cell.is_homed(0), "{name}: {}", cell.events(0));
+    }
+}
+
+#[test]
+fn servo_homing_waits_on_switch_for_others() {
+    let mut cell = Cell::start(StationMotor::default());
+    cell.request(0, Some(false));
+    cell.run(5000);
+    assert_eq!(cell.step(0), TOUCHED);
+    let at = cell.station.angle(0);
+    cell.run(2000);
+    assert!(
+        (cell.station.angle(0) - at).abs() < 0.05 && at < -80.0,
+        "{at}"
+    );
+    let events = cell.home_for(0, 12_000);
+    assert!(cell.is_homed(0), "{events}");
+}
+
+#[test]
+fn servo_segment_lost_in_homing_does_not_resume() {
+    let mut cell = Cell::start(StationMotor::default());
+    cell.home(0, true);
+    cell.run(700);
+    cell.bench.power_cycle();
+    let at = cell.station.angle(0);
+    cell.run(8000);
+    assert!(
+        (cell.station.angle(0) - at).abs() < 0.2,
+        "{}",
+        cell.events(0)
+    );
+    let failure = i32::from(HomingError::PowerLost.number());
+    assert_eq!(cell.failure(0), failure, "{}", cell.events(0));
+    assert!(!cell.is_homed(0));
+    assert_eq!(cell.status(), DeviceStatus::Operational);
 }
