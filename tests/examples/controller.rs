@@ -1,21 +1,45 @@
 //! A controller with the simulated arms `left` and `right`, a KUKA youBot (`platform`, `hand`), a Schunk WSG (`gripper`,
 //! with a part of 0.05 m) and inputs and outputs (`plant`), for programs in other languages: it prints the address of its
-//! line protocol, and ends with its standard input. It accepts connections of this host only.
+//! line protocol, and ends with its standard input. It accepts connections of this host only, and records to a file if one
+//! is given.
 //!
 //! ```console
-//! $ cargo run -p takt-tests --example controller
+//! $ cargo run -p takt-tests --example controller -- [RECORDING]
 //! ```
 
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::io::{Read as _, Write as _};
 use std::net::SocketAddr;
+use std::path::Path;
 
+use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller};
 use takt_server::{Server, ServerConfig};
 
+/// Where things are in a recording.
+const PLACED: &str = "[[base]]
+device = 'left'
+position = [0, 0.3, 0.5]
+
+[[tool]]
+name = 'pen'
+device = 'left'
+position = [0, 0, 0.2]
+";
+
 fn main() -> Result<(), Box<dyn Error>> {
-    let controller = Controller::start(&CellConfig::default())?;
+    let controller = match std::env::args_os().nth(1) {
+        Some(path) => {
+            let (recorder, tap) = Recorder::start(Path::new(&path))?;
+            recorder
+                .log()
+                .line(tracing::Level::INFO, "tests", "the recording has begun");
+            let cell = CellConfig::parse(PLACED, &[])?;
+            Controller::start_recording(&cell, Some((recorder, tap)))?
+        }
+        None => Controller::start(&CellConfig::default())?,
+    };
     for arm in ["left", "right"] {
         let list = |value: f64| format!("{:?}", [value; 7]);
         let parameters = [

@@ -68,6 +68,9 @@ impl Run {
             complain(&format!("warning: {shortage}"));
         }
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
+        if let Some((recorder, _)) = &recording {
+            logging.record(recorder.log());
+        }
         let controller = Controller::start_under(&cell, recording, switch).map_err(judged)?;
         print_grants(&host, &controller);
         channel

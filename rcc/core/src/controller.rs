@@ -178,6 +178,9 @@ impl Controller {
             registry.add_of_cell(&**config)?;
         }
         registry.devices.frames = cell.frames.clone();
+        if let Some(recorder) = &registry.recorder {
+            recorder.frames(&cell.frames);
+        }
         registry.devices.report_unknown_frames();
         let inner = Arc::new(Shared {
             registry: Mutex::new(registry),

@@ -1,9 +1,10 @@
-//! Recordings of a net thread: all its inputs and outputs, cycle by cycle, as MCAP, and their
-//! replay. A replay runs the same [`Executor`] on the recorded inputs and must give the same words.
+//! Recordings of a net thread: all its inputs and outputs, cycle by cycle, as MCAP with messages of ROS 2, and their replay.
+//! A replay runs the same [`Executor`] on the recorded inputs and must give the same words.
 
 mod file;
 mod fuzz;
 mod replay;
+mod ros2;
 #[cfg(test)]
 mod tests;
 mod words;
@@ -16,12 +17,15 @@ use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use takt_net::Moment;
+use takt_net::netcomm::Directory;
 use takt_rt::ring::{Consumer, Producer, ring};
 
+use crate::cell::CellFrames;
 use crate::device::{DeviceDescription, Place};
 use crate::error::Error;
 use crate::executor::machines::{Hosted, MachineInput};
 use crate::executor::{End, Executor, Running};
+use crate::ids::NetId;
 use file::Writer;
 use words::Words;
 
@@ -203,7 +207,30 @@ impl Tap {
     }
 }
 
+/// The log of a recording. Lines after its end are dropped.
+#[derive(Clone, Debug)]
+pub struct RecordedLog(mpsc::Sender<Note>);
+
+impl RecordedLog {
+    /// Records a line of that part of the program.
+    pub fn line(&self, level: tracing::Level, part: &str, text: &str) {
+        // As rcl_interfaces/msg/Log numbers them.
+        let level = match level {
+            tracing::Level::ERROR => 40,
+            tracing::Level::WARN => ros2::LEVEL_WARN,
+            tracing::Level::INFO => 20,
+            _ => 10,
+        };
+        let _ = self.0.send(Note::Log {
+            level,
+            name: part.to_owned(),
+            text: text.to_owned(),
+        });
+    }
+}
+
 /// Notes for the file besides cycles.
+#[derive(Debug)]
 enum Note {
     Device {
         number: usize,
@@ -216,6 +243,13 @@ enum Note {
         every: u64,
         period: Duration,
         text: Arc<str>,
+        values: Arc<Directory>,
+    },
+    Frames(CellFrames),
+    Log {
+        level: u8,
+        name: String,
+        text: String,
     },
     Machine {
         id: u32,
@@ -333,13 +367,31 @@ impl Recorder {
     }
 
     /// Records a loaded net.
-    pub fn net(&self, id: u32, every: u64, period: Duration, text: &Arc<str>) {
+    pub(crate) fn net(
+        &self,
+        id: NetId,
+        (every, period): (u64, Duration),
+        text: &Arc<str>,
+        values: &Arc<Directory>,
+    ) {
         let _ = self.notes.send(Note::Net {
-            id,
+            id: id.0,
             every,
             period,
             text: Arc::clone(text),
+            values: Arc::clone(values),
         });
+    }
+
+    /// Records where things are in the cell.
+    pub(crate) fn frames(&self, frames: &CellFrames) {
+        let _ = self.notes.send(Note::Frames(frames.clone()));
+    }
+
+    /// Where lines of the log are recorded too.
+    #[must_use]
+    pub fn log(&self) -> RecordedLog {
+        RecordedLog(self.notes.clone())
     }
 
     /// Records a loaded machine with the files of its components.
@@ -412,18 +464,26 @@ struct FileThread<W: Write + Seek> {
 }
 
 impl<W: Write + Seek> FileThread<W> {
+    /// Writes the notes that wait.
+    fn notes(&mut self) -> Result<(), Error> {
+        while let Ok(note) = self.notes.try_recv() {
+            self.writer.note(&note)?;
+        }
+        Ok(())
+    }
+
     fn run(&mut self) -> Result<u64, Error> {
         let mut cycles = 0;
         let mut flushed = Instant::now();
         loop {
             // Read first, so that records from before the stop are still written.
             let stop = self.stop.load(Ordering::Relaxed);
-            while let Ok(note) = self.notes.try_recv() {
-                self.writer.note(&note)?;
-            }
+            self.notes()?;
             let mut idle = true;
             while let Some(mut buffer) = self.full.pop() {
                 idle = false;
+                // Those before the cycle, however many cycles wait.
+                self.notes()?;
                 self.writer.cycle(&buffer)?;
                 cycles += 1;
                 buffer.clear();
@@ -431,9 +491,7 @@ impl<W: Write + Seek> FileThread<W> {
             }
             if stop {
                 // Nets that the last cycles may have started.
-                while let Ok(note) = self.notes.try_recv() {
-                    self.writer.note(&note)?;
-                }
+                self.notes()?;
                 self.writer.finish()?;
                 return Ok(cycles);
             }

@@ -1,11 +1,16 @@
 //! Where the log goes: to the journal with fields if standard error is the journal, else to standard
-//! error as text. What is logged can be changed while it runs.
+//! error as text; to the page; and into a recording. What is logged can be changed while it runs.
 
+use std::fmt::Write as _;
 use std::os::linux::fs::MetadataExt as _;
+use std::sync::{Arc, OnceLock};
 
 use anyhow::Context as _;
+use takt_core::record::RecordedLog;
 use takt_server::LogBook;
-use tracing_subscriber::layer::SubscriberExt as _;
+use tracing::field::{Field, Visit};
+use tracing::{Event, Subscriber};
+use tracing_subscriber::layer::{Context, Layer, SubscriberExt as _};
 use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, Registry, fmt, reload};
 
@@ -18,7 +23,37 @@ const DEFAULT: &str = "info";
 
 /// Changes what is logged.
 #[derive(Debug)]
-pub(super) struct Logging(reload::Handle<EnvFilter, Registry>);
+pub(super) struct Logging {
+    filter: reload::Handle<EnvFilter, Registry>,
+    recording: Arc<OnceLock<RecordedLog>>,
+}
+
+/// Lines for the recording, once there is one.
+struct Recorded(Arc<OnceLock<RecordedLog>>);
+
+impl<S: Subscriber> Layer<S> for Recorded {
+    fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+        let Some(log) = self.0.get() else { return };
+        let mut line = Line::default();
+        event.record(&mut line);
+        let metadata = event.metadata();
+        log.line(*metadata.level(), metadata.target(), line.0.trim_start());
+    }
+}
+
+/// The text of an event: its message, then its fields.
+#[derive(Default)]
+struct Line(String);
+
+impl Visit for Line {
+    fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+        if field.name() == "message" {
+            self.0.insert_str(0, &format!("{value:?}"));
+        } else {
+            let _cannot_fail = write!(self.0, " {}={value:?}", field.name());
+        }
+    }
+}
 
 impl Logging {
     /// Starts to log, also into `book`. `RUST_LOG` overrides the cell.
@@ -26,7 +61,10 @@ impl Logging {
         let (filter, handle) = reload::Layer::new(filter(cell)?);
         let book = book.clone();
         let kept = fmt::layer().with_writer(move || book.clone());
-        let log = tracing_subscriber::registry().with(filter).with(kept);
+        let recording = Arc::default();
+        let recorded = Recorded(Arc::clone(&recording));
+        let log = tracing_subscriber::registry();
+        let log = log.with(filter).with(kept).with(recorded);
         let journal = is_journal().then(tracing_journald::layer);
         match journal {
             Some(Ok(journal)) => {
@@ -40,12 +78,21 @@ impl Logging {
                 }
             }
         }
-        Ok(Self(handle))
+        Ok(Self {
+            filter: handle,
+            recording,
+        })
+    }
+
+    /// Writes into a recording too from now on.
+    pub(super) fn record(&self, log: RecordedLog) {
+        // There is one recording in a run.
+        let _ = self.recording.set(log);
     }
 
     /// Changes what is logged.
     pub(super) fn change(&self, cell: Option<&str>) -> anyhow::Result<()> {
-        self.0
+        self.filter
             .reload(filter(cell)?)
             .context("cannot change what is logged")
     }

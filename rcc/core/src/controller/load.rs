@@ -169,7 +169,7 @@ impl Shared {
         }
         // Only the first thread is recorded.
         if let (Some(recorder), 0) = (&registry.recorder, place.thread) {
-            recorder.net(id.0, place.every, place.period, text);
+            recorder.net(id, (place.every, place.period), text, plan.outbox());
         }
         drop(registry);
         let numbers = plan

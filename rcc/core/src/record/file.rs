@@ -1,5 +1,5 @@
-//! The file of a recording: MCAP, readable by common viewers as far as its framing goes. Channels:
-//! `/takt/cycles` (words, little-endian), `/takt/devices`, `/takt/nets` and `/takt/machines` (TOML).
+//! The file of a recording: MCAP with messages of ROS 2 (`ros2msg`, CDR). What a replay needs is in `/takt/cycles` (words),
+//! `/takt/devices`, `/takt/nets` and `/takt/machines` (TOML in strings); the other topics are for viewers.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -18,6 +18,8 @@ use crate::device::{DeviceDescription, Part, Place};
 use crate::error::Error;
 use crate::files;
 use crate::record::Note;
+use crate::record::ros2::cdr::{Cdr, string, words};
+use crate::record::ros2::{Messages, Stamp, schemas};
 use crate::record::words::start;
 
 pub(super) const CYCLES: &str = "/takt/cycles";
@@ -123,6 +125,11 @@ pub(super) struct MachineNote {
     pub(super) files: Vec<(String, String)>,
 }
 
+/// Version of what a replay reads, in the metadata of its channels.
+pub(super) const FORMAT: &str = "5";
+/// Encoding of all messages.
+const ENCODING: &str = "cdr";
+
 /// Last bytes of a complete file; a file without them is truncated.
 const END: [u8; 8] = *b"\x89MCAP0\r\n";
 
@@ -135,7 +142,8 @@ pub(super) struct Writer<W: Write + Seek = File> {
     mcap: Option<mcap::Writer<BufWriter<W>>>,
     path: PathBuf,
     channels: [u16; 4],
-    bytes: Vec<u8>,
+    cdr: Cdr,
+    messages: Messages,
     sequence: u32,
     /// Cycles written to the file.
     written: u64,
@@ -175,31 +183,35 @@ impl<W: Write + Seek> Writer<W> {
             .compression_threads(0)
             // A chunk is written as a whole, so that one that a crash cuts off is recognised.
             .disable_seeking(true)
-            .profile("takt")
+            .profile("ros2")
             .library("takt")
             .create(BufWriter::new(to))
             .map_err(failed)?;
-        let metadata = BTreeMap::new();
-        let words = mcap
-            .add_schema("takt.words.4", "takt", b"")
-            .map_err(failed)?;
+        let format = BTreeMap::from([("format".to_owned(), FORMAT.to_owned())]);
+        let mut schema = |of: &schemas::Schema| {
+            let text = of.text();
+            mcap.add_schema(of.name, "ros2msg", text.as_bytes())
+        };
+        let words = schema(&schemas::WORDS).map_err(failed)?;
+        let text = schema(&schemas::STRING).map_err(failed)?;
         let mut channels = [0; 4];
         let kinds = [
-            (words, CYCLES, "takt"),
-            (0, DEVICES, "toml"),
-            (0, NETS, "toml"),
-            (0, MACHINES, "toml"),
+            (words, CYCLES),
+            (text, DEVICES),
+            (text, NETS),
+            (text, MACHINES),
         ];
-        for (channel, (schema, topic, encoding)) in channels.iter_mut().zip(kinds) {
+        for (channel, (schema, topic)) in channels.iter_mut().zip(kinds) {
             *channel = mcap
-                .add_channel(schema, topic, encoding, &metadata)
+                .add_channel(schema, topic, ENCODING, &format)
                 .map_err(failed)?;
         }
         Ok(Self {
             mcap: Some(mcap),
             path: path.to_owned(),
             channels,
-            bytes: Vec::new(),
+            cdr: Cdr::default(),
+            messages: Messages::default(),
             sequence: 0,
             written: 0,
             epoch: epoch(),
@@ -222,15 +234,27 @@ impl<W: Write + Seek> Writer<W> {
         })
     }
 
-    /// `time` is on the host's monotonic clock.
-    fn message(&mut self, channel_id: u16, data: &[u8], time: takt_rt::Nanos) -> Result<(), Error> {
+    /// Unix time of a reading of the host's monotonic clock.
+    fn stamp(&self, time: takt_rt::Nanos) -> Stamp {
+        Stamp(self.epoch.saturating_add(since_boot(time)))
+    }
+
+    /// Adds a topic for viewers.
+    pub(super) fn channel(&mut self, topic: &str, schema: &str, text: &str) -> Result<u16, Error> {
+        let none = BTreeMap::new();
+        self.try_with(|mcap| {
+            let schema = mcap.add_schema(schema, "ros2msg", text.as_bytes())?;
+            mcap.add_channel(schema, topic, ENCODING, &none)
+        })
+    }
+
+    pub(super) fn message(&mut self, channel_id: u16, data: &[u8], at: Stamp) -> Result<(), Error> {
         self.sequence = self.sequence.wrapping_add(1);
-        let time = self.epoch.saturating_add(since_boot(time));
         let header = MessageHeader {
             channel_id,
             sequence: self.sequence,
-            log_time: time,
-            publish_time: time,
+            log_time: at.0,
+            publish_time: at.0,
         };
         self.try_with(|mcap| mcap.write_to_known_channel(&header, data))
     }
@@ -240,36 +264,62 @@ impl<W: Write + Seek> Writer<W> {
         self.try_with(mcap::Writer::flush)
     }
 
+    /// Changes the messages for viewers, which write to this file.
+    fn show<T>(
+        &mut self,
+        act: impl FnOnce(&mut Messages, &mut Self) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        let mut messages = std::mem::take(&mut self.messages);
+        let result = act(&mut messages, self);
+        self.messages = messages;
+        result
+    }
+
+    /// Writes what a replay needs to know, as TOML.
+    fn toml<T: Serialize>(&mut self, channel: u16, value: &T, at: Stamp) -> Result<(), Error> {
+        let text = toml::to_string(value).map_err(|e| Error::Recording {
+            path: self.path.clone(),
+            why: format!("cannot write a note: {e}"),
+        })?;
+        let mut cdr = std::mem::take(&mut self.cdr);
+        let result = self.message(channel, cdr.begin().text(&text).bytes(), at);
+        self.cdr = cdr;
+        result
+    }
+
     pub(super) fn note(&mut self, note: &Note) -> Result<(), Error> {
         let [_, devices, nets, machines] = self.channels;
-        let (channel, text) = match note {
+        let at = self.stamp(monotonic());
+        match note {
             Note::Device {
                 number,
                 place,
                 description,
             } => {
+                self.show(|shown, file| shown.device(file, (*number, place), description))?;
                 let note = DeviceNote::new(*number, place, description);
-                (devices, toml::to_string(&DeviceEvent::Came(note)))
+                self.toml(devices, &DeviceEvent::Came(note), at)
             }
             Note::Gone(name) => {
+                self.messages.device_gone(name);
                 let name = name.clone();
-                (devices, toml::to_string(&DeviceEvent::Went { name }))
+                self.toml(devices, &DeviceEvent::Went { name }, at)
             }
             Note::Net {
                 id,
                 every,
                 period,
                 text,
+                values,
             } => {
-                let period_ns = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
-                let text = text.as_ref().to_owned();
+                self.show(|shown, file| shown.net(file, (*id, values), at))?;
                 let note = NetNote {
                     id: *id,
                     every: *every,
-                    period_ns,
-                    text,
+                    period_ns: u64::try_from(period.as_nanos()).unwrap_or(u64::MAX),
+                    text: text.as_ref().to_owned(),
                 };
-                (nets, toml::to_string(&note))
+                self.toml(nets, &note, at)
             }
             Note::Machine { id, text, files } => {
                 let note = MachineNote {
@@ -277,26 +327,26 @@ impl<W: Write + Seek> Writer<W> {
                     text: text.as_ref().to_owned(),
                     files: files.clone(),
                 };
-                (machines, toml::to_string(&note))
+                self.toml(machines, &note, at)
             }
-        };
-        let text = text.map_err(|e| Error::Recording {
-            path: self.path.clone(),
-            why: format!("cannot write a note: {e}"),
-        })?;
-        self.message(channel, text.as_bytes(), monotonic())
+            Note::Frames(frames) => self.show(|shown, file| shown.frames(file, frames, at)),
+            Note::Log { level, name, text } => {
+                self.show(|shown, file| shown.log(file, (*level, name, text), at))
+            }
+        }
     }
 
     pub(super) fn cycle(&mut self, words: &[u64]) -> Result<(), Error> {
-        let mut bytes = std::mem::take(&mut self.bytes);
-        bytes.clear();
-        bytes.extend(words.iter().flat_map(|w| w.to_le_bytes()));
         let [cycles, ..] = self.channels;
         self.written += 1;
-        let time = start(words).map_or_else(monotonic, |time| takt_rt::Nanos(time.0));
-        let result = self.message(cycles, &bytes, time);
-        self.bytes = bytes;
-        result
+        let at = start(words).map_or_else(monotonic, |time| takt_rt::Nanos(time.0));
+        let at = self.stamp(at);
+        let mut cdr = std::mem::take(&mut self.cdr);
+        let bytes = cdr.begin().words(words).bytes();
+        let result = self.message(cycles, bytes, at);
+        self.cdr = cdr;
+        result?;
+        self.show(|shown, file| shown.cycle(file, words, at))
     }
 
     pub(super) fn finish(&mut self) -> Result<(), Error> {
@@ -312,7 +362,9 @@ impl<W: Write + Seek> Writer<W> {
 }
 
 fn note<T: DeserializeOwned>(data: &[u8]) -> Result<T, String> {
-    toml::from_slice(data).map_err(|e| format!("unreadable note: {e}"))
+    let unreadable = |why: &str| format!("unreadable note: {why}");
+    let data = string(data).ok_or_else(|| unreadable("it is no string"))?;
+    toml::from_slice(data).map_err(|e| unreadable(&e.to_string()))
 }
 
 fn wrong(path: &Path, why: String) -> Error {
@@ -320,6 +372,14 @@ fn wrong(path: &Path, why: String) -> Error {
         path: path.to_owned(),
         why,
     }
+}
+
+fn of_other_version(format: Option<&str>) -> String {
+    let format = format.unwrap_or("4 or older");
+    format!(
+        "its format is {format}, this version reads {FORMAT}\nhint: replay it with the version that recorded it; viewers \
+         open it still"
+    )
 }
 
 fn too_long(most: u64) -> String {
@@ -419,9 +479,18 @@ impl Recording {
                 } => {
                     let record = mcap::parse_record(opcode, data).map_err(|e| cut(&e))?;
                     if let Record::Channel(channel) = record {
-                        topics.insert(channel.id, channel.topic);
+                        let format = channel.metadata.get("format").map(String::as_str);
+                        if channel.topic == CYCLES && format != Some(FORMAT) {
+                            return Err(wrong(path, of_other_version(format)));
+                        }
+                        // The other topics are for viewers.
+                        if [CYCLES, DEVICES, NETS, MACHINES].contains(&channel.topic.as_str()) {
+                            topics.insert(channel.id, channel.topic);
+                        }
                     } else if let Record::Message { header, data } = record {
-                        let topic = topics.get(&header.channel_id).map_or("", String::as_str);
+                        let Some(topic) = topics.get(&header.channel_id) else {
+                            continue;
+                        };
                         unpacked += data.len() as u64;
                         if unpacked > most {
                             return Err(wrong(path, too_long(most)));
@@ -453,12 +522,8 @@ impl Recording {
             NETS => self.notes.push(RecordedNote::Net(note(data)?)),
             MACHINES => self.notes.push(RecordedNote::Machine(note(data)?)),
             CYCLES => {
-                let (words, rest) = data.as_chunks();
-                if !rest.is_empty() {
-                    return Err("a cycle is cut off".to_owned());
-                }
-                self.cycles
-                    .push(words.iter().map(|word| u64::from_le_bytes(*word)).collect());
+                let words = words(data).ok_or("a cycle is cut off")?;
+                self.cycles.push(words);
             }
             _ => {}
         }

@@ -6,7 +6,8 @@ use std::path::Path;
 
 use mcap::records::MessageHeader;
 
-use super::file::{CYCLES, DEVICES, NETS, Recording};
+use super::file::{CYCLES, DEVICES, FORMAT, NETS, Recording};
+use super::ros2::cdr::Cdr;
 
 /// Reads the bytes of an MCAP file as a recording.
 ///
@@ -36,26 +37,26 @@ fn file(chunks: bool) -> mcap::McapResult<Vec<u8>> {
         .use_chunks(chunks)
         .calculate_chunk_crcs(chunks)
         .calculate_data_section_crc(chunks)
-        .profile("takt")
+        .profile("ros2")
         .library("takt")
         .create(Cursor::new(Vec::new()))?;
     let net = "id = 1\nevery = 2\nperiod_ns = 1000000\ntext = \"{a=Core::Clock()}\"\n";
     let gone = "[went]\nname = \"left\"\n";
-    let cycle = [7, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8];
-    let metadata = BTreeMap::new();
-    for (topic, data) in [
-        (NETS, net.as_bytes()),
-        (DEVICES, gone.as_bytes()),
-        (CYCLES, &cycle),
-    ] {
-        let channel_id = writer.add_channel(0, topic, "takt", &metadata)?;
+    let mut messages = [NETS, DEVICES, CYCLES].map(|topic| (topic, Cdr::default()));
+    let [(_, nets), (_, devices), (_, cycles)] = &mut messages;
+    nets.begin().text(net);
+    devices.begin().text(gone);
+    cycles.begin().words(&[7, 0x0807_0605_0403_0201]);
+    let format = BTreeMap::from([("format".to_owned(), FORMAT.to_owned())]);
+    for (topic, data) in &messages {
+        let channel_id = writer.add_channel(0, topic, "cdr", &format)?;
         let header = MessageHeader {
             channel_id,
             sequence: 1,
             log_time: 5,
             publish_time: 5,
         };
-        writer.write_to_known_channel(&header, data)?;
+        writer.write_to_known_channel(&header, data.bytes())?;
     }
     writer.finish()?;
     Ok(writer.into_inner().into_inner())

@@ -254,7 +254,10 @@ impl<'r> Stage<'r> {
             | Entry::Takeover(..)
             | Entry::Inbox(..)
             | Entry::Inputs(_)
-            | Entry::Result => {}
+            | Entry::Outbox(..)
+            | Entry::Ended(..)
+            | Entry::Outputs(..)
+            | Entry::Stepped => {}
         }
         Ok(())
     }
@@ -316,7 +319,8 @@ impl<'r> Stage<'r> {
                 // What machines request was answered by later entries.
                 self.executor.machine_events(|_, _| {});
             }
-            Entry::Result => {}
+            // What the thread computed, the replay computes again.
+            Entry::Outbox(..) | Entry::Ended(..) | Entry::Outputs(..) | Entry::Stepped => {}
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use takt_net::Nanos;
 
-use super::file::{Recording, Writer};
+use super::file::{CYCLES, Recording, Writer};
 use super::*;
 
 /// A disk with room for so many bytes, and what is on it.
@@ -201,7 +201,9 @@ fn recorded_cycles_carry_unix_time_of_their_start() {
     assert_eq!(recorder.finish().unwrap(), 3);
     let bytes = disk.bytes();
     let messages = mcap::MessageStream::new(&bytes).unwrap();
-    let times: Vec<u64> = messages.map(|m| m.unwrap().log_time).collect();
+    let cycles = messages.map(Result::unwrap);
+    let cycles = cycles.filter(|message| message.channel.topic == CYCLES);
+    let times: Vec<u64> = cycles.map(|message| message.log_time).collect();
     assert_eq!(times.len(), 3);
     let range = before.as_nanos()..=unix().as_nanos();
     assert!(range.contains(&times[0].into()), "{times:?}");
@@ -224,5 +226,30 @@ fn recording_beyond_limit_when_unpacked_is_rejected() {
         error.to_string().contains("when unpacked\nhint: "),
         "{error}"
     );
-    assert!(Recording::parse_limited(&disk.bytes(), path, 8_000_000).is_ok());
+    assert!(Recording::parse_limited(&disk.bytes(), path, 8_010_000).is_ok());
+}
+
+#[test]
+fn recording_of_other_version_is_rejected_with_both() {
+    let other = fuzz::files();
+    let at = |bytes: &[u8]| bytes.windows(7).position(|part| part == b"\x06\0\0\0for");
+    // The one without chunks has no checksums; each of its channels names the format.
+    let mut bytes = other[1].clone();
+    let mut changed = 0;
+    for start in 0..bytes.len() {
+        if at(&bytes[start..]) == Some(0) {
+            let value = start + 4 + 6 + 4;
+            assert_eq!(bytes[value..=value], *file::FORMAT.as_bytes());
+            bytes[value] = b'9';
+            changed += 1;
+        }
+    }
+    assert!(changed >= 3);
+    let error = Recording::parse(&bytes, Path::new(PATH))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("its format is 9, this version reads 5\nhint: "),
+        "{error}"
+    );
 }

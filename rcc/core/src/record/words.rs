@@ -1,6 +1,8 @@
 //! One cycle as words: entries with a kind, a length where it varies, and a body. The same code
 //! writes them in the net thread and in a replay; nothing here allocates.
 
+use std::ops::Range;
+
 use takt_net::{JointState, Moment, Nanos};
 
 use crate::device::DeviceStatus;
@@ -221,7 +223,15 @@ const fn status_word(status: DeviceStatus) -> u64 {
     }
 }
 
-/// An entry that came from outside, read back.
+const fn status_of(word: u64) -> DeviceStatus {
+    match word & 0xFF {
+        1 => DeviceStatus::SafeOperational,
+        2 => DeviceStatus::Operational,
+        _ => DeviceStatus::Offline,
+    }
+}
+
+/// An entry, read back.
 #[derive(Debug)]
 pub(super) enum Entry<'w> {
     Started(u32),
@@ -239,12 +249,17 @@ pub(super) enum Entry<'w> {
     MachineInput(u32, MachineInput),
     Inbox(u32, &'w [u64]),
     Inputs(Inputs<'w>),
-    /// Outputs of the thread; a replay computes them again.
-    Result,
+    /// Values of a net for programs. A replay computes them again, as all that follows.
+    Outbox(u32, &'w [u64]),
+    /// A net that ended, why, and the device that failed.
+    Ended(u32, u64, u64),
+    /// Pairs of joint and commanded position.
+    Outputs(&'w [u64]),
+    Stepped,
 }
 
 /// Inputs of a cycle.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Inputs<'w> {
     pub(super) moment: Moment,
     devices: &'w [u64],
@@ -257,17 +272,37 @@ pub(super) struct Inputs<'w> {
 }
 
 impl Inputs<'_> {
+    /// Status and faults of a device.
+    pub(super) fn device(&self, number: usize) -> Option<(DeviceStatus, u64)> {
+        let pair = self.devices.chunks_exact(2).nth(number)?;
+        let [status, faults] = pair else { return None };
+        Some((status_of(*status), *faults))
+    }
+
+    /// States of joints in that range, as far as they are known.
+    pub(super) fn joints(&self, range: Range<usize>) -> impl ExactSizeIterator<Item = JointState> {
+        let words = self.joints;
+        range.map(move |joint| {
+            let at = joint * JOINT_WORDS;
+            words
+                .get(at..at + JOINT_WORDS)
+                .and_then(joint_state)
+                .unwrap_or_default()
+        })
+    }
+
+    /// What a device with that range of words reported.
+    pub(super) fn signals(&self, range: &Range<usize>) -> &[u64] {
+        self.signals.get(range.clone()).unwrap_or_default()
+    }
+
     /// Puts them before the nets.
     pub(super) fn apply(&self, executor: &mut Executor) {
         executor.devices.clear();
         executor
             .devices
             .extend(self.devices.chunks_exact(2).map(|pair| DeviceView {
-                status: match pair[0] & 0xFF {
-                    1 => DeviceStatus::SafeOperational,
-                    2 => DeviceStatus::Operational,
-                    _ => DeviceStatus::Offline,
-                },
+                status: status_of(pair[0]),
                 faults: pair[1],
                 jumps: pair[0] >> 8,
             }));
@@ -346,7 +381,7 @@ impl<'w> Reader<'w> {
             kind::STEPPED => {
                 let (_, len) = (self.word()?, self.word()?);
                 self.body(len.checked_add(2)?)?;
-                Entry::Result
+                Entry::Stepped
             }
             kind::INBOX => {
                 let (id, len) = (self.id()?, self.word()?);
@@ -354,20 +389,16 @@ impl<'w> Reader<'w> {
             }
             kind::INPUTS => Entry::Inputs(self.inputs()?),
             kind::OUTBOX => {
-                let (_, len) = (self.word()?, self.word()?);
-                self.body(len)?;
-                Entry::Result
+                let (id, len) = (self.id()?, self.word()?);
+                Entry::Outbox(id, self.body(len)?)
             }
-            kind::ENDED => {
-                self.body(3)?;
-                Entry::Result
-            }
+            kind::ENDED => Entry::Ended(self.id()?, self.word()?, self.word()?),
             kind::OUTPUTS => {
                 let joints = self.word()?;
-                self.body(joints.checked_mul(2)?)?;
+                let joints = self.body(joints.checked_mul(2)?)?;
                 let commands = self.word()?;
                 self.body(commands)?;
-                Entry::Result
+                Entry::Outputs(joints)
             }
             _ => return None,
         })

@@ -16,6 +16,7 @@ use crate::executor::rules::{Literal, NetActions, Question, Step};
 use crate::executor::serve::Driver;
 use crate::executor::stop::EmergencyStop;
 use crate::executor::tests::net;
+use crate::ids::NetId;
 use crate::record::replay;
 use crate::stop_channel::{Origin, StopSwitch};
 
@@ -291,7 +292,13 @@ fn runaway_net_replays_without_clock() {
     let (recorder, tap) = crate::record::Recorder::start(&path).unwrap();
     let mut bench = Bench::new(Duration::from_millis(3), Some(tap));
     for (id, text) in [(0, ENDLESS), (1, BRIEF)] {
-        recorder.net(id, 1, Duration::from_millis(1), &text.into());
+        let values = Arc::default();
+        recorder.net(
+            NetId(id),
+            (1, Duration::from_millis(1)),
+            &text.into(),
+            &values,
+        );
     }
     bench.command(Command::Start(net(0, ENDLESS)));
     let mut reported = Vec::new();
