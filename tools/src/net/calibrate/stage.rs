@@ -4,16 +4,13 @@
 use std::fmt::Write as _;
 use std::sync::Arc;
 
-use takt_core::device::{DeviceDescription, DeviceTable, Part, homing};
+use takt_core::device::{DeviceDescription, DeviceTable, Part};
 use takt_net::definition::{InPort, Parameter, ParameterType};
 use takt_net::netcomm::Directory;
 use takt_net::{Definition, Element, JointLimits};
 
 /// Name of the device that primitives of devices get.
 const DEVICE: &str = "device";
-
-/// Name of the axis that homes.
-const AXIS: &str = "axis";
 
 /// A cell with a device that offers all that primitives need.
 pub(super) fn devices() -> anyhow::Result<DeviceTable> {
@@ -41,6 +38,7 @@ pub(super) fn devices() -> anyhow::Result<DeviceTable> {
         Part::ServoGripper,
         Part::Homing,
         Part::CartesianSine,
+        Part::Homing,
     ];
     let limits = JointLimits {
         position_min: -3.0,
@@ -48,22 +46,14 @@ pub(super) fn devices() -> anyhow::Result<DeviceTable> {
         velocity_max: 2.0,
         acceleration_max: 4.0,
     };
-    let axis = Part::Io {
-        bool_in: homing::BOOL_IN,
-        bool_out: homing::BOOL_OUT,
-        real_in: homing::REAL_IN,
-        real_out: 0,
-    };
     let mut table = DeviceTable::default();
-    for (name, parts) in [(DEVICE, parts), (AXIS, vec![axis])] {
-        table.add(DeviceDescription {
-            name: name.to_owned(),
-            kind: "calibration",
-            limits: vec![limits; 7],
-            model: "kuka_lwr4".into(),
-            parts,
-        })?;
-    }
+    table.add(DeviceDescription {
+        name: DEVICE.to_owned(),
+        kind: "calibration",
+        limits: vec![limits; 7],
+        model: "kuka_lwr4".into(),
+        parts,
+    })?;
     Ok(table)
 }
 
@@ -164,7 +154,6 @@ fn parameters(definition: &Definition, instance: usize, size: usize) -> Vec<Stri
             ("Axis", _) if definition.name == "RobotArm::ToolParameters" => "6".to_owned(),
             ("Axis", _) => (instance % 7).to_string(),
             ("Key", _) => format!("k{instance}"),
-            _ if definition.name == "Homing::Axis" => AXIS.to_owned(),
             (_, ParameterType::Text) => DEVICE.to_owned(),
             ("Value", ParameterType::Value(ty)) if ty.array => list(zero(ty.element), size),
             _ => return None,
