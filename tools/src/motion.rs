@@ -8,7 +8,6 @@ mod jog;
 mod jogging;
 mod keyboard;
 mod keys;
-mod picture;
 mod report;
 
 use std::ffi::OsString;
@@ -20,7 +19,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use takt_api::{Activity, Arm, Handle, Outcome, Plan};
 
 use crate::net::server::Server;
-use crate::output::{check_writable, complain, say};
+use crate::output::{check_writable, complain, save, say};
 use crate::quantity::{Place, angle, place};
 use crate::signal::Stop;
 use crate::{Verdict, confirm};
@@ -123,7 +122,7 @@ struct Options {
     /// Speed as part of the limits, above 0 to 1: of the joints, for paths of 0.25 m/s and 0.5 rad/s.
     #[arg(long, value_name = "FACTOR", default_value = "0.2", value_parser = speed)]
     speed: f64,
-    /// Plan and check only; nothing is loaded, nothing moves.
+    /// Plan and check only, and say what the motion follows, what ends it and what it costs; nothing moves.
     #[arg(long)]
     dry_run: bool,
     /// Write a picture of the plan: positions and velocities of the joints over time.
@@ -212,20 +211,25 @@ impl Move {
         let activity = goal::activity(motion, &cell, &arm)?;
         let activity = activity.speed(options.speed);
         if options.print_net {
-            say(activity.explain().map_err(hinted)?.trim_end())?;
+            say(activity.explain().map_err(hinted)?.net.trim_end())?;
             return Ok(Verdict::Good);
         }
         let plan = activity.plan().map_err(hinted)?;
         let mut report = Report::new(&arm, motion.name(), options.speed, &plan);
         if let Some(path) = &options.svg {
-            picture::draw(path, &arm, &plan)?;
+            save(path, plan.svg())?;
         }
         if !options.json {
             say(report.plan().trim_end())?;
         }
         if options.dry_run {
+            let explained = activity.explain().map_err(hinted)?;
             if options.json {
+                report.explain(&explained);
                 say(&report.json().to_string())?;
+            } else {
+                explained.rules.iter().try_for_each(|rule| say(rule))?;
+                say(&explained.cost.to_string())?;
             }
             return Ok(Verdict::Good);
         }

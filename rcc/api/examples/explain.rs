@@ -9,7 +9,7 @@ use std::io::Write as _;
 use std::time::Duration;
 
 use takt_api::motion::CartesianLimits;
-use takt_api::{Activity, Arm, Cell, Condition, Pose, coupled, deg};
+use takt_api::{Activity, Arm, Cell, Condition, Explanation, Pose, coupled, deg};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let address = std::env::args().nth(1).ok_or("no address is given")?;
@@ -49,13 +49,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let texts = texts.chain(devices(&cell)?);
     let mut out = std::io::stdout();
     for text in texts {
-        writeln!(out, "{}\n", text?)?;
+        writeln!(out, "{}\n", text?.net)?;
     }
     Ok(())
 }
 
 /// The net of an activity.
-type Text = Result<String, takt_api::Error>;
+type Text = Result<Explanation, takt_api::Error>;
 
 /// Activities that follow what a program sends.
 fn live(left: &Arm, touch: Condition) -> [Text; 4] {

@@ -1,5 +1,5 @@
-//! Figures of the API in one run, beside the round trip of a request: preparing a motion, beginning it, and cancelling it
-//! while another thread plans.
+//! Figures of the API in one run, beside the round trip of the smallest request: preparing a motion, beginning what was
+//! prepared, and cancelling and stopping while another thread plans.
 //! `cargo run --release -p takt-api --features embedded --example figures -- [RUNS]`
 
 #![expect(clippy::print_stdout, reason = "a table is all that it makes")]
@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use takt_api::{Arm, Cell, Error, ErrorKind, Pose, deg};
+use takt_client::{Client, Value};
 
 const BENT: [f64; 7] = [0.0, 30.0, 0.0, -70.0, 0.0, 45.0, 0.0];
 
@@ -25,36 +26,58 @@ pub(crate) fn run(runs: usize) -> Result<(), Error> {
     left.ptp(BENT.map(deg)).run()?;
     right.ptp(BENT.map(deg)).run()?;
 
-    let trip = Figure::of(runs, |_| timed(|| cell.arms()))?;
+    let address = cell.embedded_address();
+    let client = Client::connect(&address.map_or_else(String::new, |it| it.to_string()))?;
+    let nothing = || Value::map_of::<String, Value>([]);
+    let trip = Figure::of(runs, |_| timed(|| Ok(client.call("snc", [nothing()])?)))?;
     let prepare = Figure::of(runs, |number| {
-        let mut handle = None;
-        let time = timed(|| {
-            left.ptp(near(number))
-                .queue()
-                .map(|begun| handle = Some(begun))
-        })?;
-        handle.map_or(Ok(()), |handle| handle.wait().map(drop))?;
+        let mut prepared = None;
+        let motion = left.ptp(near(number));
+        let time = timed(|| motion.prepare().map(|it| prepared = Some(it)))?;
+        prepared.map_or(Ok(()), |it| it.run().map(drop))?;
         Ok(time)
     })?;
-    let begin = Figure::of(runs, |number| first_set_point(&left, near(number)))?;
+    let runs_at = Figure::of(runs, |number| {
+        begun(&left, near(number), |begin, _| Ok(begin.elapsed()))
+    })?;
+    let begin = Figure::of(runs, |number| {
+        let rest = left.commanded()?;
+        begun(&left, near(number), |begin, is_over| {
+            while left.commanded()? == rest && !is_over() {}
+            Ok(begin.elapsed())
+        })
+    })?;
     let cancel = Figure::of(runs, |number| cancelled(&left, number))?;
     let beside = beside_plans(&right, || {
         Figure::of(runs, |number| cancelled(&left, number))
     })?;
+    let stop = beside_plans(&right, || {
+        Figure::of(runs, |_| {
+            let held = left.hold().begin()?;
+            let time = timed(|| cell.stop())?;
+            held.wait()?;
+            Ok(time)
+        })
+    })?;
 
     let period_ms = left.description().period.as_secs_f64() * 1e3;
     println!("period of the arm: {period_ms:.1} ms; {runs} runs");
-    println!("                                    p50         p99         p50 / round trip");
+    println!(
+        "                                     p50         p99         p50 / round trip  periods beyond it"
+    );
     for (name, figure) in [
-        ("round trip of a request", &trip),
+        ("round trip of an empty request", &trip),
         ("preparing a PTP", &prepare),
-        ("begin to the first set-point", &begin),
+        ("prepared: begin until it runs", &runs_at),
+        ("prepared: begin to a read set-point", &begin),
         ("cancel", &cancel),
         ("cancel while another thread plans", &beside),
+        ("stop while another thread plans", &stop),
     ] {
         let [p50, p99] = [figure.p50, figure.p99].map(|time| time.as_secs_f64() * 1e3);
-        let ratio = figure.p50.as_secs_f64() / trip.p50.as_secs_f64();
-        println!("{name:33} {p50:8.3} ms {p99:8.3} ms {ratio:10.2}");
+        let trip_ms = trip.p50.as_secs_f64() * 1e3;
+        let (ratio, beyond) = (p50 / trip_ms, (p50 - trip_ms) / period_ms);
+        println!("{name:35} {p50:8.3} ms {p99:8.3} ms {ratio:10.2} {beyond:15.2}");
     }
     Ok(())
 }
@@ -96,13 +119,17 @@ fn near(number: usize) -> [f64; 7] {
     goal
 }
 
-/// From the call to the first reading of another commanded position: it includes one round trip.
-fn first_set_point(arm: &Arm, goal: [f64; 7]) -> Result<Duration, Error> {
-    let rest = arm.commanded()?;
+/// Prepares a motion, begins it, and measures from the call of `begin` on; `measure` also learns whether the motion has ended.
+/// When `begin` returns, the net has run: its first set-point was before that.
+fn begun(
+    arm: &Arm,
+    goal: [f64; 7],
+    measure: impl FnOnce(Instant, &dyn Fn() -> bool) -> Result<Duration, Error>,
+) -> Result<Duration, Error> {
+    let prepared = arm.ptp(goal).prepare()?;
     let begin = Instant::now();
-    let handle = arm.ptp(goal).begin()?;
-    while arm.commanded()? == rest && handle.outcome().is_none() {}
-    let time = begin.elapsed();
+    let handle = prepared.begin()?;
+    let time = measure(begin, &|| handle.outcome().is_some())?;
     handle.wait()?;
     Ok(time)
 }

@@ -5,11 +5,13 @@ use std::sync::Arc;
 use crate::compose::{Composite, Event};
 use crate::engine::When;
 use crate::error::Error;
+use crate::explain::Explanation;
 use crate::handle::Handle;
 use crate::order::{Operation, Order, Speed};
 use crate::outcome::Outcome;
 use crate::plan::Plan;
 use crate::preparation::Before;
+use crate::prepared::Prepared;
 use crate::session::Session;
 
 /// An activity that was described and not begun.
@@ -81,6 +83,15 @@ impl Activity {
         Composite::from(self).after_failure()
     }
 
+    /// Plans, writes and loads it, so that [`Prepared::begin`] later is one request; nothing moves.
+    ///
+    /// # Errors
+    /// As [`Composite::prepare`].
+    #[track_caller]
+    pub fn prepare(self) -> Result<Prepared, Error> {
+        Composite::from(self).prepare()
+    }
+
     /// Begins it, and returns when it runs: a program is at most one activity ahead.
     ///
     /// # Errors
@@ -129,16 +140,13 @@ impl Activity {
         Ok(self.order.operation.plan(&begins, speed)?)
     }
 
-    /// The text of the net that it becomes.
+    /// What it becomes if it is begun now: its net, what it follows and what ends it, its worst-case cost, and its plan. The
+    /// controller checks the net; nothing moves.
     ///
     /// # Errors
-    /// If it is invalid.
+    /// If it is invalid, or the controller rejects the net.
     #[track_caller]
-    pub fn explain(&self) -> Result<String, Error> {
-        self.order.check()?;
-        let begins = self
-            .session
-            .begins(&self.order, self.when, &Before::new())?;
-        Ok(self.order.compile(&begins)?.net)
+    pub fn explain(&self) -> Result<Explanation, Error> {
+        Ok(self.session.explain(&self.order, self.when)?)
     }
 }

@@ -13,6 +13,7 @@ use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::gripper::Gripper;
 use crate::io::Io;
+use crate::listener::{Expression, Listener};
 use crate::net::Net;
 use crate::session::Session;
 use crate::world::{Frame, World};
@@ -213,6 +214,20 @@ impl Cell {
         net.result("value", &value);
         let values = self.session.evaluate(&net.finish_once())?;
         Ok(values.get("outvalue").is_some_and(|text| text == "true"))
+    }
+
+    /// Calls `callback` with the value of a number or a condition, then at each change, until the listener is dropped: in a thread
+    /// of its own, so that it may take its time and call this API. Numbers are `None` while a device does not know them.
+    ///
+    /// # Errors
+    /// If the controller rejects the expression, or the connection is lost. What fails later is in [`Listener::error`].
+    #[track_caller]
+    pub fn on_change<E: Expression>(
+        &self,
+        expression: &E,
+        callback: impl FnMut(E::Value) + Send + 'static,
+    ) -> Result<Listener, Error> {
+        Ok(Listener::start(&self.session, expression, callback)?)
     }
 
     /// Stops everything that this program began, from any thread, and waits until it is at rest: robots brake on their paths

@@ -11,11 +11,37 @@ use crate::handle::{self, Handle};
 use crate::net::{Net, Port};
 use crate::order::{Operation, Order, Ports, Requests, Speed, mark_key};
 use crate::outcome::Outcome;
-use crate::preparation::{Before, Goals};
+use crate::preparation::{Before, Begins, Goals};
+use crate::prepared::Prepared;
 use crate::session::Session;
 
-/// Numbers of the parts that are kept, the parts, and where their activities leave arms.
-type Compiled = (Vec<usize>, Vec<engine::Part>, Vec<Vec<Goals>>);
+/// What the engine begins in one call.
+#[derive(Debug, Default)]
+pub(crate) struct Compiled {
+    /// The parts that are valid.
+    pub(crate) parts: Vec<engine::Part>,
+    /// Where the activities of each part leave arms, as far as known.
+    pub(crate) goals: Vec<Vec<Goals>>,
+    /// Of each part whether it follows no other one, and the numbers of those whose place it takes.
+    pub(crate) places: Vec<(bool, Vec<usize>)>,
+    /// Where arms are to be when they begin what does not replace something.
+    pub(crate) expected: Begins,
+}
+
+impl Compiled {
+    /// Begins it, unless a stop came since `stops` were counted.
+    #[track_caller]
+    pub(crate) fn begin(self, session: &Arc<Session>, stops: u64) -> Result<Handle, Error> {
+        let begun = session.begin_all(self.parts, self.goals, stops)?;
+        let parts = begun.into_iter().zip(self.places);
+        let parts = parts.map(|(ids, (is_first, replaces))| handle::Part {
+            ids,
+            is_first,
+            replaces,
+        });
+        Ok(Handle::new(Arc::clone(session), parts.collect()))
+    }
+}
 
 /// What may start another activity.
 #[derive(Clone, Debug, PartialEq)]
@@ -337,36 +363,51 @@ impl Composite {
     /// As [`Self::begin`].
     #[track_caller]
     pub fn queue(self) -> Result<Handle, Error> {
-        if let Some(text) = self.invalid {
-            return Err(ErrorKind::Invalid(text.to_owned()).into());
-        }
-        let Some(session) = self.session.clone() else {
-            return Err(ErrorKind::Invalid("there is no activity to begin".to_owned()).into());
-        };
+        let session = self.session()?;
         let stops = session.stops();
-        let (kept, parts, goals) = self.compile(&session)?;
-        let replaced: Vec<_> = kept
-            .iter()
-            .filter_map(|number| self.parts.get(*number))
-            .map(|part| {
-                let at = |number: &usize| kept.iter().position(|kept| kept == number);
-                let replaces = part.replaces.iter().filter_map(at).collect::<Vec<_>>();
-                (part.is_first(), replaces)
-            })
-            .collect();
-        let begun = session.begin_all(parts, goals, stops)?;
-        let parts = begun.into_iter().zip(replaced);
-        let parts = parts.map(|(ids, (is_first, replaces))| handle::Part {
-            ids,
-            is_first,
-            replaces,
-        });
-        Ok(Handle::new(session, parts.collect()))
+        self.compile(&session, false)?.begin(&session, stops)
     }
 
-    /// The parts that are valid, with their numbers: an alternative that is not valid is left out, except the last.
-    /// Also where each activity leaves its arms, as far as known.
-    fn compile(&self, session: &Session) -> Result<Compiled, ErrorKind> {
+    /// Plans, writes and loads it, so that [`Prepared::begin`] later is one request for each part; nothing moves. It is to
+    /// begin where its arms are now, or where what they do now leaves them.
+    ///
+    /// # Errors
+    /// As [`Self::begin`]. [`ErrorKind::Invalid`] also if an arc or a curve is to begin by `now`: it leads from where the arm
+    /// is then.
+    #[track_caller]
+    pub fn prepare(self) -> Result<Prepared, Error> {
+        let session = self.session()?;
+        let compiled = self.compile(&session, true)?;
+        Ok(Prepared::load(session, compiled)?)
+    }
+
+    fn session(&self) -> Result<Arc<Session>, ErrorKind> {
+        if let Some(text) = self.invalid {
+            return Err(ErrorKind::Invalid(text.to_owned()));
+        }
+        let none = || ErrorKind::Invalid("there is no activity to begin".to_owned());
+        self.session.clone().ok_or_else(none)
+    }
+
+    /// Checks what is to be prepared, and begun by `now`.
+    fn check_ahead(part: &Planned) -> Result<(), ErrorKind> {
+        let mut orders = part.orders.iter();
+        let wrong = orders.find(|order| part.when == When::Now && order.operation.needs_start());
+        let Some(order) = wrong else {
+            return Ok(());
+        };
+        let device = order.operation.devices().into_iter().next();
+        Err(ErrorKind::Invalid(format!(
+            "{}: an arc or a curve by `now` cannot be prepared: it leads from where the arm is then\nhint: prepare a line, or begin \
+             it without preparation",
+            device.unwrap_or_default()
+        )))
+    }
+
+    /// The parts that are valid: an alternative that is not valid is left out, except the last. `is_ahead`: they begin later
+    /// than at once.
+    fn compile(&self, session: &Session, is_ahead: bool) -> Result<Compiled, ErrorKind> {
+        let mut expected = Begins::new();
         let mut before = Before::new();
         let mut goals: Vec<Vec<Goals>> = Vec::new();
         let mut kept: Vec<usize> = Vec::new();
@@ -380,10 +421,20 @@ impl Composite {
                 before.values_mut().for_each(|known| *known = None);
             }
             let orders = part.orders.iter();
-            let prepared = orders.map(|order| session.prepare(order, part.when, &before));
+            if is_ahead {
+                Self::check_ahead(part)?;
+            }
+            let prepared = orders.map(|order| session.prepare(order, part.when, &before, is_ahead));
             let starts: Vec<_> = match prepared.collect::<Result<Vec<_>, _>>() {
                 Ok(prepared) => {
-                    let (starts, ends): (Vec<_>, Vec<_>) = prepared.into_iter().unzip();
+                    let (mut starts, mut ends) = (Vec::new(), Vec::new());
+                    for (start, goals, begins) in prepared {
+                        starts.push(start);
+                        ends.push(goals);
+                        if part.is_first() && part.when == When::Follow {
+                            expected.extend(begins);
+                        }
+                    }
                     for (order, ends) in part.orders.iter().zip(&ends) {
                         for device in order.operation.devices() {
                             let end = ends.get(&device).filter(|_| is_certain).cloned();
@@ -397,15 +448,7 @@ impl Composite {
                 Err(error) => return Err(error),
             };
             let at = |number: &usize| kept.iter().position(|kept| kept == number);
-            let trigger = part.trigger.as_ref().and_then(|(of, key)| {
-                let of = at(of)?;
-                let first = parts.get(of)?.starts.first()?;
-                let keys = match key {
-                    Key::Of(key) => vec![key.clone()],
-                    Key::Failures => first.failures.iter().map(|f| f.key.clone()).collect(),
-                };
-                Some(Trigger { part: of, keys })
-            });
+            let trigger = part.trigger(&kept, &parts);
             if let (Some((of, Key::Of(key))), Some(_)) = (&part.trigger, &trigger) {
                 self.check_event(*of, key)?;
             }
@@ -427,7 +470,25 @@ impl Composite {
             });
             kept.push(number);
         }
-        Ok((kept, parts, goals))
+        Ok(Compiled {
+            places: self.places(&kept),
+            parts,
+            goals,
+            expected,
+        })
+    }
+
+    /// Of each part that is kept whether it follows no other one, and the numbers of those whose place it takes.
+    fn places(&self, kept: &[usize]) -> Vec<(bool, Vec<usize>)> {
+        let parts = kept.iter().filter_map(|number| self.parts.get(*number));
+        let place = |part: &Planned| {
+            let at = |number: &usize| kept.iter().position(|kept| kept == number);
+            (
+                part.is_first(),
+                part.replaces.iter().filter_map(at).collect(),
+            )
+        };
+        parts.map(place).collect()
     }
 
     /// Whether an earlier alternative of a part is valid.
@@ -470,6 +531,18 @@ impl Composite {
 }
 
 impl Planned {
+    /// What starts it, of the parts that are kept.
+    fn trigger(&self, kept: &[usize], parts: &[engine::Part]) -> Option<Trigger> {
+        let (of, key) = self.trigger.as_ref()?;
+        let of = kept.iter().position(|kept| kept == of)?;
+        let first = parts.get(of)?.starts.first()?;
+        let keys = match key {
+            Key::Of(key) => vec![key.clone()],
+            Key::Failures => first.failures.iter().map(|f| f.key.clone()).collect(),
+        };
+        Some(Trigger { part: of, keys })
+    }
+
     fn is_wait(&self) -> bool {
         let mut orders = self.orders.iter();
         orders.all(|order| order.operation.devices().is_empty())

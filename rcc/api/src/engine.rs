@@ -26,7 +26,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::error::ErrorKind;
 use crate::outcome::Outcome;
-pub use activity::{Action, ActivityId, Failure, GroupId, Part, Start, State, Trigger, When};
+pub use activity::{Action, ActivityId, FITS, Failure, GroupId, Part, Start, State, Trigger, When};
 use activity::{Activity, Group, GroupLife};
 
 /// The activities of one program.
@@ -59,6 +59,16 @@ impl Engine {
         self.activities.get(&id).map(|activity| &activity.state)
     }
 
+    /// Whether an activity has begun: its net runs and fits where its arms are, or it has ended.
+    pub fn has_begun(&self, id: ActivityId) -> bool {
+        let activity = self.activities.get(&id);
+        activity.is_none_or(|activity| match activity.state {
+            State::Running => !activity.is_undecided,
+            State::Ended(_) => true,
+            State::Loading | State::Loaded | State::Waiting => false,
+        })
+    }
+
     /// Part of its path that an activity has completed, 0 to 1.
     pub fn progress(&self, id: ActivityId) -> f64 {
         self.activities
@@ -75,6 +85,12 @@ impl Engine {
         };
         let found = newest.find(|(_, activity)| is_one(activity));
         found.map(|(id, _)| *id)
+    }
+
+    /// Whether a successor may take over from an activity that moves.
+    pub fn may_blend(&self, id: ActivityId) -> bool {
+        let activity = self.activities.get(&id);
+        activity.is_some_and(|activity| activity.results.iter().any(|key| key == "blend"))
     }
 
     /// The devices of all activities that have not ended.
@@ -171,6 +187,32 @@ impl Engine {
         self.loaded_nets(&members)
     }
 
+    /// Whether a net has ended, or is about to, since another one commands its device.
+    pub fn is_in_conflict(&self, net: &str) -> bool {
+        let activity = self.nets.get(net).and_then(|id| self.activities.get(id));
+        activity.is_some_and(|activity| {
+            let mut failures = activity.failures.iter();
+            failures.any(|failure| failure.is_conflict() && activity.values.contains(&failure.key))
+        })
+    }
+
+    /// The conflict in which a net ended, with what the controller knows of it.
+    pub fn name_conflict(&mut self, net: &str, cause: Option<ErrorKind>) {
+        let Some(cause @ ErrorKind::Conflict { .. }) = cause else {
+            return;
+        };
+        let activity = self
+            .nets
+            .get(net)
+            .and_then(|id| self.activities.get_mut(id));
+        let failures = activity
+            .into_iter()
+            .flat_map(|activity| &mut activity.failures);
+        failures
+            .filter(|failure| failure.is_conflict())
+            .for_each(|failure| failure.error = cause.clone());
+    }
+
     /// A result or figure of a net has a new value.
     pub fn value(&mut self, net: &str, key: &str, text: &str) {
         self.revision += 1;
@@ -185,6 +227,7 @@ impl Engine {
             ("progress", number) => activity.progress = number.parse().unwrap_or(activity.progress),
             (key, "true") => {
                 activity.has_maintained |= key == "maintaining";
+                activity.is_undecided &= key != FITS;
                 activity.values.insert(key.to_owned());
             }
             (key, _) => drop(activity.values.remove(key)),

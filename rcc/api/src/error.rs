@@ -186,6 +186,19 @@ pub enum ErrorKind {
     /// What was to run before ended with an error; nothing was begun.
     #[error("not begun, since the activity before it failed: {0}")]
     PredecessorFailed(Box<Self>),
+    /// An activity that was prepared no longer fits: the arm is elsewhere, or its net was unloaded. Nothing was begun.
+    #[error("{device}: the prepared activity no longer fits: {cause}\nhint: prepare it again")]
+    Stale {
+        /// The device.
+        device: String,
+        /// What has changed.
+        cause: String,
+    },
+    /// A callback of the program failed; what it listened to has ended.
+    #[error(
+        "the callback failed: {0}\nhint: the controller goes on; listen again when the callback is repaired"
+    )]
+    Callback(String),
     /// The net ended without a result.
     #[error("{device}: the motion ended without a result: {reason}")]
     Ended {
@@ -204,6 +217,19 @@ impl ErrorKind {
         ))
     }
 
+    /// Both are too fast: the speed fits both.
+    pub(crate) const fn slow_down(&mut self, other: &Self) {
+        if let (Self::TooFast { speed, .. }, Self::TooFast { speed: slower, .. }) = (self, other) {
+            *speed = speed.min(*slower);
+        }
+    }
+
+    /// A prepared activity no longer fits.
+    pub(crate) fn stale(device: &str, cause: &str) -> Self {
+        let [device, cause] = [device, cause].map(str::to_owned);
+        Self::Stale { device, cause }
+    }
+
     /// There is no such device; `known` are those of its kind.
     pub(crate) fn no_device(wanted: &'static str, name: &str, known: Vec<String>) -> Self {
         Self::NoDevice {
@@ -219,6 +245,27 @@ impl ErrorKind {
 }
 
 impl ErrorKind {
+    /// What the controller refused: a conflict if it names what holds a resource.
+    pub(crate) fn refused(text: &str) -> Self {
+        let of_rule = || {
+            let (before, after) =
+                text.split_once(" cannot be reserved for the nets to be started: ")?;
+            let (holder, _) = after.split_once(" holds it or waits for it")?;
+            Some((before, holder))
+        };
+        let of_firing = || {
+            let (holder, resource) = text.rsplit_once(" holds ")?;
+            (holder.starts_with("net ") || holder == "another net").then_some((resource, holder))
+        };
+        let Some((resource, holder)) = of_rule().or_else(of_firing) else {
+            return Self::Refused(text.to_owned());
+        };
+        // The kind of the refusal precedes its reason.
+        let resource = resource.rsplit(": ").next().unwrap_or(resource);
+        let is_known = holder != "another net";
+        Self::conflict(resource, is_known.then(|| holder.replace('`', "")))
+    }
+
     /// Another net holds a resource, such as `left_Joint_3` or `platform_Base`.
     pub(crate) fn conflict(resource: &str, holder: Option<String>) -> Self {
         let (device, part) = resource.split_once("_Joint_").map_or_else(
@@ -245,7 +292,7 @@ impl From<takt_client::Error> for ErrorKind {
         use takt_client::Error as Client;
         let text = error.to_string();
         if let Client::Refused { text, .. } = error {
-            return Self::Refused(text);
+            return Self::refused(&text);
         }
         let is_lost = matches!(
             error,
@@ -281,6 +328,32 @@ mod tests {
         assert_eq!(
             text("platform_Base", None),
             "platform: another net commands it"
+        );
+    }
+
+    /// The wording of the controller: `Error::NotSchedulable`, and why a rule could not start its nets.
+    #[test]
+    fn refusal_that_names_a_holder_is_a_conflict() {
+        let held = "scheduling not possible: left_Joint_2 cannot be reserved for the nets to be started: net rpinet3 of \
+                    session s1 (`jog.py, process 7`) holds it or waits for it, and the rule does not follow that net";
+        let fired = "net rpinet3 of session s1 (`jog.py, process 7`) holds left_Joint_2";
+        for text in [held, fired] {
+            let expected = ErrorKind::Conflict {
+                device: "left".to_owned(),
+                joint: Some(2),
+                holder: Some("net rpinet3 of session s1 (jog.py, process 7)".to_owned()),
+            };
+            assert_eq!(ErrorKind::refused(text), expected);
+        }
+        let other = "device `left` does not follow commands";
+        assert_eq!(
+            ErrorKind::refused(other),
+            ErrorKind::Refused(other.to_owned())
+        );
+        let unknown = ErrorKind::refused("another net holds platform_Base");
+        assert!(
+            matches!(&unknown, ErrorKind::Conflict { holder: None, device, .. } if device == "platform"),
+            "{unknown}"
         );
     }
 }

@@ -88,10 +88,7 @@ impl Handle {
         let until = Instant::now() + timeout;
         self.session.wait_until(until, |session| {
             let engine = session.engine();
-            let begun = |id: &ActivityId| {
-                let state = engine.state(*id);
-                state.is_none_or(|state| matches!(state, State::Running | State::Ended(_)))
-            };
+            let begun = |id: &ActivityId| engine.has_begun(*id);
             let failed = |id: &ActivityId| matches!(engine.state(*id), Some(State::Ended(Err(_))));
             let all = firsts.iter().all(begun);
             let is_failed = firsts.iter().any(failed);

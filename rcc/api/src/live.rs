@@ -6,6 +6,7 @@ use std::ops::Deref;
 
 use crate::activity::Activity;
 use crate::error::{Error, ErrorKind};
+use crate::explain::Explanation;
 use crate::expression::Condition;
 use crate::handle::{FOR_EVER, Handle};
 use crate::motion::{ArmDescription, CartesianLimits};
@@ -235,12 +236,12 @@ impl<T: SetPoint> Live<T> {
         })
     }
 
-    /// The text of the net that it becomes.
+    /// What it becomes, as of [`Activity::explain`].
     ///
     /// # Errors
-    /// If it is invalid.
+    /// As [`Activity::explain`].
     #[track_caller]
-    pub fn explain(&self) -> Result<String, Error> {
+    pub fn explain(&self) -> Result<Explanation, Error> {
         self.activity.explain()
     }
 }

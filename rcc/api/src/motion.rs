@@ -30,6 +30,12 @@ pub(crate) use jog::Jog;
 pub(crate) use path::{ArmMotion, Path};
 pub(crate) use stream::{Goals, Stream};
 
+/// Joint positions that differ by more, rad, are different places.
+pub(crate) const ELSEWHERE: f64 = 2e-3;
+
+/// A joint that is slower, rad/s, is at rest.
+const AT_REST: f64 = 1e-3;
+
 /// Limits of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointLimits {
@@ -313,6 +319,28 @@ impl ArmDescription {
             further.push(net.add("Core::DoubleGreater", greater).out("outValue"));
         }
         net.any(&further)
+    }
+
+    /// Whether the arm is at rest in the first cycle, and elsewhere than at these joint positions, rad; `None` without
+    /// joints.
+    pub(crate) fn is_elsewhere(&self, net: &mut Net, expected: &[f64]) -> Option<Port> {
+        let mut away = Vec::new();
+        let mut moving = Vec::new();
+        for (axis, expected) in expected.iter().enumerate() {
+            let monitor = [("Robot", self.name.as_str().into()), ("Axis", axis.into())];
+            let monitor = net.add("RobotArm::JointMonitor", monitor);
+            let expected = [("Value", (*expected).into())];
+            let expected = net.add("Core::DoubleValue", expected).out("outValue");
+            let position = monitor.out("outCommandedPosition");
+            let distance = net.of_two("Core::DoubleSubtract", &position, &expected);
+            away.push(net.is_beyond(&distance, ELSEWHERE));
+            moving.push(net.is_beyond(&monitor.out("outCommandedVelocity"), AT_REST));
+        }
+        let (away, moving) = (net.any(&away)?, net.any(&moving)?);
+        let rests = net.of("Core::BooleanNot", &moving);
+        let first = net.first_cycle();
+        let rests = net.of_two("Core::BooleanAnd", &first, &rests);
+        Some(net.of_two("Core::BooleanAnd", &rests, &away))
     }
 
     /// A joint of an array.

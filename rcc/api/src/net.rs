@@ -237,6 +237,22 @@ impl Net {
         self.add("Core::DoubleArraySet", element).out("outArray")
     }
 
+    /// Whether the magnitude of a number is greater than a limit.
+    pub(crate) fn is_beyond(&mut self, value: &Port, limit: f64) -> Port {
+        let size = self.of("Core::DoubleAbs", value);
+        let greater = [("inFirst", (&size).into()), ("Second", limit.into())];
+        let greater = self.add("Core::DoubleGreater", greater).out("outValue");
+        self.known(&greater)
+    }
+
+    /// Whether it is the first cycle of the net.
+    pub(crate) fn first_cycle(&mut self) -> Port {
+        let always = [("Value", "true".into())];
+        let always = self.add("Core::BooleanValue", always).out("outValue");
+        let before = self.of("Core::BooleanPre", &always);
+        self.of("Core::BooleanIsNull", &before)
+    }
+
     /// The override of the net: a factor of the speed of its motions, 0 to 1, which a client may set while it runs.
     pub(crate) fn override_in(&mut self) -> Port {
         let argument = [("Key", "override".into()), ("Value", 1.0.into())];

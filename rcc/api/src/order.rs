@@ -5,13 +5,13 @@
 use std::fmt::Debug;
 use std::sync::Arc;
 
-use crate::engine::{Failure, Start};
+use crate::engine::{FITS, Failure, Start};
 use crate::error::ErrorKind;
 use crate::expression::Condition;
 use crate::motion::ArmDescription;
 use crate::net::{Net, Port};
 use crate::plan::Plan;
-use crate::preparation::{Begins, Goals};
+use crate::preparation::{Begin, Begins, Goals};
 
 /// Most conditions that stop one activity.
 const UNTIL_MAX: usize = 32;
@@ -32,6 +32,11 @@ pub(crate) trait Operation: Debug + Send + Sync {
     /// Whether its net depends on where the arms are when it begins.
     fn needs_begins(&self) -> bool {
         true
+    }
+
+    /// Whether its path is that from where the arms begin, also where they move then.
+    fn needs_start(&self) -> bool {
+        false
     }
 
     /// Checks that its arms can follow, from where they begin; returns where it leaves them, as far as known.
@@ -137,6 +142,24 @@ pub(crate) fn mark_key(number: usize) -> String {
 impl Order {
     /// What the engine begins; the order is checked.
     pub(crate) fn compile(&self, begins: &Begins) -> Result<Start, ErrorKind> {
+        self.compile_with(begins, &[])
+    }
+
+    /// The same for an order that is begun later: its net begins only if its arms are then where they are expected.
+    pub(crate) fn compile_ahead(&self, begins: &Begins) -> Result<Start, ErrorKind> {
+        let arms = self.operation.arms();
+        let needed = arms
+            .into_iter()
+            .filter(|_| self.operation.needs_begins())
+            .filter_map(|arm| Some((arm, begins.get(&arm.name)?)));
+        self.compile_with(begins, &needed.collect::<Vec<_>>())
+    }
+
+    fn compile_with(
+        &self,
+        begins: &Begins,
+        expected: &[(&ArmDescription, &Begin)],
+    ) -> Result<Start, ErrorKind> {
         let mut net = Net::default();
         let cancel = net.add("Cancel", []).out("outCancel");
         let until = self.until.iter();
@@ -148,7 +171,22 @@ impl Order {
             speed: self.speed.factor(),
             begins,
         };
-        let ports = self.operation.write(&mut net, &requests)?;
+        let mut ports = self.operation.write(&mut net, &requests)?;
+        let moved = expected.iter().filter_map(|(arm, begin)| {
+            let moved = arm.is_elsewhere(&mut net, &begin.joints)?;
+            Some((Failure::moved(&arm.name), moved))
+        });
+        let moved: Vec<_> = moved.collect();
+        let elsewhere: Vec<_> = moved.iter().map(|(_, port)| port.clone()).collect();
+        if let Some(elsewhere) = net.any(&elsewhere) {
+            let fits = net.of("Core::BooleanNot", &elsewhere);
+            let first = net.first_cycle();
+            let begins = net.of_two("Core::BooleanAnd", &first, &fits);
+            let latched = [("inOn", (&begins).into())];
+            let latched = net.add("Core::Trigger", latched).out("outActive");
+            net.result(FITS, &latched);
+        }
+        ports.failures.splice(0..0, moved);
         let failing: Vec<_> = ports
             .failures
             .iter()
@@ -185,6 +223,8 @@ impl Order {
         Ok(Start {
             devices: self.operation.devices(),
             net: net.finish(&end),
+            loaded: None,
+            is_guarded: !expected.is_empty(),
             results,
             failures,
         })

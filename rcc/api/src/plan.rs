@@ -9,10 +9,14 @@ use takt_net::device::Kinematics;
 
 use crate::error::ErrorKind;
 use crate::motion::{ArmDescription, JointLimits};
+use crate::picture::{self, Chart};
 use crate::pose::Pose;
 
 /// Part by which a joint may exceed its velocity limit, for rounding.
 const ROUNDING: f64 = 1e-6;
+
+/// Points of a curve in a picture; more are not distinguishable.
+const PICTURE_POINTS: u32 = 450;
 
 /// The motion of an arm, from rest to rest.
 #[derive(Clone, Debug)]
@@ -91,6 +95,47 @@ impl Plan {
     pub fn cycles(&self) -> impl Iterator<Item = (Duration, f64, Vec<f64>)> {
         let cycles = self.joints.cycles();
         cycles.map(|(time, sample)| (time, sample.progress, positions(sample)))
+    }
+
+    /// A picture, as the text of an SVG file: positions of the joints over time, and their velocities as parts of their limits;
+    /// below it those of the [`Self::partners`].
+    pub fn svg(&self) -> String {
+        let plans = std::iter::once(self).chain(&self.partners);
+        picture::stacked(&plans.flat_map(Self::charts).collect::<Vec<_>>())
+    }
+
+    fn charts(&self) -> [Chart; 2] {
+        let step = self.duration() / PICTURE_POINTS;
+        let times: Vec<_> = (0..=PICTURE_POINTS).map(|number| step * number).collect();
+        let name = &self.arm.name;
+        let chart = |what: &str, unit: &str, of: &dyn Fn(Duration) -> Vec<f64>| {
+            let samples: Vec<_> = times
+                .iter()
+                .map(|time| (time.as_secs_f64(), of(*time)))
+                .collect();
+            let chart = Chart::new(&format!("{name}: planned joint {what}"), "time, s", unit);
+            (0..self.arm.joints.len()).fold(chart, |chart, joint| {
+                let points = samples.iter();
+                let points = points.filter_map(|(time, joints)| Some([*time, *joints.get(joint)?]));
+                chart.curve(&format!("joint {joint}"), points)
+            })
+        };
+        let positions = |time| {
+            self.positions(time)
+                .into_iter()
+                .map(f64::to_degrees)
+                .collect()
+        };
+        let velocities = |time| {
+            let joints = self.velocities(time).into_iter().zip(&self.arm.joints);
+            joints
+                .map(|(velocity, limits)| velocity / limits.velocity * 100.0)
+                .collect()
+        };
+        [
+            chart("positions", "deg", &positions),
+            chart("velocities", "% of limit", &velocities),
+        ]
     }
 
     /// Checks that no joint exceeds a part of its velocity limit; `speed` is that of the plan.

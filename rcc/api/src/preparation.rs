@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use crate::engine::{ActivityId, Start, When};
 use crate::error::ErrorKind;
-use crate::motion::ArmDescription;
+use crate::motion::{ArmDescription, ELSEWHERE};
 use crate::order::Order;
 use crate::session::Session;
 
@@ -51,13 +51,15 @@ impl KnownGoals {
 impl Session {
     /// Checks an order, plans it as far as needed, and writes its net.
     ///
-    /// `before`: where earlier parts of the same call leave arms; `None` where that is not known.
+    /// `before`: where earlier parts of the same call leave arms; `None` where that is not known. `is_ahead`: it is begun
+    /// later than at once.
     pub(crate) fn prepare(
         &self,
         order: &Order,
         when: When,
         before: &Before,
-    ) -> Result<(Start, Goals), ErrorKind> {
+        is_ahead: bool,
+    ) -> Result<(Start, Goals, Begins), ErrorKind> {
         order.check()?;
         let begins = if order.operation.needs_begins() {
             self.begins(order, when, before)?
@@ -69,7 +71,29 @@ impl Session {
             Err(_) if !order.is_checked => Goals::new(),
             goals => goals?,
         };
-        Ok((order.compile(&begins)?, goals))
+        let start = if is_ahead {
+            order.compile_ahead(&begins)?
+        } else {
+            order.compile(&begins)?
+        };
+        Ok((start, goals, begins))
+    }
+
+    /// The arm of which it is known that it will not be where an activity was prepared for: the one that it follows leaves it
+    /// elsewhere.
+    pub(crate) fn leaves_elsewhere(&self, expected: &Begins) -> Option<String> {
+        let is_elsewhere = |(name, begin): &(&String, &Begin)| {
+            let Some(latest) = self.engine().latest(name) else {
+                return false;
+            };
+            let Some(goal) = self.goals().of(name, latest) else {
+                return true;
+            };
+            let mut pairs = goal.iter().zip(&begin.joints);
+            pairs.any(|(goal, joint)| (goal - joint).abs() > ELSEWHERE)
+        };
+        let mut arms = expected.iter().filter(is_elsewhere);
+        arms.next().map(|(name, _)| name.clone())
     }
 
     /// Where the arms of an order are when it begins.

@@ -1,27 +1,22 @@
 //! A connection to a controller, and the threads around the [engine](crate::engine): programs call from any thread; one
 //! thread receives what the controller reports. No lock is held while a program or a call waits.
 
+mod nets;
+mod subjects;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::task::Waker;
 use std::time::{Duration, Instant};
 
-use takt_client::{Client, Message, Reply, Value};
+use takt_client::{Client, Value};
 
-use crate::engine::{Action, ActivityId, Engine, GroupId, Part};
+use crate::engine::{Action, ActivityId, Engine, Part};
 use crate::error::ErrorKind;
 use crate::preparation::{Goals, KnownGoals};
 use crate::program;
-
-/// Least time between two reports of one value of a net. Results are reported with the end of the net in any case.
-const REFRESH: f64 = 0.05;
-
-/// Nets have the period of the controller's first net thread.
-const CONTROLLER_PERIOD: f64 = 0.0;
-
-/// Most pushes that wait for the reply to their subscription: a few of each one in progress.
-const EARLY_MAX: usize = 4096;
+use subjects::{Subject, Subjects};
 
 /// How often the receiver checks whether the program still uses the connection.
 const RECEIVE_SLICE: Duration = Duration::from_millis(200);
@@ -36,6 +31,8 @@ pub(crate) struct Session {
     engine: Mutex<Engine>,
     subjects: Mutex<Subjects>,
     wakers: Mutex<Vec<Waker>>,
+    /// Nets that were loaded beforehand and not begun, with why they can no longer be, if so.
+    ahead: Mutex<BTreeMap<String, Option<String>>>,
     /// Speed of all activities as part of their own, 0 to 1.
     speed: Mutex<f64>,
     goals: Mutex<KnownGoals>,
@@ -46,23 +43,6 @@ pub(crate) struct Session {
     /// A controller in this program, which ends with the session.
     #[cfg(feature = "embedded")]
     embedded: Option<takt_embedded::Embedded>,
-}
-
-/// What the tags of pushes stand for. The lock is held while a push is handled, so that pushes of one subject are handled
-/// in their order.
-#[derive(Debug, Default)]
-struct Subjects {
-    known: BTreeMap<String, Subject>,
-    /// Pushes whose subscription was not yet confirmed.
-    early: Vec<Message>,
-}
-
-#[derive(Clone, Debug)]
-enum Subject {
-    Net(String),
-    Rule(String),
-    /// A net that the controller rejected; it is unloaded at once.
-    Rejected,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -106,6 +86,7 @@ impl Session {
             engine: Mutex::default(),
             subjects: Mutex::default(),
             wakers: Mutex::default(),
+            ahead: Mutex::default(),
             speed: Mutex::new(1.0),
             goals: Mutex::default(),
             stops: AtomicU64::new(0),
@@ -312,12 +293,20 @@ impl Session {
     pub(crate) fn set_speed(&self, factor: f64) {
         let mut speed = lock(&self.speed);
         *speed = factor;
-        let nets = self.engine().nets();
+        // First those that are not begun: what begins meanwhile is in one of both.
+        let mut nets: Vec<_> = lock(&self.ahead).keys().cloned().collect();
+        nets.extend(self.engine().nets());
         nets.iter().for_each(|net| self.write_speed(net, factor));
     }
 
     pub(crate) fn speed(&self) -> f64 {
         *lock(&self.speed)
+    }
+
+    fn slow_down(&self, net: &str, speed: f64) {
+        if speed < 1.0 {
+            self.write_speed(net, speed);
+        }
     }
 
     /// Fails only for a net that is already gone, or with the connection, which the receiver reports.
@@ -357,10 +346,8 @@ impl Session {
                 let loaded = self.load(&net);
                 // A later change of the speed finds the net in the engine.
                 let speed = lock(&self.speed);
-                if let Ok(net) = &loaded
-                    && *speed < 1.0
-                {
-                    self.write_speed(net, *speed);
+                if let Ok(net) = &loaded {
+                    self.slow_down(net, *speed);
                 }
                 self.engine().loaded(activity, loaded);
             }
@@ -378,171 +365,15 @@ impl Session {
         }
     }
 
-    /// Loads a net and subscribes to it.
-    fn load(&self, text: &str) -> Result<String, ErrorKind> {
-        let arguments = [
-            Value::from(text),
-            self.id.as_str().into(),
-            self.program.as_str().into(),
-            CONTROLLER_PERIOD.into(),
-            Value::Integer(1),
-            REFRESH.into(),
-            "every".into(),
-        ];
-        let reply = self.client.call("nene", arguments)?;
-        let net = reply.text().unwrap_or_default().to_owned();
-        if reply.values.get(1).and_then(Value::as_str) == Some("REJECTED") {
-            let (_, faults) = self.inspect(&net)?;
-            self.subscribe(reply.tag, Subject::Rejected);
-            self.client.call("neun", [net.as_str()])?;
-            return Err(ErrorKind::Rejected(faults));
-        }
-        self.subscribe(reply.tag, Subject::Net(net.clone()));
-        Ok(net)
-    }
-
-    /// State of a net, and its faults or the reason of its end.
-    fn inspect(&self, net: &str) -> Result<(String, Vec<String>), ErrorKind> {
-        let reply = self.client.call("nin", [net])?;
-        let info = reply
-            .values
-            .first()
-            .and_then(Value::as_map)
-            .and_then(|nets| nets.get(net));
-        let Some(info) = info.and_then(Value::as_map) else {
-            return Ok((String::new(), Vec::new()));
-        };
-        let text = |key: &str| {
-            info.get(key)
-                .and_then(Value::as_str)
-                .unwrap_or_default()
-                .to_owned()
-        };
-        let faults = info
-            .get("rejection")
-            .and_then(Value::as_list)
-            .unwrap_or_default();
-        let mut lines: Vec<_> = faults
-            .iter()
-            .filter_map(Value::as_str)
-            .map(str::to_owned)
-            .collect();
-        lines.extend(Some(text("end")).filter(|end| !end.is_empty()));
-        Ok((text("state"), lines))
-    }
-
-    fn schedule(&self, group: GroupId, condition: &str, stop: &[String], start: &[String]) {
-        let nets = |nets: &[String]| Value::list_of(nets.iter().map(String::as_str));
-        let arguments = [
-            Value::from(condition),
-            nets(stop),
-            nets(&[]),
-            nets(start),
-            Value::from(self.program.as_str()),
-            // Subscribes to the rule.
-            Value::Integer(1),
-        ];
-        let reply = self.client.call("nesc", arguments).map_err(ErrorKind::from);
-        let reply = reply.map_err(|error| self.obstacle(start).unwrap_or(error));
-        let rule = |reply: &Reply| reply.text().unwrap_or_default().to_owned();
-        let rules = reply.as_ref().map(rule).map_err(Clone::clone);
-        self.engine().scheduled(group, rules);
-        if let Ok(reply) = reply {
-            let rule = Subject::Rule(rule(&reply));
-            self.subscribe(reply.tag, rule);
-        }
-    }
-
-    /// Why nets could not start, as far as the controller knows: another program holds what they need, or the cause.
-    fn obstacle(&self, nets: &[String]) -> Option<ErrorKind> {
-        nets.iter().find_map(|net| {
-            let reply = self.client.call("nin", [net.as_str()]).ok()?;
-            let info = reply.values.first()?.as_map()?.get(net)?.as_map()?;
-            let holders = info.get("holders").and_then(Value::as_list);
-            if let Some(holder) = holders.and_then(|holders| holders.first()?.as_map()) {
-                let text = |key: &str| holder.get(key).and_then(Value::as_str).unwrap_or_default();
-                let [net, session, program] = ["net", "session", "description"].map(text);
-                let mut name = format!("net {net} of session {session}");
-                if !program.is_empty() {
-                    name.push_str(&format!(" ({program})"));
-                }
-                return Some(ErrorKind::conflict(text("resource"), Some(name)));
-            }
-            let cause = info.get("failure").and_then(Value::as_str)?;
-            (!cause.is_empty()).then(|| ErrorKind::Refused(cause.to_owned()))
-        })
-    }
-
-    /// Handles the pushes of a subscription from now on, those first that came before its reply.
-    fn subscribe(&self, tag: String, subject: Subject) {
-        let mut subjects = lock(&self.subjects);
-        let early = std::mem::take(&mut subjects.early);
-        let (mine, others): (Vec<_>, Vec<_>) = early.into_iter().partition(|push| push.tag == tag);
-        subjects.early = others;
-        subjects.known.insert(tag, subject);
-        for push in mine {
-            self.handle_in(&mut subjects, push);
-        }
-    }
-
-    /// Handles a push, and requests what follows from it.
-    fn handle(&self, push: Message) {
-        self.handle_in(&mut lock(&self.subjects), push);
-        self.perform();
-    }
-
-    fn handle_in(&self, subjects: &mut Subjects, push: Message) {
-        let Some(subject) = subjects.known.get(&push.tag).cloned() else {
-            if subjects.early.len() == EARLY_MAX {
-                let text = "notifications of no subscription".to_owned();
-                return self.engine().lose(&ErrorKind::Lost(text));
-            }
-            subjects.early.push(push);
-            return;
-        };
-        match (subject, push.command.as_str(), push.args.first()) {
-            (Subject::Net(net), "ns", Some(Value::String(state))) => {
-                let ended = state == "TERMINATED";
-                let reason = if ended {
-                    self.inspect(&net).map(|(_, lines)| lines.join("; "))
-                } else {
-                    Ok(String::new())
-                };
-                self.engine()
-                    .net_state(&net, state, &reason.unwrap_or_default());
-                if state == "UNLOADED" {
-                    subjects.known.remove(&push.tag);
-                }
-            }
-            (Subject::Rejected, "ns", Some(Value::String(state))) if state == "UNLOADED" => {
-                subjects.known.remove(&push.tag);
-            }
-            (Subject::Net(net), "nc", Some(Value::Map(values))) => {
-                let mut engine = self.engine();
-                for (key, text) in values {
-                    let key = key.strip_prefix("out").unwrap_or(key);
-                    engine.value(&net, key, text.as_str().unwrap_or_default());
-                }
-            }
-            (Subject::Rule(rule), "rs", Some(Value::String(state))) => {
-                if state == "FIREFAILED" {
-                    let nets = self.engine().nets_of_rule(&rule);
-                    let cause = self.obstacle(&nets);
-                    self.engine().rule_failed(&rule, cause);
-                } else {
-                    self.engine().rule_state(&rule, state);
-                }
-                if state != "ACTIVE" {
-                    subjects.known.remove(&push.tag);
-                }
-            }
-            _ => {}
-        }
-    }
-
     /// The connection ended.
     fn lose(&self, error: &ErrorKind) {
         self.engine().lose(error);
+        let subjects = std::mem::take(&mut lock(&self.subjects).known);
+        for subject in subjects.into_values() {
+            if let Subject::Listener(_, shared) = subject {
+                shared.fail(error);
+            }
+        }
         self.notify();
     }
 }

@@ -8,10 +8,10 @@
 )]
 
 use std::io::{BufRead as _, BufReader, Write as _};
-use std::net::TcpListener;
+use std::net::{Shutdown, TcpListener, TcpStream};
 use std::time::Duration;
 
-use takt_api::{Arm, Cell, Error, ErrorKind, Outcome, Pose, coupled, deg, together};
+use takt_api::{Arm, Cell, Error, ErrorKind, Outcome, Pose, Twist, coupled, deg, together};
 use takt_embedded::Embedded;
 use takt_tests::steady;
 
@@ -41,7 +41,11 @@ impl Bench {
 
     /// A program of its own.
     fn cell(&self) -> Cell {
-        Cell::connect_with(&self.address(), self.embedded.token()).unwrap()
+        self.cell_at(&self.address())
+    }
+
+    fn cell_at(&self, address: &str) -> Cell {
+        Cell::connect_with(address, self.embedded.token()).unwrap()
     }
 
     fn left(&self) -> (Cell, Arm) {
@@ -206,7 +210,90 @@ const CASES: &[Case] = &[
         |kind| matches!(kind, ErrorKind::Version { .. }),
         "is of another version: bad handshake",
     ),
+    (
+        "connection lost in motion",
+        |bench| {
+            let cut = cut_line(&bench.address());
+            let cell = bench.cell_at(&cut.address);
+            let mut far = BENT;
+            far[0] = 2.0;
+            let arm = cell.arm("left").unwrap();
+            let running = arm.ptp(far).speed(0.2).begin().unwrap();
+            std::thread::sleep(Duration::from_millis(300));
+            (cut.cut)();
+            running.wait().unwrap_err()
+        },
+        |kind| matches!(kind, ErrorKind::Lost(_)),
+        "the connection to the controller is lost",
+    ),
+    (
+        "callback that panics",
+        |bench| {
+            let (cell, left) = bench.left();
+            // What a program error does, without its message.
+            let wrong = |_| std::panic::resume_unwind(Box::new("no such tool"));
+            let listener = cell.on_change(&left.joint(0), wrong).unwrap();
+            let error = (0..2000).find_map(|_| {
+                std::thread::sleep(Duration::from_millis(5));
+                listener.error()
+            });
+            cell.close().unwrap();
+            error.unwrap()
+        },
+        |kind| matches!(kind, ErrorKind::Callback(_)),
+        "the callback failed: no such tool",
+    ),
+    (
+        "prepared motion of an arm that was moved",
+        |bench| {
+            let (cell, left) = bench.left();
+            let up = Pose::xyz(0.0, 0.0, 0.02) * left.pose().unwrap();
+            let prepared = left.lin(up).prepare().unwrap();
+            let mut aside = BENT;
+            aside[0] = 0.1;
+            assert_eq!(left.ptp(aside).run(), Ok(Outcome::Completed));
+            let error = prepared.begin().unwrap_err();
+            cell.close().unwrap();
+            error
+        },
+        |kind| matches!(kind, ErrorKind::Stale { device, .. } if device == "left"),
+        "left: the prepared activity no longer fits: the arm is not where it was to begin",
+    ),
 ];
+
+/// A connection to a controller through this process, which can be cut.
+struct CutLine {
+    address: String,
+    cut: Box<dyn FnOnce()>,
+}
+
+fn cut_line(controller: &str) -> CutLine {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let controller = TcpStream::connect(controller).unwrap();
+    let (ends, accepted) = std::sync::mpsc::channel();
+    let other = controller.try_clone().unwrap();
+    std::thread::spawn(move || {
+        let (program, _) = listener.accept().unwrap();
+        let copy = |mut from: TcpStream, mut to: TcpStream| {
+            std::thread::spawn(move || std::io::copy(&mut from, &mut to));
+        };
+        copy(program.try_clone().unwrap(), other.try_clone().unwrap());
+        copy(other, program.try_clone().unwrap());
+        ends.send(program).unwrap();
+    });
+    let cut = move || {
+        let program = accepted.recv().unwrap();
+        for end in [program, controller] {
+            // It may be closed already.
+            let _ = end.shutdown(Shutdown::Both);
+        }
+    };
+    CutLine {
+        address,
+        cut: Box::new(cut),
+    }
+}
 
 #[test]
 fn bad_input_is_typed_and_disturbs_no_other() {
@@ -297,6 +384,34 @@ fn program_thread_that_dies_leaves_arm_at_rest() {
         let at = rests(&left);
         assert!(at[0] < 1.9, "it did not go on: {at:?}");
         assert_eq!(left.ptp(BENT).run(), Ok(Outcome::Completed));
+        cell.close().unwrap();
+    });
+}
+
+/// The dead man of a jog brakes when the thread that sends dies; the rest of the program goes on.
+#[test]
+fn jogging_thread_that_dies_leaves_arm_at_rest() {
+    steady(|| {
+        let bench = Bench::start();
+        let (cell, left) = bench.left();
+        let right = cell.arm("right").unwrap();
+        let mut far = BENT;
+        far[0] = 1.0;
+        let undisturbed = right.ptp(far).speed(0.2).begin().unwrap();
+        let before = left.commanded().unwrap();
+        let jog = left.jog().begin().unwrap();
+        let dying = std::thread::spawn(move || {
+            for _ in 0..20 {
+                jog.send(Twist::xyz(0.0, 0.0, 0.05)).unwrap();
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            std::panic::resume_unwind(Box::new("dies"));
+        });
+        dying.join().unwrap_err();
+        let at = rests(&left);
+        assert_ne!(at, before, "it has moved");
+        assert_eq!(left.ptp(BENT).now().run(), Ok(Outcome::Completed));
+        assert_eq!(undisturbed.wait(), Ok(Outcome::Completed));
         cell.close().unwrap();
     });
 }

@@ -6,6 +6,7 @@ use takt_api as api;
 
 use crate::compose::{Composite, Event, Next, begin, end, queue};
 use crate::error;
+use crate::explain::Explanation;
 use crate::expression::Condition;
 use crate::handle::Handle;
 use crate::keywords::Options;
@@ -13,6 +14,7 @@ use crate::outcome::Outcome;
 use crate::owned::Owned;
 use crate::place::Place;
 use crate::plan::Plan;
+use crate::prepared::Prepared;
 
 /// An activity that was described and not begun.
 #[pyclass(frozen, module = "takt")]
@@ -159,11 +161,22 @@ impl Activity {
             .map_err(|error| error::raise(py, &error, self.place.as_ref()))
     }
 
-    /// The text of the net that it becomes.
-    fn explain(&self, py: Python<'_>) -> PyResult<String> {
+    /// Plans, writes and loads it, to begin it later with one request.
+    fn prepare(&self, py: Python<'_>) -> PyResult<Prepared> {
+        Prepared::new(
+            py,
+            self.activity.get(py)?.clone().into(),
+            self.place.clone(),
+        )
+    }
+
+    /// What it becomes if it is begun now.
+    fn explain(&self, py: Python<'_>) -> PyResult<Explanation> {
         let activity = self.activity.get(py)?;
-        let text = py.detach(|| activity.explain());
-        text.map_err(|error| error::raise(py, &error, self.place.as_ref()))
+        let explained = py.detach(|| activity.explain());
+        explained
+            .map(Explanation)
+            .map_err(|error| error::raise(py, &error, self.place.as_ref()))
     }
 
     fn __await__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {

@@ -12,6 +12,7 @@ use crate::expression::{Condition, Number};
 use crate::frame::Frame;
 use crate::gripper::Gripper;
 use crate::io::Io;
+use crate::listener::Listener;
 use crate::owned::Owned;
 use crate::wait::call;
 
@@ -163,6 +164,16 @@ impl Cell {
         let (cell, condition) = (self.open(py)?, condition.get().0.clone());
         let holds = py.detach(|| cell.holds(&condition));
         holds.map_err(|error| error::raise_here(py, &error))
+    }
+
+    /// Calls `callback` with the value of a number or a condition, then at each change.
+    fn on_change(
+        &self,
+        py: Python<'_>,
+        expression: &Bound<'_, PyAny>,
+        callback: Py<PyAny>,
+    ) -> PyResult<Listener> {
+        Listener::start(py, self.open(py)?, expression, callback)
     }
 
     /// Where other programs reach the controller in this program; `None` if it runs elsewhere.

@@ -12,6 +12,7 @@ use crate::handle::{Begun, Handle};
 use crate::outcome::Outcome;
 use crate::owned::Owned;
 use crate::place::Place;
+use crate::prepared::Prepared;
 
 /// Several activities that are begun in one call.
 #[pyclass(frozen, module = "takt")]
@@ -173,6 +174,11 @@ impl Composite {
     /// The same; what begins first begins also if what its devices do before fails or is cancelled.
     fn after_failure(&self, py: Python<'_>) -> PyResult<Self> {
         self.with(py, |composite| Ok(composite.after_failure()))
+    }
+
+    /// Plans, writes and loads them, to begin them later with one request for each part.
+    fn prepare(&self, py: Python<'_>) -> PyResult<Prepared> {
+        Prepared::new(py, self.composite.get(py)?.clone(), self.place.clone())
     }
 
     /// Begins them, and returns when they run.

@@ -142,6 +142,12 @@ fn instance<'py>(
             attributes.set_item("speed", speed)?;
             "TooFast"
         }
+        ErrorKind::Stale { device, cause } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("cause", cause)?;
+            "Stale"
+        }
+        ErrorKind::Callback(_) => "Callback",
         ErrorKind::Unplanned { device, cause } => {
             attributes.set_item("device", device)?;
             attributes.set_item("cause", cause)?;

@@ -10,18 +10,21 @@ mod compose;
 mod coupled;
 mod dispatch;
 mod error;
+mod explain;
 mod expression;
 mod frame;
 mod gripper;
 mod handle;
 mod io;
 mod keywords;
+mod listener;
 mod live;
 mod outcome;
 mod owned;
 mod place;
 mod plan;
 mod pose;
+mod prepared;
 mod wait;
 
 /// Native part of the package `takt`.
@@ -43,6 +46,8 @@ mod native {
     #[pymodule_export]
     use super::coupled::{Coupled, coupled};
     #[pymodule_export]
+    use super::explain::{Cost, Explanation};
+    #[pymodule_export]
     use super::expression::{Condition, Number};
     #[pymodule_export]
     use super::frame::{Frame, Goal};
@@ -53,6 +58,8 @@ mod native {
     #[pymodule_export]
     use super::io::{Io, IoState};
     #[pymodule_export]
+    use super::listener::Listener;
+    #[pymodule_export]
     use super::live::{Live, LiveHandle, Twist};
     #[pymodule_export]
     use super::outcome::Outcome;
@@ -60,4 +67,6 @@ mod native {
     use super::plan::Plan;
     #[pymodule_export]
     use super::pose::{Pose, deg};
+    #[pymodule_export]
+    use super::prepared::Prepared;
 }

@@ -7,6 +7,7 @@ use takt_api as api;
 
 use crate::arrays::array;
 use crate::error;
+use crate::explain::Explanation;
 use crate::expression::Condition;
 use crate::handle::{Begun, Handle};
 use crate::keywords::Options;
@@ -60,7 +61,7 @@ impl Described {
         Ok(same_kind!(self, Begun, live => live.queue()?))
     }
 
-    fn explain(&self) -> Result<String, api::Error> {
+    fn explain(&self) -> Result<api::Explanation, api::Error> {
         match self {
             Self::Twist(live) => live.explain(),
             Self::JointVelocities(live) => live.explain(),
@@ -139,11 +140,13 @@ impl Live {
         LiveHandle::new(py, self.handle(py)?)
     }
 
-    /// The text of the net that it becomes.
-    fn explain(&self, py: Python<'_>) -> PyResult<String> {
+    /// What it becomes if it is begun now.
+    fn explain(&self, py: Python<'_>) -> PyResult<Explanation> {
         let live = self.live.get(py)?;
-        let text = py.detach(|| live.explain());
-        text.map_err(|error| error::raise(py, &error, self.place.as_ref()))
+        let explained = py.detach(|| live.explain());
+        explained
+            .map(Explanation)
+            .map_err(|error| error::raise(py, &error, self.place.as_ref()))
     }
 
     /// For annotations such as `Live[Twist]`.

@@ -75,6 +75,11 @@ impl Plan {
             .map_or_else(|| Ok(first.map(|time: Duration| time.as_secs_f64())), Err)
     }
 
+    /// A picture of joint positions and velocities over time, an SVG file.
+    fn svg(&self) -> String {
+        self.0.svg()
+    }
+
     /// The joint positions at the goal, rad.
     fn end<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         array(py, self.0.end())

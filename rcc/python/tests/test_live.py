@@ -127,7 +127,7 @@ def test_condition_stops_stream(left: takt.Arm) -> None:
     with left.stream(until={"turned": left.joint(0) > 0.2}).begin() as stream:
         stream.send([1.0, *BENT[1:]])
         assert stream.wait(timeout=20.0) == Outcome.Stopped("turned")
-    assert left.stream().until("turned", left.joint(0) > 9).now().speed(0.3).explain()
+    assert left.stream().until("turned", left.joint(0) > 9).now().speed(0.3).explain().net
 
 
 def test_queued_stream_refuses_before_begin(left: takt.Arm) -> None:
@@ -151,7 +151,7 @@ def test_option_unknown_lists_known(left: takt.Arm) -> None:
     wrong = {"limit": 1.0}
     with pytest.raises(TypeError, match="velocity, acceleration"):
         left.with_limits(**wrong)
-    assert left.ptp(BENT, speed=None, blend=None, until=None, now=False).explain() == left.ptp(BENT).explain()
+    assert left.ptp(BENT, speed=None, blend=None, until=None, now=False).explain().net == left.ptp(BENT).explain().net
 
 
 def test_interpreter_lock_held_releases_dead_man(left: takt.Arm) -> None:

@@ -11,7 +11,8 @@ import takt
 
 API = ROOT / "rcc" / "api" / "src"
 MODULES = """
-activity arm base cell compose coupled embedded expression gripper handle io live outcome plan pose world
+activity arm base cell compose cost coupled embedded explain expression gripper handle io listener live
+outcome plan pose prepared world
 """.split()
 
 OTHER_NAME = {

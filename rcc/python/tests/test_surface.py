@@ -35,7 +35,7 @@ def test_net_text_equals_that_of_rust(cell: takt.Cell, address: str) -> None:
         left.hold(until={"waves": waves.rises() | waves.falls()}),
         left.ptp_to(pose, now=True),
     ]
-    nets = [activity.explain() for activity in activities]
+    nets = [activity.explain().net for activity in activities]
     nets += live(left, touch) + coupled_arms(cell) + devices(cell)
     ours = "".join(net + "\n\n" for net in nets)
     rust = subprocess.run([program("explain"), address], capture_output=True, check=True)
@@ -48,10 +48,10 @@ def live(left: takt.Arm, touch: takt.Condition) -> list[str]:
     """The nets of activities that follow what a program sends."""
     tool = Pose.xyz(0, 0, 0.1)
     return [
-        left.with_limits(velocity=0.1, rot_jerk=20).with_tool(tool).jog().explain(),
-        left.jog_joints(speed=0.3, until={"touch": touch}).explain(),
-        left.stream(speed=0.5, now=True).explain(),
-        left.with_tool(tool).stream_poses().explain(),
+        left.with_limits(velocity=0.1, rot_jerk=20).with_tool(tool).jog().explain().net,
+        left.jog_joints(speed=0.3, until={"touch": touch}).explain().net,
+        left.stream(speed=0.5, now=True).explain().net,
+        left.with_tool(tool).stream_poses().explain().net,
     ]
 
 
@@ -61,7 +61,7 @@ def coupled_arms(cell: takt.Cell) -> list[str]:
     held = takt.coupled(Pose.xyz(0.5, 0, 0.5), arms).with_speed(0.5)
     via, to = Pose.xyz(0.5, 0.1, 0.6), Pose.xyz(0.5, 0, 0.7)
     activities = [held.lin(to), held.circ(via, to), held.spline([via, to], speed=0.4)]
-    return [activity.explain() for activity in activities]
+    return [activity.explain().net for activity in activities]
 
 
 def devices(cell: takt.Cell) -> list[str]:
@@ -85,14 +85,14 @@ def devices(cell: takt.Cell) -> list[str]:
         platform.go_to(Pose.xyz(0.3, -0.2, 0).abc(0.5, 0, 0)),
         platform.with_speed(0.5).drive([0.2, 0, -0.1], 0.25, speed=0.5, until={"turned": turned}, now=True),
     ]
-    return [activity.explain() for activity in activities]
+    return [activity.explain().net for activity in activities]
 
 
 def test_methods_equal_keywords(cell: takt.Cell) -> None:
     left = cell.arm("left")
     far = left.joint(0) > 1
-    by_keywords = left.ptp([0] * 7, speed=0.5, blend=0.2, until={"far": far}).explain()
-    assert left.ptp([0] * 7).speed(0.5).blend(0.2).until("far", far).explain() == by_keywords
+    by_keywords = left.ptp([0] * 7, speed=0.5, blend=0.2, until={"far": far}).explain().net
+    assert left.ptp([0] * 7).speed(0.5).blend(0.2).until("far", far).explain().net == by_keywords
 
 
 STUB = ast.parse(pathlib.Path(str(_takt.__file__)).with_name("_takt.pyi").read_text())

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use takt_api::{Arm, Outcome, Plan};
+use takt_api::{Arm, Cost, Explanation, Outcome, Plan};
 
 /// A motion as planned, and how it ended.
 #[derive(Debug)]
@@ -14,6 +14,7 @@ pub(super) struct Report {
     speed: f64,
     duration: Duration,
     joints: Vec<Joint>,
+    explained: Option<Explanation>,
     end: Option<End>,
 }
 
@@ -61,8 +62,14 @@ impl Report {
             speed,
             duration: plan.duration(),
             joints: joints.map(joint).collect(),
+            explained: None,
             end: None,
         }
+    }
+
+    /// What the motion becomes.
+    pub(super) fn explain(&mut self, explained: &Explanation) {
+        self.explained = Some(explained.clone());
     }
 
     /// The motion has ended.
@@ -120,12 +127,17 @@ impl Report {
         };
         let joints: Vec<_> = self.joints.iter().map(joint).collect();
         let end = self.end.as_ref();
+        let explained = self.explained.as_ref();
+        let cost = explained.map(|it| &it.cost);
         json!({
             "arm": self.arm, "motion": self.motion, "speed": self.speed,
             "duration_s": self.duration.as_secs_f64(), "joints": joints,
             "outcome": end.map(|end| word(&end.outcome)),
             "took_s": end.map(|end| end.took.as_secs_f64()),
             "at_rad": end.and_then(|end| end.at.clone()),
+            "rules": explained.map(|it| it.rules.clone()),
+            "cycle_cost_us": cost.map(|cost| cost.cycle.as_secs_f64() * 1e6),
+            "cycle_share": cost.map(Cost::share),
         })
     }
 }

@@ -13,6 +13,9 @@ pub struct ActivityId(pub(super) u64);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct GroupId(pub(super) u64);
 
+/// Key of the result of a net that fits where its arms are when it begins.
+pub const FITS: &str = "fits";
+
 /// An activity to be begun.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Start {
@@ -20,6 +23,10 @@ pub struct Start {
     pub devices: Vec<String>,
     /// Text of its net.
     pub net: String,
+    /// Name of its net, if that was loaded beforehand: it is ready to be scheduled.
+    pub loaded: Option<String>,
+    /// Whether its net decides in its first cycle whether it begins: by the result [`FITS`], or a failure.
+    pub is_guarded: bool,
     /// Keys of the results after which a successor may begin.
     pub results: Vec<String>,
     /// Results after which it has failed, the first in order before the others.
@@ -75,6 +82,17 @@ impl Failure {
             holder: None,
         };
         Self::with("concurrent", device, error)
+    }
+
+    /// An arm is not where the activity was prepared for.
+    pub fn moved(device: &str) -> Self {
+        let cause = "the arm is not where it was to begin";
+        Self::with("moved", device, ErrorKind::stale(device, cause))
+    }
+
+    /// Whether it is that another net commands the device.
+    pub(super) const fn is_conflict(&self) -> bool {
+        matches!(self.error, ErrorKind::Conflict { .. })
     }
 
     /// The path of an arm leaves its reach.
@@ -223,6 +241,8 @@ pub(super) struct Activity {
     pub(super) is_unloading: bool,
     /// Whether it has reached its goal and kept it up.
     pub(super) has_maintained: bool,
+    /// Whether its net still decides whether it begins.
+    pub(super) is_undecided: bool,
 }
 
 #[derive(Debug)]

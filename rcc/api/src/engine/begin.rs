@@ -37,6 +37,8 @@ impl Engine {
             let begun = self.begin_part(part, call, &groups);
             groups.push(begun);
         }
+        // Nets that were loaded beforehand are ready.
+        self.bind_all();
         Ok(groups.into_iter().map(|(_, members)| members).collect())
     }
 
@@ -177,7 +179,14 @@ impl Engine {
 
     fn add(&mut self, group: GroupId, start: Start, is_reserve: bool) -> ActivityId {
         let id = ActivityId(self.number());
-        if !is_reserve {
+        let state = match &start.loaded {
+            Some(net) => {
+                self.nets.insert(net.clone(), id);
+                State::Loaded
+            }
+            None => State::Loading,
+        };
+        if !is_reserve && start.loaded.is_none() {
             self.actions.push(Action::Load {
                 activity: id,
                 net: start.net,
@@ -188,14 +197,15 @@ impl Engine {
             group,
             results: start.results,
             failures: start.failures,
-            net: None,
-            state: State::Loading,
+            net: start.loaded,
+            state,
             values: BTreeSet::new(),
             progress: 0.0,
             is_held: true,
             pending: None,
             is_unloading: false,
             has_maintained: false,
+            is_undecided: start.is_guarded,
         };
         self.activities.insert(id, activity);
         id

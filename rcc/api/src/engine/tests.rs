@@ -25,6 +25,8 @@ fn coupled(devices: &[&str]) -> Start {
     Start {
         devices: devices.iter().map(|device| (*device).to_owned()).collect(),
         net: format!("net of {}", devices.join(" and ")),
+        loaded: None,
+        is_guarded: false,
         results: RESULTS.map(str::to_owned).to_vec(),
         failures: devices.iter().flat_map(failures).collect(),
     }

@@ -23,8 +23,8 @@ const SPEED_MAX: f64 = 0.8;
 const CHECKED_SPEED_MAX: f64 = 0.6;
 
 /// Largest mean speed of a joint, as part of its limit, if the object braked to rest for the longest time of braking: where
-/// it is larger, the object brakes. More lets arms near a singularity leave the path by millimetres. A path with joints
-/// above this part for long may brake although it was checked: near stretched arms a lower speed completes.
+/// it is larger, the object brakes. More lets arms near a singularity leave the path by millimetres. A path that is checked
+/// beforehand has no such place: it is refused with the speed at which it fits.
 const BRAKING_SPEED_MAX: f64 = 0.4;
 
 /// Least time for which the net goes on after a device failed, s.
@@ -36,6 +36,16 @@ const FAILURE_MAX_S: f64 = 10.0;
 /// Time for which the net goes on after a device failed, as part of the time that braking takes from constant velocity:
 /// while the object accelerates, braking takes longer.
 const FAILURE_PER_BRAKING: f64 = 2.0;
+
+/// A joint that would be too fast if the object braked.
+struct TooFast {
+    /// Of its mean speed while braking to the largest one.
+    ratio: f64,
+    joint: usize,
+    progress: f64,
+    velocity: f64,
+    limit: f64,
+}
 
 /// An arm that holds an object.
 #[derive(Clone, Debug)]
@@ -79,7 +89,12 @@ impl CoupledMotion {
     }
 
     /// The motion of the object in the base of an arm, and that of the arm.
-    fn plan_of(&self, holder: &Holder, begins: &Begins, speed: f64) -> Result<Plan, ErrorKind> {
+    fn plan_of(
+        &self,
+        holder: &Holder,
+        begins: &Begins,
+        speed: f64,
+    ) -> Result<(Plan, MotionPlan<FrameSample>), ErrorKind> {
         let arm = &holder.arm;
         let begin = begins.get(&arm.name).ok_or_else(|| arm.no_start())?;
         let kinematics = arm.kinematics().ok_or_else(|| arm.no_model())?;
@@ -91,7 +106,60 @@ impl CoupledMotion {
             .map_err(|error| unplanned(arm, error))?;
         let grasp = holder.grasp.isometry();
         let joints = object.joints(&*kinematics, &arm.limits(), &begin.joints, grasp);
-        Ok(Plan::new(arm, joints.map_err(|found| unfit(arm, &found))?))
+        let joints = joints.map_err(|found| unfit(arm, &found))?;
+        Ok((Plan::new(arm, joints), object))
+    }
+
+    /// Plans the motion of an arm and checks it: no joint is too fast, and at no time would the object brake.
+    fn checked(&self, holder: &Holder, begins: &Begins, speed: f64) -> Result<Plan, ErrorKind> {
+        let (plan, object) = self.plan_of(holder, begins, speed)?;
+        let too_fast = plan.check(speed, CHECKED_SPEED_MAX).err();
+        let arm = &holder.arm;
+        let kinematics = arm.kinematics().ok_or_else(|| arm.no_model())?;
+        let grasp = holder.grasp.isometry();
+        let braking_s = self.limits.braking_s(speed);
+        let mut at_rest = vec![0.0; arm.joints.len()];
+        let mut fastest: Option<TooFast> = None;
+        for ((_, progress, joints), (_, object)) in plan.cycles().zip(object.cycles()) {
+            let found = kinematics.inverse(&(object.rest * grasp), &joints, &mut at_rest);
+            found.map_err(|cause| ErrorKind::Unreachable {
+                device: arm.name.clone(),
+                progress: progress * 100.0,
+                cause: cause.to_string(),
+            })?;
+            let moved = joints.iter().zip(&at_rest).zip(&arm.joints).enumerate();
+            for (joint, ((from, to), limits)) in moved {
+                let velocity = (to - from) / braking_s;
+                let limit = limits.velocity * BRAKING_SPEED_MAX;
+                let ratio = velocity.abs() / limit;
+                if ratio > fastest.as_ref().map_or(1.0, |it| it.ratio) {
+                    fastest = Some(TooFast {
+                        ratio,
+                        joint,
+                        progress,
+                        velocity,
+                        limit,
+                    });
+                }
+            }
+        }
+        // The way of braking does not depend on the speed; the time for it does. Rounded down, so that the number that is shown
+        // fits.
+        let fits = |it: &TooFast| (speed / it.ratio * 1000.0).floor() / 1000.0;
+        let Some(it) = fastest else {
+            return too_fast.map_or(Ok(plan), Err);
+        };
+        let braking = ErrorKind::TooFast {
+            device: arm.name.clone(),
+            joint: it.joint,
+            progress: it.progress * 100.0,
+            velocity: it.velocity,
+            limit: it.limit,
+            speed: fits(&it),
+        };
+        let mut error = too_fast.unwrap_or_else(|| braking.clone());
+        error.slow_down(&braking);
+        Err(error)
     }
 
     /// Writes the arm of a holder; returns why it fails.
@@ -160,6 +228,10 @@ impl Operation for CoupledMotion {
         self.holders.iter().map(|holder| &holder.arm).collect()
     }
 
+    fn needs_start(&self) -> bool {
+        self.route.needs_start()
+    }
+
     fn follow(&self, begins: &Begins, speed: f64) -> Result<Goals, ErrorKind> {
         let mut goals = Goals::new();
         let arms = self.arms();
@@ -169,23 +241,26 @@ impl Operation for CoupledMotion {
         if !arms.iter().all(is_known) {
             return Ok(goals);
         }
+        let is_at_rest = begins.values().all(|begin| begin.is_at_rest);
+        let mut found: Option<ErrorKind> = None;
         for holder in &self.holders {
-            let plan = self.plan_of(holder, begins, speed);
-            let is_at_rest = begins.values().all(|begin| begin.is_at_rest);
-            match plan.and_then(|plan| plan.check(speed, CHECKED_SPEED_MAX).map(|()| plan)) {
+            match self.checked(holder, begins, speed) {
                 Ok(plan) => drop(goals.insert(holder.arm.name.clone(), plan.end())),
                 Err(_) if !is_at_rest => {}
-                Err(error) => return Err(error),
+                Err(error) => {
+                    let first = found.get_or_insert_with(|| error.clone());
+                    first.slow_down(&error);
+                }
             }
         }
-        Ok(goals)
+        found.map_or(Ok(goals), Err)
     }
 
     fn plan(&self, begins: &Begins, speed: f64) -> Result<Plan, ErrorKind> {
         let plans = self
             .holders
             .iter()
-            .map(|holder| self.plan_of(holder, begins, speed));
+            .map(|holder| self.plan_of(holder, begins, speed).map(|(plan, _)| plan));
         let mut plans = plans.collect::<Result<Vec<_>, _>>()?.into_iter();
         let first = plans
             .next()

@@ -49,10 +49,11 @@ impl Moved {
     }
 }
 
-/// A frame in motion: where it is, and its velocity.
+/// A frame in motion: where it is, its velocity and its acceleration.
 pub(crate) struct InMotion {
     pub(crate) frame: Port,
     pub(crate) velocity: Port,
+    pub(crate) acceleration: Port,
 }
 
 impl Route {
@@ -73,6 +74,11 @@ impl Route {
             }
             Self::Line(_) | Self::Arc { .. } | Self::Spline(_) => Ok(()),
         }
+    }
+
+    /// Whether it leads from its start; a line leads from anywhere.
+    pub(crate) const fn needs_start(&self) -> bool {
+        matches!(self, Self::Arc { .. } | Self::Spline(_))
     }
 
     /// The same path in a frame whose reference is at `by`.
@@ -128,8 +134,7 @@ impl Route {
         if let Some(from) = from {
             arguments.push(("inFrom", (&from.frame).into()));
             arguments.push(("inFromVelocity", (&from.velocity).into()));
-            // Not its acceleration: where the motion before already brakes, going on with that makes a blend slower by a
-            // fifth. The acceleration changes at once instead, within its limit.
+            arguments.push(("inFromAcceleration", (&from.acceleration).into()));
         }
         let kind = match self {
             // Without its own start, a line begins where the frame is.
@@ -169,18 +174,22 @@ impl Route {
 pub(crate) fn commanded(net: &mut Net, arm: &ArmDescription, tool: &Pose) -> InMotion {
     let positions = arm.joint_array(net, "outCommandedPosition");
     let velocities = arm.joint_array(net, "outCommandedVelocity");
+    let accelerations = arm.joint_array(net, "outCommandedAcceleration");
     let robot = || ("Robot", Argument::from(arm.name.as_str()));
     let flange = [("inJoints", (&positions).into()), robot()];
     let flange = net.add("ArmKinematics::Kin", flange).out("outFrame");
     let twist = [
         ("inJoints", (&positions).into()),
         ("inVelocities", (&velocities).into()),
+        ("inAccelerations", (&accelerations).into()),
         robot(),
         ("Tool", tool.text().into()),
     ];
+    let moved = net.add("ArmKinematics::VelKin", twist);
     InMotion {
         frame: net.transform(&flange, tool),
-        velocity: net.add("ArmKinematics::VelKin", twist).out("outTwist"),
+        velocity: moved.out("outTwist"),
+        acceleration: moved.out("outAcceleration"),
     }
 }
 
@@ -199,12 +208,16 @@ pub(crate) fn commanded_in(
     let frame = net.of_two("World::FrameTransform", &base, &moved.frame);
     let rotation = [("inValue", (&base).into())];
     let rotation = net.add("World::FrameToPosRot", rotation).out("outRotation");
-    let turned = [
-        ("inValue", (&moved.velocity).into()),
-        ("inRot", (&rotation).into()),
-    ];
-    let velocity = net.add("World::TwistRotate", turned).out("outValue");
-    InMotion { frame, velocity }
+    let mut turned = |twist: &Port| {
+        let turned = [("inValue", twist.into()), ("inRot", (&rotation).into())];
+        net.add("World::TwistRotate", turned).out("outValue")
+    };
+    let [velocity, acceleration] = [&moved.velocity, &moved.acceleration].map(&mut turned);
+    InMotion {
+        frame,
+        velocity,
+        acceleration,
+    }
 }
 
 /// The joints that bring the flange to a frame, next to those that are commanded; and whether there are none.

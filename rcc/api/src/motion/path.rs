@@ -70,6 +70,10 @@ impl Operation for ArmMotion {
         }
     }
 
+    fn needs_start(&self) -> bool {
+        matches!(&self.path, Ok(Path::Frame(route)) if route.needs_start())
+    }
+
     fn follow(&self, begins: &Begins, speed: f64) -> Result<Goals, ErrorKind> {
         let name = &self.arm.name;
         if !matches!(self.path, Ok(Path::Frame(_))) {

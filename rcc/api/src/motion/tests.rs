@@ -295,3 +295,34 @@ fn full_speed_leaves_room_for_device_clock() {
         assert_eq!(text, array(&[velocity; 7]), "{speed}");
     }
 }
+
+/// Towards stretched arms joints become faster while the object already brakes: such a line is refused, with the speed at which it
+/// fits, so that no line that is accepted brakes on its way.
+#[test]
+fn coupled_line_that_would_brake_names_fitting_speed() {
+    let begins = begins(&["left", "right"]);
+    let mut by_braking = 0;
+    for step in (4..60).step_by(5) {
+        let mut motion = coupled();
+        let start = Pose::xyz(0.0, 0.3, 0.0) * flange() * Pose::xyz(0.0, -0.1, 0.0);
+        let outward = start.position().map(|at| at * 0.005 * f64::from(step));
+        let [x, y, z] = outward;
+        motion.route = Route::Line(Pose::xyz(x, y, z) * start);
+        for speed in [0.5, 0.95, 1.0] {
+            let Err(error) = motion.follow(&begins, speed) else {
+                continue;
+            };
+            let ErrorKind::TooFast {
+                speed: fits, limit, ..
+            } = error
+            else {
+                continue;
+            };
+            assert!(fits < speed, "{fits} at {speed}");
+            by_braking += usize::from(limit < 0.5 * 2.0);
+            let slower = motion.follow(&begins, fits);
+            assert!(slower.is_ok(), "step {step}, {speed} to {fits}: {slower:?}");
+        }
+    }
+    assert!(by_braking > 0, "no line is refused for its braking");
+}

@@ -14,7 +14,6 @@ pub use check::{Cause, Unfit};
 
 use super::course::{Course, Geometry, Progress, WHOLE};
 use super::frame_path::{FramePath, is_sensible};
-use super::lead::Lead;
 use super::limits::{LARGEST, SMALLEST};
 use super::path::Path;
 use super::ptp::JointLine;
@@ -108,6 +107,8 @@ pub struct FrameSample {
     pub frame: Frame,
     /// Its velocity in the base, m/s and rad/s.
     pub velocity: Twist,
+    /// Where it comes to rest if it is stopped in two cycles, m.
+    pub rest: Frame,
 }
 
 /// A sample of a motion, between two others.
@@ -170,6 +171,7 @@ impl Sample for FrameSample {
                 vel: leaving.lerp(&arriving, part),
                 rot: self.velocity.rot.lerp(&next.velocity.rot, part),
             },
+            rest: self.rest,
         }
     }
 }
@@ -226,7 +228,7 @@ fn run<S>(
     mut course: Course,
     first: Option<S>,
     period: Duration,
-    sample: impl Fn(Progress, Option<&Lead>) -> S,
+    sample: impl Fn(Progress, &Course) -> S,
 ) -> Result<Plan<S>, PlanError> {
     if course.duration() / period.as_secs_f64() > CYCLES_MAX as f64 {
         return Err(PlanError::Endless);
@@ -235,7 +237,7 @@ fn run<S>(
     let mut samples: Vec<S> = first.into_iter().collect();
     loop {
         let progress = course.step(1.0, false);
-        samples.push(sample(progress, course.lead()));
+        samples.push(sample(progress, &course));
         if progress.is_done {
             break;
         }
@@ -293,10 +295,10 @@ pub fn plan(
         course = course.with_lead(joints, period.as_secs_f64());
         line.begin(&mut course, from, 1.0);
     }
-    run(course, first, period, |progress, lead| JointSample {
+    run(course, first, period, |progress, course| JointSample {
         progress: progress.part.clamp(0.0, 1.0),
         joints: (0..joints)
-            .map(|joint| line.at(joint, progress, lead))
+            .map(|joint| line.at(joint, progress, course.lead()))
             .collect(),
     })
 }
@@ -397,17 +399,19 @@ pub fn plan_frame(
         progress: 0.0,
         frame: from.frame,
         velocity: from.velocity,
+        rest: from.frame,
     });
     if !starts {
         course = course.with_lead(6, period.as_secs_f64());
         super::cartesian::begin(&mut path, &mut course, from, (to, join), 1.0);
     }
-    run(course, first, period, |progress, lead| {
-        let (frame, velocity) = path.at(progress, lead);
+    run(course, first, period, |progress, course| {
+        let (frame, velocity) = path.at(progress, course.lead());
         FrameSample {
             progress: progress.part.clamp(0.0, 1.0),
             frame,
             velocity,
+            rest: path.path.at(course.rest()),
         }
     })
 }

@@ -121,6 +121,16 @@ class TooFast(_OfDevice):
     speed: float
 
 
+class Stale(_OfDevice):
+    """A prepared activity of `device` no longer fits, for `cause`; nothing was begun."""
+
+    cause: str
+
+
+class Callback(Error):
+    """A callback raised; its listener has ended."""
+
+
 class Unplanned(_OfDevice):
     """A motion of `device` cannot be planned, for `cause`; nothing was begun."""
 

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from os import PathLike
 from types import TracebackType
-from typing import Any, ClassVar, Generic, Literal, Protocol, TypedDict, TypeVar, final
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypedDict, TypeVar, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Unpack
+
+from ._errors import Error
 
 class _HasMatrix(Protocol):
     def as_matrix(self) -> Any: ...
@@ -131,6 +133,16 @@ class Cell:
         """
     def holds(self, condition: Condition) -> bool:
         """Whether a condition holds at present; not if it depends on a number that a device does not know."""
+    @overload
+    def on_change(self, expression: Number, callback: Callable[[float | None], object]) -> Listener:
+        """Calls `callback` with the value of a number, then at each change, until the listener is closed.
+
+        It is `None` while a device does not know it. The callback runs in a thread of its
+        own: it may take its time. Raises `Rejected`, `Lost`, and `TypeError` for anything else.
+        """
+    @overload
+    def on_change(self, expression: Condition, callback: Callable[[bool], object]) -> Listener:
+        """The same for a condition, which is not true while a device does not know what it depends on."""
     def embedded_address(self) -> str | None:
         """Where other programs reach the controller in this program; `None` if it runs elsewhere."""
     def stop(self) -> None:
@@ -356,8 +368,17 @@ class Activity:
 
         Raises `Invalid`, `Unreachable`, `TooFast`, or `Unplanned` if its path is not known before it runs.
         """
-    def explain(self) -> str:
-        """The text of the net that it becomes. Raises `Invalid` or `Limit`."""
+    def prepare(self) -> Prepared:
+        """Plans, writes and loads it, so that `Prepared.begin` later is one request; nothing moves.
+
+        It is to begin where its arm is now, or where what the arm does now leaves it. Raises as `begin`, and `Invalid` if
+        an arc or a curve is to begin by `now`: it leads from where the arm is then.
+        """
+    def explain(self) -> Explanation:
+        """What it becomes if it is begun now; the controller checks the net, and nothing moves.
+
+        Raises `Invalid` or `Limit`, and `Rejected` if the controller rejects the net.
+        """
     def __await__(self) -> Generator[Any, None, Outcome]: ...
 
 @final
@@ -373,6 +394,8 @@ class Composite:
         """The same; `next` begins at an event of the last activity, decided by the controller; else it is skipped."""
     def after_failure(self) -> Composite:
         """The same; what begins first begins also if what its devices do before fails or is cancelled."""
+    def prepare(self) -> Prepared:
+        """Plans, writes and loads them, to begin them later with one request each. Raises as `Activity.prepare`."""
     def begin(self) -> Handle:
         """Begins them, and returns when they run. Raises as `Activity.begin`."""
     def queue(self) -> Handle:
@@ -380,6 +403,94 @@ class Composite:
     def run(self) -> Outcome:
         """Begins them and waits until all have ended; the outcome is the one that is furthest from completion."""
     def __await__(self) -> Generator[Any, None, Outcome]: ...
+
+@final
+class Prepared:
+    """An activity, or several that begin in one call, loaded and not begun: begun once, or discarded.
+
+    Motions to joint positions begin from anywhere. What leads from where its arms are, such as a line, is refused with
+    `Stale` if they rest elsewhere when it begins, by more than 2 mrad in a joint, or if what it then follows leaves them
+    elsewhere. As a context manager it is discarded at the end of the block, unless it was begun; so is one that is
+    garbage. While it exists, the controller keeps the devices that it needs.
+    """
+
+    def begin(self) -> Handle:
+        """Begins it with one request for each activity, and returns when it runs.
+
+        Raises `Stale` if it no longer fits, `Invalid` if it was begun or discarded before, else as `Activity.begin`.
+        """
+    def queue(self) -> Handle:
+        """Lets it begin after what its devices do, and returns at once. Raises as `begin`."""
+    def run(self) -> Outcome:
+        """Begins it and waits until it has ended. Raises as `begin` and `Handle.wait`; Ctrl-C cancels it."""
+    def discard(self) -> None:
+        """Unloads it, unless it was begun."""
+    def __enter__(self) -> Prepared: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None: ...
+    def __await__(self) -> Generator[Any, None, Outcome]: ...
+
+@final
+class Explanation:
+    """What an activity becomes if it is begun. As a text: its rules, its cost, and its net."""
+
+    @property
+    def net(self) -> str:
+        """The text of its net, equal to that of Rust byte for byte."""
+    @property
+    def rules(self) -> list[str]:
+        """What it follows, what it permits, and what ends it, a sentence each."""
+    @property
+    def cost(self) -> Cost:
+        """What it costs in each cycle."""
+    @property
+    def plan(self) -> Plan | None:
+        """Its course, if that is known before it runs."""
+    def svg(self) -> str | None:
+        """Its plan as a picture, as of `Plan.svg`; `None` without a plan."""
+
+@final
+class Cost:
+    """Worst-case cost of a net."""
+
+    @property
+    def cycle(self) -> float:
+        """Longest time that its evaluation takes in one cycle, s."""
+    @property
+    def period(self) -> float:
+        """Its period, s."""
+    @property
+    def budget(self) -> float:
+        """Time of a period that all nets of its thread may take together, s."""
+    @property
+    def primitives(self) -> int:
+        """Number of its primitives."""
+    @property
+    def share(self) -> float:
+        """Part of the period that it takes, above 0."""
+
+@final
+class Listener:
+    """Calls of the program at each change of a number or a condition, by `Cell.on_change`, until it is closed or garbage.
+
+    A condition is reported at its change, a number every 10 ms while it changes. A callback that takes longer misses the
+    values in between, and is always called with the latest one. What it raises goes to `sys.unraisablehook`; the listener has
+    ended then, with `error`. It runs in a thread of its own and may use the cell.
+    """
+
+    @property
+    def missed(self) -> int:
+        """How many values were replaced by later ones before the callback was called with them."""
+    @property
+    def error(self) -> Error | None:
+        """Why it has ended by itself: `Callback`, `Lost`, or `Ended` if its net was ended on the controller."""
+    def close(self) -> None:
+        """Ends it; at most the call in progress is completed."""
+    def __enter__(self) -> Listener: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None: ...
 
 @final
 class Event:
@@ -453,6 +564,8 @@ class Plan:
         """The pose of the flange in the base of the arm; `None` without a known model of the kinematics."""
     def first(self, condition: Callable[[float, NDArray[np.float64]], object]) -> float | None:
         """The first time at which `condition(progress, positions)` is true, else `None`. What it raises is passed on."""
+    def svg(self) -> str:
+        """A picture, as the text of an SVG file: positions of the joints, velocities as parts of their limits, over time."""
     def end(self) -> NDArray[np.float64]:
         """The joint positions at the goal, rad."""
     def cycles(self) -> list[NDArray[np.float64]]:
@@ -472,8 +585,8 @@ class Live(Generic[_T]):
         """Begins it, and returns when it runs: the arm brakes, and waits for set-points. Raises as `Activity.begin`."""
     def queue(self) -> LiveHandle[_T]:
         """Lets it begin after what the arm does, and returns at once. What is sent before its net is loaded is `Invalid`."""
-    def explain(self) -> str:
-        """The text of the net that it becomes. Raises `Invalid`."""
+    def explain(self) -> Explanation:
+        """What it becomes if it is begun now, as of `Activity.explain`. Raises `Invalid` and `Rejected`."""
 
 @final
 class Twist:

@@ -214,6 +214,8 @@ proptest! {
                     let starts = devices.iter().map(|device| Start {
                         devices: vec![device.to_string()],
                         net: device.to_string(),
+                        loaded: None,
+                        is_guarded: false,
                         results: ["completed", "blend", "until_touch"].map(str::to_owned).to_vec(),
                         failures: vec![Failure { key: "failed".to_owned(), error: ErrorKind::DeviceFailed { device: device.to_string(), cause: "fault".to_owned() } }],
                     });
