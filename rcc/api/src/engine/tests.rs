@@ -131,6 +131,45 @@ fn idle_device_begins_at_once() {
     assert_eq!(engine.state(first), Some(&State::Running));
 }
 
+fn begin_prepared(engine: &mut Engine, net: &str) -> ActivityId {
+    let mut start = start("left");
+    start.loaded = Some(net.to_owned());
+    start.is_guarded = true;
+    start.failures.push(Failure::moved("left"));
+    engine.begin(vec![start], When::Follow).unwrap()[0]
+}
+
+#[test]
+fn prepared_net_is_scheduled_without_load() {
+    let mut engine = Engine::default();
+    begin_prepared(&mut engine, "p1");
+    let actions = engine.take_actions();
+    assert_eq!(rule(&actions), ("t", vec![], vec!["p1"]));
+    assert_eq!(actions.len(), 1, "{actions:?}");
+}
+
+#[test]
+fn prepared_net_has_begun_once_it_fits() {
+    let mut engine = Engine::default();
+    let fits = begin_prepared(&mut engine, "p1");
+    serve(&mut engine);
+    engine.net_state("p1", "RUNNING", "");
+    assert!(!engine.has_begun(fits));
+    engine.value("p1", FITS, "true");
+    assert!(engine.has_begun(fits));
+    engine.value("p1", "completed", "true");
+    engine.net_state("p1", "TERMINATED", "");
+    let moved = begin_prepared(&mut engine, "p2");
+    serve(&mut engine);
+    engine.net_state("p2", "RUNNING", "");
+    engine.value("p2", "moved_left", "true");
+    engine.net_state("p2", "TERMINATED", "");
+    assert!(matches!(
+        outcome(&engine, moved),
+        Err(ErrorKind::Stale { device, .. }) if device == "left"
+    ));
+}
+
 #[test]
 fn successor_waits_for_each_result_of_its_predecessor() {
     let mut engine = Engine::default();
