@@ -97,7 +97,7 @@ enum Command {
     Irl(irl::Irl),
     /// Measure how late cycles begin on this host.
     Jitter(jitter::Jitter),
-    /// Check and draw state machines over components.
+    /// Check, load, command and draw state machines over components.
     #[command(subcommand)]
     Machine(machine::Machine),
     Move(motion::Move),

@@ -217,6 +217,74 @@ fn machine_ended_in_each_state_leaves_nothing() {
     }
 }
 
+const STOPS: &str = "machine Stops {
+      component c from \"c\" started;
+      stop on end within TIME;
+      initial state A { transition if false to Z; }
+      final state Z { entry { wait 100ms; stop c; } }
+    }";
+
+#[test]
+fn machine_end_by_stop_runs_final_state() {
+    let _alone = alone();
+    let controller = controller();
+    for by_client in [false, true] {
+        let session = controller.open_session_with("client", OnLoss::End).unwrap();
+        let request = MachineRequest {
+            session: session.0,
+            ..counter(&STOPS.replace("TIME", "20s"))
+        };
+        let name = controller.load_machine(&request).unwrap();
+        controller.start_machine(&name).unwrap();
+        let ending = controller.clone();
+        let ended = std::thread::spawn({
+            let name = name.clone();
+            move || {
+                if by_client {
+                    ending.end_session(session)
+                } else {
+                    ending.end_machine(&name)
+                }
+            }
+        });
+        until("the final state", || {
+            controller.machine(&name).is_ok_and(|it| it.state() == "Z")
+        });
+        assert_eq!(controller.machines_end_within(), Duration::from_secs(20));
+        ended.join().unwrap().unwrap();
+        assert!(controller.machines().is_empty() && no_component_runs(&controller));
+        until("all nets are unloaded", || controller.nets().is_empty());
+    }
+}
+
+#[test]
+fn machine_end_by_stop_is_limited() {
+    let _alone = alone();
+    let controller = controller();
+    let text = STOPS.replace("TIME", "30ms").replace("100ms", "1000s");
+    let name = controller.load_machine(&counter(&text)).unwrap();
+    controller.start_machine(&name).unwrap();
+    controller.end_machine(&name).unwrap();
+    assert!(controller.machines().is_empty() && no_component_runs(&controller));
+}
+
+#[test]
+fn machine_wound_down_runs_final_state() {
+    let _alone = alone();
+    let controller = controller();
+    let request = counter(&STOPS.replace("TIME", "20s"));
+    let name = controller.load_machine(&request).unwrap();
+    controller.start_machine(&name).unwrap();
+    controller.close();
+    let mut was_in_final_state = false;
+    until("it ended", || {
+        let is_over = controller.wind_down(&controller.nets());
+        was_in_final_state |= controller.machine(&name).is_ok_and(|it| it.state() == "Z");
+        is_over
+    });
+    assert!(was_in_final_state);
+}
+
 #[test]
 fn machine_starts_component_again_and_again() {
     let _alone = alone();

@@ -464,6 +464,10 @@ fn servo_axis_faults_are_named() {
     let unused = cell.replace("AXIS", "JOINT");
     let error = parse_cell(&cell_with(&unused, "")).unwrap_err().to_string();
     assert!(error.contains("servo x: it moves 0 joints"), "{error}");
+    let restarts = cell.replace("name = 'a',", "name = 'a', recovery = 'on_restart',");
+    let error = parse_cell(&cell_with(&restarts, "power = 'on_request'")).unwrap_err();
+    let error = error.to_string();
+    assert!(error.contains("needs an arm with `recovery ="), "{error}");
     let without = cell_with(
         cell,
         "homing = { velocity = 1.0, index_velocity = 1.0, index_position = 0.0, index_every = 1.0 }",

@@ -159,7 +159,8 @@ impl Embedded {
             machines,
         } = parts;
         controller.close();
-        let until = Instant::now() + REST_WITHIN;
+        let within = REST_WITHIN.max(controller.machines_end_within() + POLL_EVERY);
+        let until = Instant::now() + within;
         while !(controller.wind_down(&controller.nets()) && controller.is_at_rest()) {
             if Instant::now() > until {
                 break;

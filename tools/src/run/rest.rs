@@ -30,12 +30,13 @@ pub(super) fn come_to_rest(controller: &Controller, mut meanwhile: impl FnMut())
         }
         true
     };
-    if wait(CANCEL_WITHIN) {
+    let within = CANCEL_WITHIN.max(controller.machines_end_within() + POLL_EVERY);
+    if wait(within) {
         return;
     }
     for net in running(controller) {
         complain(&format!(
-            "{net} did not end within {CANCEL_WITHIN:?}; it is aborted"
+            "{net} did not end within {within:?}; it is aborted"
         ));
         if let Err(error) = controller.abort(net) {
             complain(&format!("cannot abort {net}: {error}"));

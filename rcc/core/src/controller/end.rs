@@ -118,7 +118,21 @@ impl Controller {
         Ok(())
     }
 
-    /// Aborts and unloads all nets of a session and closes it.
+    /// Ends the machines of a session. Before its nets: machines would take the end of a component for an error.
+    ///
+    /// # Errors
+    /// If a net thread does not answer.
+    pub fn end_session_machines(&self, id: SessionId) -> Result<(), Error> {
+        for name in self.session_machines(id) {
+            match self.end_machine(&name) {
+                Ok(()) | Err(Error::NoSuchMachine { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
+    /// Ends the machines of a session, aborts and unloads all its nets and closes it.
     ///
     /// # Errors
     /// If there is no such session, or the net thread does not answer.
@@ -126,13 +140,7 @@ impl Controller {
         if id == SessionId::NONE || self.session_nets(id).is_none() {
             return Err(Error::NoSuchSession(id.to_string()));
         }
-        // Machines first: they would take the end of a component for an error.
-        for name in self.session_machines(id) {
-            match self.end_machine(&name) {
-                Ok(()) | Err(Error::NoSuchMachine { .. }) => {}
-                Err(error) => return Err(error),
-            }
-        }
+        self.end_session_machines(id)?;
         let nets = self.session_nets(id).unwrap_or_default();
         // A net that another client unloaded meanwhile is already done.
         let unless_gone = |result| match result {

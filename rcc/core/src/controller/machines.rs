@@ -9,7 +9,7 @@ pub(super) mod work;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use takt_machine::machine::{Failure, Graph, Status};
 use takt_machine::{Configuration, Program};
@@ -129,6 +129,8 @@ struct Loaded {
     view: LatestReader<MachineView>,
     /// The answer of its thread to its addition.
     added: Option<Result<(), StartError>>,
+    /// Until when its final state may take, once its end has stopped it.
+    stop_by: Option<Instant>,
     is_ending: bool,
 }
 
@@ -221,6 +223,11 @@ impl Machines {
 }
 
 impl Loaded {
+    fn status(&mut self) -> Status {
+        let first = |view: &MachineView| view.machines.first().map(|machine| machine.status);
+        self.view.read_with(first).unwrap_or_default()
+    }
+
     pub(super) fn info(&mut self) -> MachineInfo {
         MachineInfo {
             name: self.program.name().to_owned(),

@@ -26,8 +26,11 @@ impl Controller {
     #[must_use = "it must be called again until all have ended"]
     pub fn wind_down(&self, nets: &[NetId]) -> bool {
         let mut registry = self.inner.lock();
-        registry.end_machines_of(nets);
-        registry.end_nets(nets, false);
+        registry.end_machines_of(nets, false);
+        // Components of a machine on the way to its final state are that machine's.
+        let others = nets.iter().filter(|net| !registry.is_stopping(**net));
+        let others: Vec<NetId> = others.copied().collect();
+        registry.end_nets(&others, false);
         self.inner.announce(&registry);
         registry.nets.are_over(nets)
     }
@@ -82,7 +85,7 @@ impl Registry {
     fn rest(&mut self) {
         let nets: Vec<_> = self.nets.iter().map(|(id, _)| id).collect();
         let until = Instant::now() + REST_TIMEOUT;
-        self.end_machines_of(&nets);
+        self.end_machines_of(&nets, true);
         loop {
             self.take_events();
             self.end_nets(&nets, true);

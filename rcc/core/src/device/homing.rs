@@ -1,7 +1,9 @@
 //! The inputs and outputs of an axis beside its homing ([`super::Part::Homing`]), in one order for all drivers, and why homing fails.
 
-/// Digital inputs: [`READY`], [`PROXIMITY`].
-pub const BOOL_IN: usize = 2;
+/// Digital inputs: [`READY`], [`PROXIMITY`], [`POWERED`].
+pub const BOOL_IN: usize = 3;
+/// Digital outputs: [`POWER`].
+pub const BOOL_OUT: usize = 1;
 /// Analogue inputs: [`OFFSET`].
 pub const REAL_IN: usize = 1;
 
@@ -9,6 +11,11 @@ pub const REAL_IN: usize = 1;
 pub const READY: usize = 0;
 /// Digital input: its proximity switch is on.
 pub const PROXIMITY: usize = 1;
+/// Digital input: it has power, and its brake is released.
+pub const POWERED: usize = 2;
+/// Digital output: power while it is set, for an axis that has power on request only; taken back, the axis brakes, and then its
+/// brake closes.
+pub const POWER: usize = 0;
 /// Analogue input: voltage that compensates the offset of its amplifier, V.
 pub const OFFSET: usize = 0;
 

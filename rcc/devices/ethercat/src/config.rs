@@ -11,7 +11,7 @@ use serde::Deserialize;
 use takt_core::span;
 use takt_device_drives::{DriveArm, Recovery};
 
-pub use servo::{EthercatHoming, EthercatServo};
+pub use servo::{EthercatHoming, EthercatServo, ServoPower};
 pub use slave::{
     AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, LostPolicy, SlaveGoal, SlavePdo,
     SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy,

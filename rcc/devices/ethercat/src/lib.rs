@@ -10,8 +10,8 @@ mod segment;
 
 pub use config::{
     AnalogueChannel, EthercatClocks, EthercatConfig, EthercatHoming, EthercatIo, EthercatServo,
-    EthercatSlave, LostPolicy, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, StartupValue,
-    UnlockedPolicy, YouBotArm, YouBotBase, YouBotControl, YouBotZero,
+    EthercatSlave, LostPolicy, ServoPower, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject,
+    StartupValue, UnlockedPolicy, YouBotArm, YouBotBase, YouBotControl, YouBotZero,
 };
 pub use segment::{
     Ethercat, EthercatFigures, EthernetLink, Wait, Wire, Wires, YouBotFigures, check, describe,

@@ -123,7 +123,7 @@ impl Cell {
         cell
     }
 
-    pub fn wait(&self, what: &str, done: impl Fn(&Controller) -> bool) {
+    pub fn wait(&self, what: &str, mut done: impl FnMut(&Controller) -> bool) {
         let until = Instant::now() + Duration::from_secs(30);
         while !done(&self.controller) {
             assert!(Instant::now() < until, "waited in vain for: {what}");

@@ -141,9 +141,16 @@ fn properties(component: &Component, net: &Net, found: &mut Diagnostics) {
         let declared = &property.declared;
         let name = &declared.name;
         if property.live {
-            if declared.shape.kind == Kind::Text {
-                let cause = format!("property `{name}`: a string cannot be live");
-                found.error(declared.at.clone(), cause, "remove `live`");
+            let held = match (declared.shape.kind, declared.shape.len) {
+                (Kind::Text, _) => Some("a string"),
+                (_, Some(_)) => Some("an array"),
+                (Kind::Bool | Kind::Int | Kind::Double, None) => None,
+            };
+            if let Some(held) = held {
+                let cause = format!("property `{name}`: {held} cannot be live");
+                let hint = "remove `live`: its value counts from the next `configure` on; what changes at run time is an in port, or single \
+                            values";
+                found.error(declared.at.clone(), cause, hint);
                 continue;
             }
             let live = ("live property", "NetcommIn");

@@ -232,6 +232,8 @@ pub struct Program {
     pub(crate) events: Vec<String>,
     /// The machine itself, then the machines inside.
     pub(crate) machines: Vec<MachineCode>,
+    /// Longest time of its stop at its end.
+    pub(crate) end: Option<std::time::Duration>,
     pub(crate) ops: Vec<Op>,
     /// The bytes of the text behind each operation.
     pub(crate) places: Vec<Range<usize>>,
@@ -288,6 +290,12 @@ impl Program {
         machine
             .into_iter()
             .flat_map(|m| m.states.iter().map(|state| state.name.as_str()))
+    }
+
+    /// Whether the end of the machine stops it: its final state is entered, and may take so long until it ends where it is.
+    #[must_use]
+    pub const fn stop_on_end(&self) -> Option<std::time::Duration> {
+        self.end
     }
 
     /// Number of operations of all programs.

@@ -4,6 +4,7 @@ mod expression;
 mod statement;
 
 use std::ops::Range;
+use std::time::Duration;
 
 use crate::component::Component;
 use crate::diagnostic::{Diagnostics, suggest};
@@ -14,6 +15,9 @@ use crate::machine::code::{
 use crate::machine::tree;
 use crate::syntax::Name;
 use crate::value::Kind;
+
+/// A stop at the end of a machine takes less than this: clients wait 30 s for a reply.
+const END_MAX: Duration = Duration::from_secs(20);
 
 /// Where the component files of a machine are.
 pub trait Library {
@@ -46,6 +50,7 @@ pub(super) fn compile(
             variables: Vec::new(),
             events: vec!["error".to_owned()],
             machines: Vec::new(),
+            end: None,
             ops: Vec::new(),
             places: Vec::new(),
             worst: 0,
@@ -58,6 +63,7 @@ pub(super) fn compile(
         depth: 0,
     };
     compiler.declare(tree, library);
+    compiler.end(tree);
     compiler.machine_names(tree);
     let mut index = 0;
     compiler.machines(tree, &mut index);
@@ -117,6 +123,28 @@ impl Compiler<'_> {
         }
         if let Some((at, names)) = &tree.order {
             self.order(at, names);
+        }
+    }
+
+    fn end(&mut self, tree: &tree::Machine) {
+        let nanos = tree.end.as_ref().map(|(_, nanos)| nanos.unsigned_abs());
+        let time = nanos.map(Duration::from_nanos);
+        if let Some((at, _)) = &tree.end
+            && time >= Some(END_MAX)
+        {
+            let hint = "lost clients and the shutdown of the controller wait for it";
+            let cause = format!("the end of a machine may take less than {END_MAX:?}");
+            self.found.error(at.clone(), cause, hint);
+        }
+        self.program.end = time;
+        let mut inside: Vec<&tree::Machine> = tree.machines.iter().collect();
+        while let Some(machine) = inside.pop() {
+            if let Some((at, _)) = &machine.end {
+                let cause = "a machine inside ends with the outer one".to_owned();
+                let hint = "write `stop on end` in the outermost machine, and stop this one in its final state";
+                self.found.error(at.clone(), cause, hint);
+            }
+            inside.extend(&machine.machines);
         }
     }
 

@@ -13,7 +13,7 @@ use crate::value::{Kind, Value};
 /// Deepest nesting of machines, blocks and expressions.
 pub(super) const DEPTH_MAX: usize = 32;
 
-const ITEMS: [&str; 10] = [
+const ITEMS: [&str; 11] = [
     "component",
     "connect",
     "order",
@@ -24,6 +24,7 @@ const ITEMS: [&str; 10] = [
     "state",
     "initial",
     "final",
+    "stop",
 ];
 const PARTS: [&str; 6] = [
     "precondition",
@@ -177,12 +178,33 @@ impl Parser<'_> {
                 self.at.expect(Token::Semicolon, "`;`")?;
             }
             "machine" => machine.machines.push(self.machine()?),
+            "stop" => self.stop_on_end(machine)?,
             "initial" | "final" | "state" => machine.states.push(self.state()?),
             _ => {
                 return Err(self
                     .at
                     .expected("an item of a machine", &suggest(word, ITEMS)));
             }
+        }
+        Ok(())
+    }
+
+    /// `stop on end within 5s;`
+    fn stop_on_end(&mut self, machine: &mut Machine) -> Parse<()> {
+        let start = self.at.span().start;
+        self.at.advance();
+        for word in ["on", "end", "within"] {
+            if !self.at.eat_word(word) {
+                let hint = "a machine that stops when it is ended has `stop on end within 5s;`";
+                return Err(self.at.expected(&format!("`{word}`"), hint));
+            }
+        }
+        let time = self.time()?;
+        let at = self.at.since(start);
+        self.at.expect(Token::Semicolon, "`;`")?;
+        if machine.end.replace((at.clone(), time)).is_some() {
+            let cause = "`stop on end` is given twice";
+            self.at.found.error(at, cause, "remove one of them");
         }
         Ok(())
     }

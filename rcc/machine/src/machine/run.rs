@@ -425,4 +425,6 @@ impl Machine {
 }
 
 #[cfg(test)]
+mod cells;
+#[cfg(test)]
 pub(super) mod tests;

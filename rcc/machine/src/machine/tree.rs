@@ -15,6 +15,8 @@ pub(crate) struct Machine {
     pub(crate) variables: Vec<Variable>,
     pub(crate) events: Vec<Name>,
     pub(crate) machines: Vec<Machine>,
+    /// `stop on end within`: where, and the time, ns.
+    pub(crate) end: Option<(Range<usize>, i64)>,
     pub(crate) states: Vec<State>,
 }
 

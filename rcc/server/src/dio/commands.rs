@@ -154,6 +154,7 @@ impl Connection {
     /// The nets are aborted before they are unloaded, so that their last values can be pushed.
     fn end_session(&mut self, args: Args<'_>, now: Duration, out: &mut Vec<Message>) -> Outcome {
         let session = self.session(args)?;
+        self.controller.end_session_machines(session)?;
         for net in self.controller.session_nets(session).unwrap_or_default() {
             ignore_wrong_state(self.controller.abort(net)).or_else(ignore_unloaded_net)?;
         }

@@ -2,6 +2,7 @@
 //! order of pushes, not their times.
 
 mod bounds;
+mod machines;
 mod results;
 mod rules;
 

@@ -7,6 +7,7 @@ const KNOWN_CLIENT: &str = "GET /DirectIO/ HTTP/1.1\r\nHost: h\r\nUpgrade: webso
 
 mod access;
 mod ethercat;
+mod machines;
 mod metrics;
 mod resources;
 

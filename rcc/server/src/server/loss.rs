@@ -16,6 +16,7 @@ pub(super) async fn end_sessions(
     sessions: Vec<SessionId>,
     within: Duration,
 ) {
+    let within = within.max(controller.machines_end_within());
     let ended = tokio::time::timeout(within, async {
         while !with(controller, sessions.clone(), wind_down).await {
             tokio::time::sleep(POLL_INTERVAL).await;

@@ -1,14 +1,21 @@
 //! The machines as programs see them, and their ends: by a request, with their session, with the controller.
 
-use takt_machine::PropertyFile;
+use std::time::{Duration, Instant};
+
+use takt_machine::machine::Status;
+use takt_machine::{Control, PropertyFile};
 
 use super::{Job, Loaded, MachineInfo};
 use crate::controller::Controller;
 use crate::controller::nets::{Change, Net};
 use crate::controller::registry::Registry;
 use crate::error::Error;
+use crate::executor::machines::MachineInput;
 use crate::executor::thread::Command;
 use crate::ids::{NetId, NetState, SessionId};
+
+/// Number of requests whose answer is not awaited.
+const NO_ANSWER: u64 = 0;
 
 impl Registry {
     /// The name of the machine of which a net is a component.
@@ -38,8 +45,8 @@ impl Registry {
         }
     }
 
-    /// Ends the machines to which these nets belong.
-    pub(in crate::controller) fn end_machines_of(&mut self, nets: &[NetId]) {
+    /// Ends the machines to which these nets belong: where they are if it is `at_once`.
+    pub(in crate::controller) fn end_machines_of(&mut self, nets: &[NetId], at_once: bool) {
         let machines = nets.iter();
         let machines = machines.filter_map(|net| self.nets.get(*net)?.component_of);
         let mut machines: Vec<u32> = machines.map(|(machine, _)| machine).collect();
@@ -47,7 +54,51 @@ impl Registry {
         machines.dedup();
         for id in machines {
             // If the queue is full, the next call repeats it.
-            self.remove_machine(id).ok();
+            if at_once {
+                self.remove_machine(id).ok();
+            } else {
+                self.step_end(id).ok();
+            }
+        }
+    }
+
+    /// Whether the machine of a net is on the way to its final state, as it ends.
+    pub(in crate::controller) fn is_stopping(&self, net: NetId) -> bool {
+        let machine = self.nets.get(net).and_then(|net| net.component_of);
+        let loaded = machine.and_then(|(machine, _)| self.machines.all.get(&machine));
+        loaded.is_some_and(|loaded| loaded.stop_by.is_some() && !loaded.is_ending)
+    }
+
+    /// Brings a machine nearer to its end, by its final state if its text says so. To be called until it has ended.
+    fn step_end(&mut self, id: u32) -> Result<(), Error> {
+        let Some(loaded) = self.machines.all.get_mut(&id) else {
+            return Ok(());
+        };
+        let is_active = loaded.status() == Status::Active;
+        let limit = loaded.program.stop_on_end().filter(|_| is_active);
+        match (limit, loaded.stop_by) {
+            (Some(limit), None) => {
+                let stop = MachineInput::Control(0, Control::Stop);
+                let thread = loaded.thread;
+                self.threads
+                    .send(thread, Command::MachineInput(id, NO_ANSWER, stop))?;
+                if let Some(loaded) = self.machines.all.get_mut(&id) {
+                    loaded.stop_by = Some(Instant::now() + limit);
+                }
+                Ok(())
+            }
+            (Some(_), Some(by)) if Instant::now() < by => Ok(()),
+            (Some(limit), Some(_)) => {
+                if !loaded.is_ending {
+                    let machine = loaded.program.name();
+                    tracing::warn!(
+                        machine,
+                        "its final state did not end within {limit:?}; it ends where it is"
+                    );
+                }
+                self.remove_machine(id)
+            }
+            (None, _) => self.remove_machine(id),
         }
     }
 
@@ -140,6 +191,18 @@ impl Controller {
             .unwrap_or_default())
     }
 
+    /// How long machines may take to end: the longest `stop on end` of those that are active.
+    #[must_use]
+    pub fn machines_end_within(&self) -> Duration {
+        let mut registry = self.inner.lock();
+        let all = registry.machines.all.values_mut();
+        let active = all.filter_map(|loaded| {
+            let limit = loaded.program.stop_on_end()?;
+            (loaded.status() == Status::Active).then_some(limit)
+        });
+        active.max().unwrap_or_default()
+    }
+
     /// The machines of a session.
     pub(in crate::controller) fn session_machines(&self, session: SessionId) -> Vec<String> {
         let registry = self.inner.lock();
@@ -148,14 +211,26 @@ impl Controller {
         of_session.map(|it| it.program.name().to_owned()).collect()
     }
 
-    /// Ends a machine where it is, and its components with it: devices brake. Waits until they have ended.
+    /// Ends a machine, and its components with it: devices brake. It ends where it is, or by its final state if its text says
+    /// `stop on end`. Waits until they have ended.
     ///
     /// # Errors
     /// If there is none of that name, or its thread does not answer.
     pub fn end_machine(&self, name: &str) -> Result<(), Error> {
         let mut registry = self.inner.lock();
-        let (id, _) = registry.machines.find(name)?;
-        registry.remove_machine(id)?;
+        let (id, loaded) = registry.machines.find(name)?;
+        if let Some(limit) = loaded.program.stop_on_end() {
+            registry.step_end(id)?;
+            let stopped = self.inner.wait_until(registry, limit, |registry| {
+                let loaded = registry.machines.all.get_mut(&id);
+                let is_active = loaded.is_some_and(|loaded| loaded.status() == Status::Active);
+                (!is_active).then_some(())
+            });
+            // One that is still active ends where it is, which the next step logs.
+            drop(stopped);
+            registry = self.inner.lock();
+        }
+        registry.step_end(id)?;
         self.inner.wait_for(registry, |registry| {
             let of_machine = |net: &Net| net.component_of.is_some_and(|(machine, _)| machine == id);
             // A net of it that is being loaded would outlive its session.

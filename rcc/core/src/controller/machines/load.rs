@@ -128,6 +128,7 @@ impl Controller {
             cost,
             view,
             added: None,
+            stop_by: None,
             is_ending: false,
         };
         registry.machines.all.insert(id, loaded);

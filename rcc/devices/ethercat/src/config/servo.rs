@@ -40,6 +40,9 @@ pub struct EthercatServo {
     /// Largest offset voltage that is compensated, V; 0 compensates none.
     #[serde(default = "EthercatServo::default_offset")]
     pub offset_max: f64,
+    /// When it has power.
+    #[serde(default)]
+    pub power: ServoPower,
     /// Time from a command to its brake to the motion, and from the enabling of the amplifier to its being ready.
     #[serde(
         default = "EthercatServo::default_brake_time",
@@ -49,6 +52,17 @@ pub struct EthercatServo {
     /// How its zero is found; `None` if its counter is absolute.
     #[serde(default)]
     pub homing: Option<EthercatHoming>,
+}
+
+/// When a servo axis has power and its brake is released.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ServoPower {
+    /// Always, as a drive.
+    #[default]
+    Automatic,
+    /// While a net sets its digital output 1.
+    OnRequest,
 }
 
 /// Homing by proximity switch and index pulse.

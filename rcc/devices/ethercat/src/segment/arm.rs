@@ -166,7 +166,11 @@ impl Arm {
             LostPolicy::Hold => (self.has_lost_clock(master), false),
             LostPolicy::Stop => (self.has_lost_clock(master), self.has_lost_clock(master)),
         };
-        self.arm.hold(hold);
+        let is_withheld = self.movers.iter().any(|mover| match mover {
+            Mover::Servo(servo) => servos.get(*servo).is_some_and(ServoAxis::is_withheld),
+            Mover::Axis(_) => false,
+        });
+        self.arm.hold(hold || is_withheld);
         let stopping = stopping || stop;
         let movers = &mut self.movers;
         self.arm.cycle(tick, stopping, |joint, order| {

@@ -17,11 +17,11 @@ use takt_ethercat::master::Master;
 use super::youbot;
 use crate::config::{
     AnalogueChannel, EthercatConfig, EthercatHoming, EthercatIo, EthercatServo, EthercatSlave,
-    SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, UnlockedPolicy,
+    ServoPower, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, UnlockedPolicy,
 };
 use takt_core::device::{DeviceDescription, Part, homing};
 use takt_device_drives as drives;
-use takt_device_drives::DriveJoint;
+use takt_device_drives::{DriveArm, DriveJoint, Recovery};
 
 /// Mailbox datagrams per cycle: up to nine youBot drives are polled at once.
 const YOUBOT_ACYCLIC: u8 = 4;
@@ -74,7 +74,7 @@ pub(super) const AXIS_PARTS: [Part; 2] = [
     Part::Homing,
     Part::Io {
         bool_in: homing::BOOL_IN,
-        bool_out: 0,
+        bool_out: homing::BOOL_OUT,
         real_in: homing::REAL_IN,
         real_out: 0,
     },
@@ -405,6 +405,16 @@ fn check_servo(config: &EthercatConfig, servo: &EthercatServo) -> Result<(), Str
     }
     if !(0.0..=10.0).contains(&servo.offset_max) {
         return Err("`offset_max` must be from 0 to 10".to_owned());
+    }
+    let moves = |arm: &&DriveArm<String>| arm.joints.iter().any(|j| j.drive == servo.name);
+    let on_restart = |arm: &DriveArm<String>| arm.recovery == Recovery::OnRestart;
+    if servo.power == ServoPower::OnRequest
+        && config.arms.iter().find(moves).is_some_and(on_restart)
+    {
+        return Err(
+            "`power = \"on_request\"` needs an arm with `recovery = \"automatic\"`: each end of a request is a fault of it"
+                .to_owned(),
+        );
     }
     if servo.brake_time > BRAKE_MAX {
         return Err("`brake_time` must be at most 1s".to_owned());

@@ -128,6 +128,8 @@ pub(super) struct ServoAxis {
     step: u8,
     /// Target of the position loop and of the cycle before, increments.
     target: Option<f64>,
+    /// When it changed last.
+    moved: Duration,
     /// Voltage that compensates the offset, V, and whether it is at its bound.
     offset: f64,
     is_saturated: bool,
@@ -195,6 +197,7 @@ impl ServoAxis {
             failure: None,
             step: 0,
             target: None,
+            moved: Duration::ZERO,
             offset: 0.0,
             is_saturated: false,
             events: [None; 4],
@@ -255,7 +258,7 @@ impl ServoAxis {
         self.step_power(order, now);
         let homing = self.step_homing(now);
         let target = homing.or_else(|| order.target.map(f64::from).filter(|_| self.is_homed));
-        let volts = self.volts(target);
+        let volts = self.volts(target, now);
         self.watch();
         let (is_enabled, is_released) = (self.power.is_enabled(), self.power.is_released());
         if let Some(bit) = self.enable {
@@ -335,6 +338,9 @@ impl ServoAxis {
         let mut homing = self.homing.take()?;
         if !self.wanted {
             homing.cancel();
+        } else if self.is_withheld() {
+            // It brakes, and does not begin again by itself.
+            homing.fail(HomingError::PowerLost);
         }
         if self.power != Power::On {
             homing.fail(HomingError::PowerLost);
@@ -399,7 +405,7 @@ impl ServoAxis {
     }
 
     /// The position loop: feed-forward of the target's velocity, its error, and a constant voltage.
-    fn volts(&mut self, target: Option<f64>) -> f64 {
+    fn volts(&mut self, target: Option<f64>, now: Duration) -> f64 {
         if !self.power.is_controlled() {
             (self.target, self.is_saturated) = (None, false);
             return 0.0;
@@ -407,6 +413,9 @@ impl ServoAxis {
         let position = float(self.position());
         let before = self.target.unwrap_or(position);
         let target = target.unwrap_or(before);
+        if target.to_bits() != before.to_bits() {
+            self.moved = now;
+        }
         self.target = Some(target);
         let per_volt = self.config.velocity_10v / VOLTS_MAX;
         let forward = (target - before) / self.cycle_s / per_volt;

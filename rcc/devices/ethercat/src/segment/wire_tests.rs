@@ -35,7 +35,7 @@ pub(super) struct Bench {
     away: u64,
     pub(super) devices: Vec<Seen>,
     /// The one that moves.
-    device: usize,
+    pub(super) device: usize,
     /// Whether a net thread elsewhere gives time and cycle of what is commanded.
     is_led: bool,
     is_ending: bool,

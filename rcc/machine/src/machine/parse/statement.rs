@@ -127,7 +127,7 @@ impl Parser<'_> {
     }
 
     /// A time, ns.
-    fn time(&mut self) -> Parse<i64> {
+    pub(super) fn time(&mut self) -> Parse<i64> {
         let text = self.at.slice();
         let split = text.find(|c: char| c.is_ascii_alphabetic());
         let parts = split

@@ -25,10 +25,10 @@ const COMPONENT: &str = "component C {
 
 /// One component whose ports a test sets.
 #[derive(Debug, Default)]
-struct Bench {
+pub(super) struct Bench {
     phase: Phase,
-    flag: Option<Value>,
-    level: Option<Value>,
+    pub(super) flag: Option<Value>,
+    pub(super) level: Option<Value>,
     log: Vec<i32>,
     set: Vec<(usize, Value)>,
     written: Option<Value>,
@@ -95,14 +95,21 @@ pub(in crate::machine) fn library(_: &str) -> Result<String, String> {
     Ok(COMPONENT.to_owned())
 }
 
-struct Rig {
-    machine: Machine,
-    peers: Bench,
+pub(super) struct Rig {
+    pub(super) machine: Machine,
+    pub(super) peers: Bench,
     now: i64,
 }
 
-/// `log N;` stands for a call of the log.
+/// An active machine; `log N;` stands for a call of the log.
 fn rig(states: &str) -> Rig {
+    let mut rig = rig_of(states);
+    rig.control(Control::Activate);
+    rig
+}
+
+/// The same, inactive.
+pub(super) fn rig_of(states: &str) -> Rig {
     let mut body = states.to_owned();
     for n in 0..100 {
         body = body.replace(&format!("log {n};"), &format!("call c.log({n});"));
@@ -113,25 +120,23 @@ fn rig(states: &str) -> Rig {
     let (program, _) = Program::compile(&text, &library)
         .map_err(|e| e.render("m", &text))
         .unwrap();
-    let mut rig = Rig {
+    Rig {
         machine: Machine::new(Arc::new(program)),
         peers: Bench {
             phase: Phase::Stopped,
             ..Bench::default()
         },
         now: 0,
-    };
-    rig.control(Control::Activate);
-    rig
+    }
 }
 
 impl Rig {
-    fn control(&mut self, control: Control) {
+    pub(super) fn control(&mut self, control: Control) {
         self.machine.control(0, control).unwrap();
     }
 
     /// One step; the log of it, and the state after it.
-    fn step(&mut self) -> (Vec<i32>, String) {
+    pub(super) fn step(&mut self) -> (Vec<i32>, String) {
         self.now += 1_000_000;
         let outcome = self.machine.step(&mut self.peers, self.now);
         assert!(

@@ -7,7 +7,10 @@ use takt_cia402::{Goal, State};
 use takt_device_drives::Order;
 
 use super::{ServoAxis, ServoEvent, ServoFault};
+use crate::config::ServoPower;
 
+/// An axis whose target does not change for this time is at rest: it moved less than an increment.
+const REST: Duration = Duration::from_millis(50);
 /// Time for an amplifier to become ready.
 const READY_WITHIN: Duration = Duration::from_secs(2);
 
@@ -61,6 +64,16 @@ impl ServoAxis {
         }
     }
 
+    /// Whether it must not move, as no net wants it to have power. Its arm brakes, and then its brake closes.
+    pub(in crate::segment) fn is_withheld(&self) -> bool {
+        self.config.power == ServoPower::OnRequest && !self.power_is_requested()
+    }
+
+    /// Whether its target rests.
+    fn is_at_rest(&self, now: Duration) -> bool {
+        self.homing.is_none() && now.saturating_sub(self.moved) >= REST
+    }
+
     pub(super) fn step_power(&mut self, order: Order, now: Duration) {
         if !self.sensed.online {
             self.lose();
@@ -85,14 +98,17 @@ impl ServoAxis {
         }
         let passed = |since: Duration| now.saturating_sub(since);
         let brake_time = self.config.brake_time;
+        let is_withheld = self.is_withheld();
+        let is_wanted_on = self.is_wanted_on && !is_withheld;
         self.power = match self.power {
-            Power::Off if self.is_wanted_on && !is_open => Power::Enabling(now),
-            Power::Enabling(_) | Power::Releasing(_) if !self.is_wanted_on => Power::Off,
+            Power::Off if is_wanted_on && !is_open => Power::Enabling(now),
+            Power::Enabling(_) | Power::Releasing(_) if !is_wanted_on => Power::Off,
             Power::Enabling(since) if self.sensed.ready && passed(since) >= brake_time => {
                 Power::Releasing(now)
             }
             Power::Releasing(since) if passed(since) >= brake_time => Power::On,
             Power::On if !self.is_wanted_on => Power::Braking(now),
+            Power::On if is_withheld && self.is_at_rest(now) => Power::Braking(now),
             Power::Braking(since) if passed(since) >= brake_time => Power::Off,
             state @ (Power::Off
             | Power::Enabling(_)

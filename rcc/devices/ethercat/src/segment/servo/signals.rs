@@ -1,11 +1,23 @@
 //! What nets see of a servo axis, and request.
 
 use takt_core::device::DeviceStatus;
+use takt_core::device::homing::POWER;
 use takt_rt::cycle::Tick;
 
 use super::ServoAxis;
+use super::power::Power;
 
 impl ServoAxis {
+    /// Whether a net requests power.
+    pub(super) fn power_is_requested(&self) -> bool {
+        let io = self.end.interfaces.io.as_ref();
+        let power = io.and_then(|io| io.bool_out.get(POWER));
+        let given = power.and_then(|power| power.command.read(&self.end.taken.words));
+        let cycle = self.end.taken.cycle;
+        // Withdrawn with its net, and when the net thread does not answer.
+        self.is_fresh && given.is_some_and(|given| given.value && given.is_in_force(cycle))
+    }
+
     /// Whether a net wants it to home, and then, whether it may leave its switch.
     pub(super) fn home_is_wanted(&self) -> Option<bool> {
         let homing = self.end.interfaces.homing.as_ref()?;
@@ -16,7 +28,7 @@ impl ServoAxis {
     }
 
     pub(super) fn report(&mut self, tick: &Tick) {
-        let sensed = self.sensed;
+        let (sensed, has_request) = (self.sensed, !self.is_withheld());
         let status = if sensed.online {
             DeviceStatus::Operational
         } else {
@@ -38,11 +50,15 @@ impl ServoAxis {
         let Some(io) = &self.end.interfaces.io else {
             return;
         };
-        for (place, value) in io.bool_in.iter().zip([sensed.ready, sensed.proximity]) {
+        let truths = [sensed.ready, sensed.proximity, self.power == Power::On];
+        for (place, value) in io.bool_in.iter().zip(truths) {
             place.report(signals, known(value));
         }
         for place in io.real_in.iter() {
             place.report(signals, Some(self.offset));
+        }
+        for place in io.bool_out.iter() {
+            place.state.report(signals, Some(has_request));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Servo axes on the emulated station, in virtual time: motion, homing, and every fault of motor, encoder, switch and amplifier.
 
-use takt_core::device::homing::TOUCHED;
+use takt_core::device::homing::{POWERED, TOUCHED};
 use takt_core::device::{DeviceState, DeviceStatus};
 use takt_ethercat::emulator::{Station, StationFaults, StationMotor};
 use takt_net::device::Homing as Interface;
@@ -53,21 +53,33 @@ struct Cell {
     bench: Bench,
     station: Station,
     signals: Interface,
+    powered: Signal<bool>,
 }
 
 impl Cell {
     fn start(motor: StationMotor) -> Self {
-        Self::with(motor, &cell())
+        Self::with(motor, &cell(), 0)
     }
 
-    fn with(motor: StationMotor, text: &str) -> Self {
+    /// Axes that have power while nets request it.
+    fn on_request() -> Self {
+        let text = cell().replace("brake_time", "power = 'on_request'\nbrake_time");
+        let mut cell = Self::with(StationMotor::default(), &text, 1);
+        cell.bench.device = 0;
+        cell.run(500);
+        cell
+    }
+
+    /// With that device operational.
+    fn with(motor: StationMotor, text: &str, device: usize) -> Self {
         let config = config(text);
         let (segment, station) = Station::segment([motor; 3]);
-        let mut layout = Layout::default();
+        let has = parts::lay(&AXIS_PARTS, 0, &mut Layout::default());
         Self {
-            bench: Bench::new(&config, segment, 0),
+            bench: Bench::new(&config, segment, device),
             station,
-            signals: parts::lay(&AXIS_PARTS, 0, &mut layout).homing.unwrap(),
+            signals: has.homing.unwrap(),
+            powered: has.io.unwrap().bool_in[POWERED],
         }
     }
 
@@ -85,6 +97,29 @@ impl Cell {
 
     fn home(&mut self, axis: usize, is_on: bool) {
         self.request(axis, is_on.then_some(true));
+    }
+
+    fn power(&mut self, is_on: bool) {
+        for axis in 0..3 {
+            let every = if is_on { u64::MAX } else { 0 };
+            self.bench.devices[1 + axis].given.words[4..8].copy_from_slice(&[1, 1, every, 1]);
+        }
+    }
+
+    fn has_power(&mut self, axis: usize) -> bool {
+        self.shows(axis, self.powered)
+    }
+
+    /// Runs until the brake of an axis is closed. Gives the largest speed at which it was, degrees per second.
+    fn brake(&mut self, axis: usize) -> f64 {
+        for _ in 0..3000 {
+            let before = self.station.angle(axis);
+            self.run(1);
+            if self.station.is_braked(axis) {
+                return (self.station.angle(axis) - before).abs() * 1000.0;
+            }
+        }
+        panic!("its brake is open at {} degrees", self.station.angle(axis));
     }
 
     fn state<T>(&mut self, device: usize, read: impl Fn(&DeviceState) -> T) -> T {
@@ -418,4 +453,82 @@ fn servo_segment_lost_in_homing_does_not_resume() {
     assert_eq!(cell.failure(0), failure, "{}", cell.events(0));
     assert!(!cell.is_homed(0));
     assert_eq!(cell.status(), DeviceStatus::Operational);
+fn servo_power_on_request_follows_its_net() {
+    let mut cell = Cell::on_request();
+    for _ in 0..2 {
+        assert_eq!(cell.status(), DeviceStatus::SafeOperational);
+        assert_eq!(cell.error(0), JointError::NotEnabled as i32);
+        assert!((0..3).all(|axis| cell.station.is_braked(axis) && !cell.has_power(axis)));
+        cell.power(true);
+        cell.run(500);
+        assert_eq!(cell.status(), DeviceStatus::Operational);
+        assert!((0..3).all(|axis| !cell.station.is_braked(axis) && cell.has_power(axis)));
+        cell.power(false);
+        cell.run(500);
+    }
+    // One that is not requested keeps the others at rest.
+    cell.power(true);
+    cell.bench.devices[2].given.words[6] = 0;
+    cell.run(500);
+    assert_eq!(cell.status(), DeviceStatus::SafeOperational);
+    assert!(cell.station.is_braked(1) && !cell.station.is_braked(0));
+}
+
+#[test]
+fn servo_power_withdrawn_in_motion_brakes_first() {
+    let mut cell = Cell::on_request();
+    cell.power(true);
+    cell.run(500);
+    let events = cell.home_for(0, 12_000);
+    assert!(cell.is_homed(0), "{events}");
+    let start = cell.bench.position(0);
+    let mut at = start;
+    for n in 0..800 {
+        at += f64::from(n.min(300)) / 300.0 * 1e-3;
+        cell.bench.want(0, at, 1);
+        cell.run(1);
+    }
+    let before = cell.station.angle(0);
+    cell.power(false);
+    // Its net may not know yet, and commands on.
+    for _ in 0..5 {
+        at += 1e-3;
+        cell.bench.want(0, at, 1);
+        cell.run(1);
+    }
+    assert!(!cell.station.is_braked(0), "in motion");
+    cell.bench.devices[0].given.joints[0].advance(None);
+    let speed = cell.brake(0);
+    assert!(speed < 1.0, "{speed}");
+    // 57 degrees a second at 300 degrees a second squared.
+    let way = cell.station.angle(0) - before;
+    assert!((4.0..9.0).contains(&way), "{way}");
+    assert!(cell.is_homed(0));
+    // With power again it stays where it is.
+    cell.power(true);
+    let rest = cell.station.angle(0);
+    cell.run(1000);
+    assert_eq!(cell.status(), DeviceStatus::Operational);
+    assert!((cell.station.angle(0) - rest).abs() < 0.1);
+}
+
+#[test]
+fn servo_power_withdrawn_in_homing_brakes_first() {
+    let mut cell = Cell::on_request();
+    cell.power(true);
+    cell.run(500);
+    cell.home_for(0, 600);
+    cell.power(false);
+    let speed = cell.brake(0);
+    assert!(speed < 1.0, "{speed}");
+    assert!(!cell.is_homed(0));
+    assert_eq!(
+        cell.failure(0),
+        i32::from(HomingError::PowerLost.number())
+    );
+    // It does not begin again by itself.
+    cell.power(true);
+    let rest = cell.station.angle(0);
+    cell.run(1000);
+    assert!((cell.station.angle(0) - rest).abs() < 0.1);
 }
