@@ -1,6 +1,8 @@
 //! `takt machine` against a running controller: each command, its output and its exit status; what is wrong with a file, a name, a
 //! request. What machines do is tested elsewhere.
 
+#![expect(clippy::panic, reason = "a test that cannot go on ends")]
+
 mod common;
 
 use std::process::Output;
@@ -168,6 +170,7 @@ fn machine_that_fails_ends_commands_with_1() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table")]
 fn machine_commands_refused_name_cause_and_hint() {
     let _alone = alone();
     let bench = Bench::start();

@@ -15,13 +15,14 @@ use std::time::{Duration, Instant};
 use fixtures::{Fixture, arm_parameters};
 use takt_core::cell::OnLoss;
 use takt_core::controller::{MachineInfo, MachineRequest, NetState};
-use takt_core::executor::machines::{Hosted, MachineInput, Seat};
+use takt_core::executor::machines::{Hosted, InputError, MachineInput, MachineView, Seat};
 use takt_core::record::{Recorder, replay};
 use takt_core::stop_channel::Origin;
 use takt_core::{CellConfig, Controller};
 use takt_machine::machine::Status;
 use takt_machine::{Control, Phase, Program, Request};
 use takt_rt::alloc::real_time_allocations;
+use takt_rt::latest::LatestReader;
 use takt_tests::CountingAllocator;
 
 #[global_allocator]
@@ -122,7 +123,7 @@ const RESTARTS: &str = "machine Restarts {
       component c from \"c\" configured;
       event off;
       initial state A { entry { start c; } transition on off to Z; transition if c.count > 0 to B; }
-      state B { entry { stop c; wait 20ms; start c; } transition on off to Z; transition if c.count > 0 to A
+      state B { entry { stop c; wait 150ms; start c; } transition on off to Z; transition if c.count > 0 to A
         { stop c; } }
       final state Z { entry { stop c; } }
     }";
@@ -232,7 +233,7 @@ fn machine_end_by_stop_runs_final_state() {
         let session = controller.open_session_with("client", OnLoss::End).unwrap();
         let request = MachineRequest {
             session: session.0,
-            ..counter(&STOPS.replace("TIME", "20s"))
+            ..counter(&STOPS.replace("TIME", "19s"))
         };
         let name = controller.load_machine(&request).unwrap();
         controller.start_machine(&name).unwrap();
@@ -250,7 +251,7 @@ fn machine_end_by_stop_runs_final_state() {
         until("the final state", || {
             controller.machine(&name).is_ok_and(|it| it.state() == "Z")
         });
-        assert_eq!(controller.machines_end_within(), Duration::from_secs(20));
+        assert_eq!(controller.machines_end_within(), Duration::from_secs(19));
         ended.join().unwrap().unwrap();
         assert!(controller.machines().is_empty() && no_component_runs(&controller));
         until("all nets are unloaded", || controller.nets().is_empty());
@@ -272,7 +273,7 @@ fn machine_end_by_stop_is_limited() {
 fn machine_wound_down_runs_final_state() {
     let _alone = alone();
     let controller = controller();
-    let request = counter(&STOPS.replace("TIME", "20s"));
+    let request = counter(&STOPS.replace("TIME", "19s"));
     let name = controller.load_machine(&request).unwrap();
     controller.start_machine(&name).unwrap();
     controller.close();
@@ -594,6 +595,86 @@ fn machine_state_change_reaches_set_point_next_cycle() {
             .to_string()
             .contains("no net of the component is ready")
     );
+}
+
+/// A machine over one component, in its thread; the component in that state.
+fn component_in(phase: Phase) -> (Fixture, LatestReader<MachineView>) {
+    let net = "component C { out yes: bool; } { y=Core::BooleanValue(Value='true'),
+          yes=Core::BooleanNetcommOut(inValue=y.outValue, Key='yes'), cancel=Cancel(), outTerminate=cancel.outCancel }";
+    let text = "machine M { component c from \"c\" configured; initial final state A { entry { stop c; } } }";
+    let library = |_: &str| Ok(net.to_owned());
+    let program = Arc::new(Program::compile(text, &library).unwrap().0);
+    let mut bench = Fixture::default();
+    let (hosted, view) = Hosted::new(1, Arc::clone(&program));
+    let added = bench.executor.add_machine(hosted);
+    added.map_err(|(_, why)| why).unwrap();
+    if phase == Phase::PreOperational {
+        return (bench, view);
+    }
+    let component = &program.members()[0].component;
+    for id in [10, 11] {
+        let mut net = bench.make(id, &component.net, 1);
+        net.seat = Some(Box::new(Seat::of(&program, (1, 0), component, &net.plan)));
+        assert!(bench.executor.seat(net, id == 10).is_ok());
+    }
+    if phase != Phase::Stopped {
+        request(&mut bench, Request::Start).unwrap();
+        bench.step();
+    }
+    if phase == Phase::RunTimeError {
+        bench.executor.abort(10);
+        bench.step();
+    }
+    (bench, view)
+}
+
+fn request(bench: &mut Fixture, request: Request) -> Result<(), InputError> {
+    let input = MachineInput::Request(0, request);
+    bench.executor.machine_input(1, &input)
+}
+
+#[test]
+fn component_every_cell_starts_and_stops_nets() {
+    // No net and no device reports a fatal error yet.
+    let phases = [
+        Phase::PreOperational,
+        Phase::Stopped,
+        Phase::Running,
+        Phase::RunTimeError,
+    ];
+    for phase in phases {
+        for asked in Request::ALL {
+            let (mut bench, mut view) = component_in(phase);
+            let mut seen = |bench: &mut Fixture| {
+                bench.step();
+                view.read_with(|view| (view.phases[0], view.nets[0].is_some()))
+            };
+            let is_running = phase == Phase::Running;
+            assert_eq!(seen(&mut bench), (phase, is_running), "{phase}");
+            let result = request(&mut bench, asked);
+            if matches!(asked, Request::Error | Request::Fatal) {
+                assert!(result.is_err(), "only nets report it");
+                continue;
+            }
+            // A `configure` is complete once its net is loaded, which needs a controller.
+            let after = phase.after(asked).unwrap_or(phase);
+            let after = if asked == Request::Configure {
+                phase
+            } else {
+                after
+            };
+            assert_eq!(
+                result.is_ok(),
+                phase.after(asked).is_ok(),
+                "{phase} {asked:?}"
+            );
+            let runs = after == Phase::Running;
+            assert_eq!(seen(&mut bench), (after, runs), "{phase} {asked:?}");
+            // The net is evaluated from the next cycle on, or no longer.
+            let is_evaluated = bench.executor.running().len() == usize::from(runs);
+            assert!(is_evaluated, "{phase} {asked:?}");
+        }
+    }
 }
 
 #[test]

@@ -208,3 +208,24 @@ fn configuration_without_value_is_incomplete() {
         Ok(())
     );
 }
+
+#[test]
+fn component_live_array_or_text_is_error() {
+    let live = |kind: &str, default: &str, family: &str| {
+        let net = format!(
+            "{{a=Core::{family}NetcommIn(Key='a', Value='$a'), t=Cancel(), outTerminate=t.outCancel}}"
+        );
+        findings(&format!(
+            "component C {{ property a: {kind} default {default} live; }} {net}"
+        ))
+    };
+    assert_eq!(
+        live("double[3]", "[0, 0, 0]", "DoubleArray"),
+        ["1:24 property `a`: an array cannot be live"]
+    );
+    assert_eq!(
+        live("string", "'x'", "String"),
+        ["1:24 property `a`: a string cannot be live"]
+    );
+    assert_eq!(live("double", "0", "Double"), [""; 0]);
+}

@@ -166,11 +166,11 @@ impl Compiler<'_> {
         let component = match text.map(|text| (Component::parse(&text), text)) {
             Ok((Ok((component, _)), _)) => component,
             Ok((Err(errors), text)) => {
-                let first = errors.all().first();
-                let (line, column) = first.map_or((1, 1), |d| d.location(&text));
-                let cause = first.map_or("it has errors", |d| &d.text);
-                let cause = format!("{}:{line}:{column}: {cause}", tree.file);
-                self.found.error(at, cause, "check the component by itself");
+                for error in errors.all() {
+                    let (line, column) = error.location(&text);
+                    let cause = format!("{}:{line}:{column}: {}", tree.file, error.text);
+                    self.found.error(at.clone(), cause, &error.hint);
+                }
                 return self.unknown(tree);
             }
             Err(why) => {

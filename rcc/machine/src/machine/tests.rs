@@ -77,6 +77,11 @@ const TABLE: &[(&str, &str)] = &[
      "2:50 this transition is never examined: an earlier one has no condition"),
     ("initial state A { transition to D; } final state D { } machine B { initial final state Y { } }",
      "2:64 machine `B` is never activated"),
+    ("stop on end within 30s; initial state A { transition to D; } final state D { }",
+     "2:1 the end of a machine may take less than 20s"),
+    ("stop on end within 1s; stop on end within 2s; initial state A { transition to D; } final state D { }",
+     "2:24 `stop on end` is given twice"),
+    ("stop at end within 1s; initial state A { transition to D; } final state D { }", "2:6 `on` is expected here, not `at`"),
     ("connect c.flag -> c.x; initial state A { transition to D; } final state D { }", "2:9 `flag` is bool, but `x` is int"),
     ("order c, c; initial state A { transition to D; } final state D { }", "2:10 `c` is given twice"),
     ("var c: int; initial state A { transition to D; } final state D { }", "2:5 `c` is declared twice: it is a component"),
@@ -137,6 +142,14 @@ fn check_missing_component_file_is_one_error() {
     let broken = |_: &str| Ok("component C { } {".to_owned());
     let found = Program::compile(text, &broken).unwrap_err();
     assert!(found.to_string().starts_with("c:1:"), "{found}");
+    // All errors of a component, with the hint of each.
+    let broken = |_: &str| Ok("component C { property a: dubble; every 0; } { }".to_owned());
+    let found = Program::compile(text, &broken).unwrap_err();
+    assert_eq!(
+        found.to_string(),
+        "c:1:27: a type is expected here, not `dubble`; c:1:41: a component is evaluated every 1 to 100000 cycles"
+    );
+    assert!(found.all()[0].hint.contains("`double`"), "{found:?}");
 }
 
 #[test]

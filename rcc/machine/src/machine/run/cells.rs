@@ -389,7 +389,9 @@ fn cell(name: &str, input: Input) -> String {
     let how = match machine.status(0) {
         super::Status::Active if machine.is_paused(0) => "paused",
         super::Status::Active => machine.mode(0).word(),
-        status => status.word(),
+        status @ (super::Status::Inactive | super::Status::Finished | super::Status::Failed) => {
+            status.word()
+        }
     };
     format!("{refused}{state}[{log}] {how}")
 }

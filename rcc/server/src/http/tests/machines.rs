@@ -103,6 +103,7 @@ fn machine_resources_load_show_command_and_end() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table")]
 fn machine_requests_with_errors_name_cause() {
     let controller = controller();
     post(&controller, "/machines/", &machine(""));

@@ -453,6 +453,9 @@ fn servo_segment_lost_in_homing_does_not_resume() {
     assert_eq!(cell.failure(0), failure, "{}", cell.events(0));
     assert!(!cell.is_homed(0));
     assert_eq!(cell.status(), DeviceStatus::Operational);
+}
+
+#[test]
 fn servo_power_on_request_follows_its_net() {
     let mut cell = Cell::on_request();
     for _ in 0..2 {
@@ -522,10 +525,7 @@ fn servo_power_withdrawn_in_homing_brakes_first() {
     let speed = cell.brake(0);
     assert!(speed < 1.0, "{speed}");
     assert!(!cell.is_homed(0));
-    assert_eq!(
-        cell.failure(0),
-        i32::from(HomingError::PowerLost.number())
-    );
+    assert_eq!(cell.failure(0), i32::from(HomingError::PowerLost.number()));
     // It does not begin again by itself.
     cell.power(true);
     let rest = cell.station.angle(0);
