@@ -18,6 +18,9 @@ use crate::output::{complain, say};
 /// Interval at which a machine is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
+/// How long a step may take to be counted; a period of a net thread is shorter.
+const STEP_WITHIN: Duration = Duration::from_secs(2);
+
 /// Load a machine.
 #[derive(Debug, Args)]
 pub(crate) struct Load {
@@ -202,7 +205,14 @@ impl Target {
             &self.machine,
             &format!("{}.step()", self.machine),
         )?;
-        let after = described(&mut client, &self.machine)?;
+        // The step is executed once the controller counts another one.
+        let begin = described(&mut client, &self.machine)?;
+        let mut after = described(&mut client, &self.machine)?;
+        let until = Instant::now() + STEP_WITHIN;
+        while text(&after, "steps") == text(&begin, "steps") && Instant::now() < until {
+            std::thread::sleep(POLL_INTERVAL);
+            after = described(&mut client, &self.machine)?;
+        }
         say(text(&after, "state"))?;
         Ok(Verdict::Good)
     }
