@@ -8,8 +8,10 @@ use std::error::Error;
 use std::io::Write as _;
 use std::time::Duration;
 
-use takt_api::motion::CartesianLimits;
-use takt_api::{Activity, Arm, Cell, Condition, Explanation, Pose, coupled, deg};
+use takt_api::{
+    Activity, Arm, CartesianLimits, Cell, Condition, Control, Direction, Explanation, ForceLimits,
+    MovingFrame, Pose, coupled, deg,
+};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let address = std::env::args().nth(1).ok_or("no address is given")?;
@@ -46,7 +48,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     ];
     let texts = motions.iter().map(Activity::explain);
     let texts = texts.chain(live(&left, touch)).chain(coupled_arms(&cell)?);
-    let texts = texts.chain(devices(&cell)?);
+    let texts = texts.chain(devices(&cell)?).chain(guided(&cell)?);
     let mut out = std::io::stdout();
     for text in texts {
         writeln!(out, "{}\n", text?.net)?;
@@ -120,6 +122,45 @@ fn devices(cell: &Cell) -> Result<Vec<Text>, takt_api::Error> {
             .speed(0.5)
             .until("turned", turned)
             .now(),
+    ];
+    Ok(activities.iter().map(Activity::explain).collect())
+}
+
+/// Motions under force, frames that move and control modes.
+fn guided(cell: &Cell) -> Result<Vec<Text>, takt_api::Error> {
+    let (left, right) = (cell.arm("left")?, cell.arm("right")?);
+    let limits = ForceLimits {
+        travel: 0.05,
+        damping: 1000.0,
+        ..ForceLimits::default()
+    };
+    let force = || left.force().z();
+    let gone = force().under(2.0).after(force().over(10.0));
+    let world = cell.frame("world")?;
+    let down = world.direction([0.0, 1.0, -2.0]);
+    let pose = Pose::xyz(0.4, 0.1, 0.5).abc(0.1, -0.2, 3.0);
+    let firm = left.clone().with_force_limits(limits);
+    let here = left.clone().with_base(Pose::xyz(0.0, 0.3, 0.0));
+    let there = right.clone().with_base(Pose::xyz(0.0, -0.3, 0.1));
+    let numbers = MovingFrame::of(
+        [right.joint(0), right.joint(1) * 0.5, 0.25.into()],
+        [0.0.into(), right.joint(2), 0.5.into()],
+    );
+    let activities = [
+        left.press([0.0, 0.0, -1.0], 20.0),
+        firm.press(Direction::of_centre([0.0, 0.0, 0.5]), 10.0)
+            .until("gone", gone)
+            .speed(0.5),
+        here.press_to(pose, down, 15.0),
+        here.follow(&there.centre().pose(pose)),
+        here.follow(&numbers.in_(&world)),
+        here.follow(&cell.base("platform")?.centre()?).speed(0.5),
+        left.switch_to(Control::position()),
+        left.switch_to(Control::joints([300.0; 7], [0.7; 7])),
+        left.switch_to(Control::cartesian(
+            [2000.0, 1000.0, 500.0, 200.0, 100.0, 50.0],
+            [0.7; 6],
+        )),
     ];
     Ok(activities.iter().map(Activity::explain).collect())
 }

@@ -9,12 +9,14 @@ use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::live::{JointGoal, JointVelocities, Live, SetPoint, Target, Twist};
 use crate::motion::{
-    ArmDescription, ArmMotion, CartesianLimits, Goals, Hold, Jog, Path, Route, Stream,
+    ArmDescription, ArmMotion, CartesianLimits, Centre, Follow, ForceLimits, Goals, Hold, Jog,
+    Path, Press, Route, Stream,
 };
+use crate::moving::MovingFrame;
 use crate::order::{Operation, Speed};
 use crate::pose::Pose;
 use crate::session::Session;
-use crate::world::{Frame, Goal};
+use crate::world::{Direction, Frame, Goal};
 
 /// An arm of a cell. Clones are the same arm with speeds and limits of their own.
 #[derive(Clone, Debug)]
@@ -22,6 +24,7 @@ pub struct Arm {
     session: Arc<Session>,
     description: ArmDescription,
     limits: CartesianLimits,
+    force_limits: ForceLimits,
     speed: Speed,
     tool: Pose,
     base: Frame,
@@ -33,6 +36,7 @@ impl Arm {
             session,
             description,
             limits: CartesianLimits::default(),
+            force_limits: ForceLimits::default(),
             speed: Speed::FULL,
             tool: Pose::IDENTITY,
             base,
@@ -56,6 +60,23 @@ impl Arm {
     pub const fn with_limits(mut self, limits: CartesianLimits) -> Self {
         self.limits = limits;
         self
+    }
+
+    /// The same arm with these limits on motions under force.
+    #[must_use]
+    pub const fn with_force_limits(mut self, limits: ForceLimits) -> Self {
+        self.force_limits = limits;
+        self
+    }
+
+    /// Its limits on motions under force.
+    pub const fn force_limits(&self) -> ForceLimits {
+        self.force_limits
+    }
+
+    /// Its motion centre in the flange.
+    pub(crate) const fn tool(&self) -> Pose {
+        self.tool
     }
 
     /// Its limits on lines, arcs, curves and jogs.
@@ -142,17 +163,75 @@ impl Arm {
         Activity::new(&self.session, Hold { arm }, self.speed)
     }
 
+    /// Presses with a force, N, in a direction: the arm approaches until it touches something, and then moves as the missing
+    /// force requires (admittance control), within [`ForceLimits`]; its orientation and its place aside stay. It is
+    /// [`Outcome::Maintaining`](crate::Outcome::Maintaining) when the force is held, and goes on until a cancel, a condition
+    /// or another activity. An arm that is in contact already holds the force without approach. The force is that of
+    /// [`Self::force`], which the load of the tool must not be part of.
+    ///
+    /// It fails at rest: [`ErrorKind::ForceNotReached`] after `travel`, [`ErrorKind::ContactLost`], if the force is less than
+    /// half of `touch` for 0.1 s, [`ErrorKind::ForceExceeded`] beyond `force_max`, [`ErrorKind::Unreachable`].
+    /// [`ErrorKind::Unsupported`] if the arm does not know the force at its tool.
+    pub fn press(&self, direction: impl Into<Direction>, force: f64) -> Activity {
+        self.pressing(&direction.into(), force, None)
+    }
+
+    /// The same on the way to a pose in the base of the arm, or in a frame: the motion centre moves aside under force, along
+    /// the shortest way within the [limits](Self::with_limits), and turns. The place of the pose along the direction does not
+    /// matter: the force has it. It is [`Outcome::Maintaining`](crate::Outcome::Maintaining) at the pose, with the force held.
+    pub fn press_to(
+        &self,
+        to: impl Into<Goal>,
+        direction: impl Into<Direction>,
+        force: f64,
+    ) -> Activity {
+        self.pressing(&direction.into(), force, Some(self.goal(to)))
+    }
+
+    fn pressing(
+        &self,
+        direction: &Direction,
+        force: f64,
+        to: Option<Result<Pose, ErrorKind>>,
+    ) -> Activity {
+        let press = Press {
+            centre: self.moving_centre(),
+            along: direction.within(&self.base),
+            force,
+            limits: self.force_limits,
+            to,
+        };
+        Activity::new(&self.session, press, self.speed)
+    }
+
+    fn moving_centre(&self) -> Centre {
+        Centre {
+            arm: self.description.clone(),
+            limits: self.limits,
+            tool: self.tool,
+        }
+    }
+
+    /// Follows a frame that moves: the motion centre is brought to it as fast as the [limits](Self::with_limits) of velocity
+    /// and acceleration permit, and then moves with it. It is [`Outcome::Maintaining`](crate::Outcome::Maintaining) as long
+    /// as it is within 1 mm and 0.01 rad, and goes on until a cancel, a condition or another activity. Where the arm cannot
+    /// follow, it brakes on its path and fails with [`ErrorKind::Unreachable`] at rest, and where the place of the frame
+    /// becomes unknown, with [`ErrorKind::DeviceFailed`].
+    pub fn follow(&self, frame: &MovingFrame) -> Activity {
+        let follow = Follow {
+            centre: self.moving_centre(),
+            frame: frame.clone(),
+            base: self.base.clone(),
+        };
+        Activity::new(&self.session, follow, self.speed)
+    }
+
     /// Jogging of the motion centre: it moves at the velocity that the program [sends](crate::LiveHandle::send), within the
     /// [limits](Self::with_limits) of velocity and acceleration, and brakes when the last one is older than 0.1 s: send at
     /// 20 Hz or more while a key is held. Where the arm cannot follow, it brakes on its path, and the activity fails. It
     /// begins in motion, too, and ends by a cancel. Speeds scale its velocity, not its acceleration.
     pub fn jog(&self) -> Live<Twist> {
-        let jog = Jog::Centre {
-            arm: self.description.clone(),
-            limits: self.limits,
-            tool: self.tool,
-        };
-        self.live(jog)
+        self.live(Jog::Centre(self.moving_centre()))
     }
 
     /// The same for velocities of the joints. A joint brakes before the end of its range and rests there.
@@ -163,7 +242,7 @@ impl Arm {
 
     /// A motion to joint positions that the program [sends](crate::LiveHandle::send), at 10 to 100 Hz or when it likes: every
     /// joint moves to its latest goal as fast as its limits allow, the others aside, and rests there. It begins in motion,
-    /// too, and ends by a cancel. The override does not slow it; [`Live::speed`] does.
+    /// too, and ends by a cancel.
     pub fn stream(&self) -> Live<JointGoal> {
         self.live(self.following(Goals::Joints))
     }

@@ -13,6 +13,7 @@ use crate::net::{Net, Port, Primitive};
 use crate::order::{Operation, Ports, Requests, Speed};
 use crate::pose::Pose;
 use crate::session::Session;
+use crate::world::{Frame, World};
 
 /// Largest speed on the way to a pose in each direction, as part of the limit: of both directions together, in any
 /// heading and while they change, the speed stays within it.
@@ -85,6 +86,13 @@ impl Base {
         Activity::new(&self.session, motion, self.speed)
     }
 
+    /// The frame in which it started.
+    pub(crate) fn odometry(&self) -> Result<Frame, ErrorKind> {
+        let devices = Descriptions::read(&self.session)?;
+        let world = World::read(&self.session, &devices)?;
+        world.frame(&format!("{}.odometry", self.name))
+    }
+
     /// The measured pose in the frame in which the base started.
     ///
     /// # Errors
@@ -122,6 +130,11 @@ fn limits(interface: &Interface) -> [f64; 2] {
     ["velocity_max", "rotation_max"].map(|limit| interface.number(limit))
 }
 
+/// The measured pose of a base.
+pub(crate) fn measured(net: &mut Net, name: &str) -> Port {
+    monitor(net, name).out("outPos")
+}
+
 fn monitor(net: &mut Net, name: &str) -> Primitive {
     net.add("RobotBase::BaseMonitor", [("Robot", name.into())])
 }
@@ -153,13 +166,15 @@ impl BaseMotion {
                 let lead = [
                     ("inDest", (&to).into()),
                     ("inPos", (&here.out("outPos")).into()),
-                    ("inVel", (&here.out("outCmdVel")).into()),
                     ("velX", (velocity * PART).into()),
                     ("velY", (velocity * PART).into()),
                     ("velYaw", rotation.into()),
                 ];
                 let lead = net.add("RobotBase::OmnidirectionalBaseController", lead);
-                (lead.out("outVel"), lead.out("outCompleted"))
+                let limits = [velocity * PART, rotation];
+                let now = here.out("outCmdVel");
+                let slowed = Self::approach(net, (&now, &lead.out("outVel")), limits);
+                (slowed, lead.out("outCompleted"))
             }
             Task::At(velocity, duration) => {
                 let over = net.override_in();
@@ -180,6 +195,33 @@ impl BaseMotion {
                 (twist, net.add("Core::DoubleGreater", late).out("outValue"))
             }
         }
+    }
+
+    /// The next velocity on the way to the wanted one times the override: it changes by these limits, m/s and rad/s, in a
+    /// second at most.
+    fn approach(net: &mut Net, (now, wanted): (&Port, &Port), limits: [f64; 2]) -> Port {
+        let over = net.override_in();
+        let slowed = [("inValue", wanted.into()), ("inFactor", (&over).into())];
+        let wanted = net.add("World::TwistScale", slowed).out("outValue");
+        // A base that reports none was commanded none.
+        let unknown = net.of("World::TwistIsNull", now);
+        let now = net.zero_if("World::Twist", &unknown, now);
+        let [wanted, now] = [&wanted, &now]
+            .map(|twist| net.add("World::TwistToVelocities", [("inValue", twist.into())]));
+        let period = net.add("Core::CycleTime", []).out("outValue");
+        let ports = [("outTransVel", "inTransVel"), ("outRotVel", "inRotVel")];
+        let mut next = Vec::new();
+        for ((part, name), limit) in ports.into_iter().zip(limits) {
+            let (wanted, now) = (wanted.out(part), now.out(part));
+            let change = net.of_two("World::VectorSubtract", &wanted, &now);
+            let most = net.scaled(&period, limit);
+            let change = [("inValue", (&change).into()), ("inMax", (&most).into())];
+            let change = net.add("World::VectorClamp", change).out("outValue");
+            let sum = net.of_two("World::VectorAdd", &now, &change);
+            next.push((name, (&sum).into()));
+        }
+        net.add_with("World::TwistFromVelocities", &next)
+            .out("outValue")
     }
 
     /// Whether the base is measured at rest.
@@ -310,6 +352,8 @@ mod tests {
             text.contains("inTrue=") && text.contains("First='0.005'"),
             "{text}"
         );
+        // The override changes the speed, within the acceleration.
+        assert!(text.contains("Key='override'") && text.contains("World::TwistScale("));
     }
 
     #[test]

@@ -138,6 +138,11 @@ pub(crate) fn arm(name: &str, device: &Value) -> Option<ArmDescription> {
         home: home.unwrap_or_else(|| joints.iter().map(JointLimits::rest).collect()),
         joints,
         period: Duration::from_secs_f64(number(device, "period")?),
+        interfaces: device
+            .as_map()
+            .and_then(|device| device.get("parameters")?.as_map())
+            .map(|interfaces| interfaces.keys().cloned().collect())
+            .unwrap_or_default(),
     })
 }
 

@@ -167,6 +167,48 @@ pub enum ErrorKind {
         /// Largest speed of the activity, as part of the limits, at which all joints keep their limits.
         speed: f64,
     },
+    /// The device has no such ability; nothing was begun, or it refused.
+    #[error("{device}: {wanted} is not supported: {cause}")]
+    Unsupported {
+        /// The device.
+        device: String,
+        /// The ability.
+        wanted: &'static str,
+        /// The cause.
+        cause: String,
+    },
+    /// An arm under force has moved as far as it may: there was no contact, or what it touched gave way. It is at rest.
+    #[error(
+        "{device}: a force of {force} N is not reached within {travel} m\nhint: begin nearer to the object, or permit more \
+         `travel`"
+    )]
+    ForceNotReached {
+        /// The arm.
+        device: String,
+        /// The wanted force, N.
+        force: f64,
+        /// Longest way along its direction, m.
+        travel: f64,
+    },
+    /// What an arm pressed against is there no more; the arm is at rest.
+    #[error(
+        "{device}: the contact is lost\nhint: a condition such as `force.under(2.0).after(force.over(10.0))` of `until` makes \
+         that an outcome"
+    )]
+    ContactLost {
+        /// The arm.
+        device: String,
+    },
+    /// The force at the tool of an arm is larger than it may be; the arm is at rest.
+    #[error(
+        "{device}: the force at its tool exceeds {limit} N\nhint: approach more slowly, or permit more by `force_max`"
+    )]
+    ForceExceeded {
+        /// The arm.
+        device: String,
+        /// The largest force, N.
+        limit: f64,
+    },
     /// A motion cannot be planned by the program.
     #[error("{device}: the motion cannot be planned: {cause}")]
     Unplanned {

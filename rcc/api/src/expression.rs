@@ -209,6 +209,8 @@ enum ConditionKind {
     Or(Condition, Condition),
     Lasting(Condition, Duration),
     Edge(Condition, bool),
+    /// The first, once the second has held.
+    After(Condition, Condition),
 }
 
 impl Condition {
@@ -244,6 +246,12 @@ impl Condition {
     #[must_use]
     pub fn lasting(self, duration: Duration) -> Self {
         Self(Arc::new(ConditionKind::Lasting(self, duration)))
+    }
+
+    /// Whether it holds once another condition has held since the activity began.
+    #[must_use]
+    pub fn after(self, other: Self) -> Self {
+        Self(Arc::new(ConditionKind::After(self, other)))
     }
 
     /// Writes it into a net; returns where it is true from the first cycle on in which the condition held. Null counts
@@ -294,6 +302,11 @@ impl Condition {
                     ("Direction", direction.into()),
                 ];
                 net.add("Core::EdgeDetection", arguments).out("outValue")
+            }
+            ConditionKind::After(condition, before) => {
+                let before = before.latched(net);
+                let value = condition.write(net);
+                net.of_two("Core::BooleanAnd", &before, &value)
             }
             ConditionKind::Lasting(condition, duration) => {
                 let value = condition.write(net);

@@ -78,6 +78,30 @@ impl Handle {
         self.session.wait_until(until, |_| self.outcome())
     }
 
+    /// Waits until it has ended, also if it maintains its goal, at most for `timeout`; `None` if it goes on.
+    ///
+    /// # Errors
+    /// As [`Self::wait`].
+    pub fn wait_to_end_for(&self, timeout: Duration) -> Option<Result<Outcome, Error>> {
+        let until = Instant::now() + timeout;
+        let ended = |outcome: &Result<Outcome, Error>| !matches!(outcome, Ok(Outcome::Maintaining));
+        self.session
+            .wait_until(until, |_| self.outcome().filter(ended))
+    }
+
+    /// Waits until it has ended, also if it maintains its goal: until a condition stops it, another activity takes over, or it
+    /// is cancelled or fails.
+    ///
+    /// # Errors
+    /// As [`Self::wait`].
+    pub fn wait_to_end(&self) -> Result<Outcome, Error> {
+        loop {
+            if let Some(outcome) = self.wait_to_end_for(Duration::from_secs(3600)) {
+                return outcome;
+            }
+        }
+    }
+
     /// Waits until its first activities run, at most for `timeout`; `None` if they still wait for what their devices do before.
     ///
     /// # Errors

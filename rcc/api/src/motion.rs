@@ -3,11 +3,14 @@
 //!
 //! The speed of a motion scales its time: at 0.5 velocities are halved, accelerations quartered, jerks divided by eight.
 
+mod centre;
 mod coupled;
+mod follow;
 mod frame;
 mod hold;
 mod jog;
 mod path;
+mod press;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -23,11 +26,15 @@ use crate::error::ErrorKind;
 use crate::net::{Argument, Net, Port, Primitive, array};
 use crate::plan::{bounds, joint_bounds};
 use crate::pose::Pose;
+pub(crate) use centre::Centre;
 pub(crate) use coupled::{CoupledMotion, Holder};
-pub(crate) use frame::Route;
+pub(crate) use follow::Follow;
+pub(crate) use frame::{Route, centre_of};
 pub(crate) use hold::Hold;
 pub(crate) use jog::Jog;
 pub(crate) use path::{ArmMotion, Path};
+pub use press::ForceLimits;
+pub(crate) use press::{Along, Press};
 pub(crate) use stream::{Goals, Stream};
 
 /// Joint positions that differ by more, rad, are different places.
@@ -169,9 +176,23 @@ pub struct ArmDescription {
     pub home: Vec<f64>,
     /// Period of the nets that command it.
     pub period: Duration,
+    /// Names of its interfaces, such as `wrench` and `cartesianimpedance`.
+    pub interfaces: Vec<String>,
 }
 
 impl ArmDescription {
+    /// Checks that it has an interface; `wanted` says in errors what that is.
+    pub(crate) fn needs(&self, interface: &str, wanted: &'static str) -> Result<(), ErrorKind> {
+        if self.interfaces.iter().any(|mine| mine == interface) {
+            return Ok(());
+        }
+        Err(ErrorKind::Unsupported {
+            device: self.name.clone(),
+            wanted,
+            cause: format!("arms of type `{}` do not have it", self.kind),
+        })
+    }
+
     /// A net that reads a port of all joints, as `outq0` and so on.
     pub(crate) fn reader(&self, port: &str) -> String {
         let mut net = Net::default();
@@ -359,11 +380,13 @@ impl ArmDescription {
         let velocities = self.joint_array(net, "outCommandedVelocity");
         let accelerations = self.joint_array(net, "outCommandedAcceleration");
         let [velocity, acceleration, jerk] = self.limit_texts(speed);
+        let over = net.override_in();
         net.add(
             "Motion::Track",
             [
                 ("inGoal", goal.into()),
                 ("inStop", stop.into()),
+                ("inOverride", (&over).into()),
                 ("inFrom", (&positions).into()),
                 ("inFromVelocity", (&velocities).into()),
                 ("inFromAcceleration", (&accelerations).into()),

@@ -61,6 +61,11 @@ impl Pose {
         &self.0
     }
 
+    /// A vector of this frame along the axes of the reference frame.
+    pub(crate) fn turned(&self, vector: [f64; 3]) -> [f64; 3] {
+        (self.0.rotation * nalgebra::Vector3::from(vector)).into()
+    }
+
     /// Whether all its numbers are finite.
     pub(crate) fn is_finite(&self) -> bool {
         let numbers = self

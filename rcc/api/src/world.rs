@@ -7,6 +7,7 @@ use takt_client::Value;
 
 use crate::description::{Descriptions, text};
 use crate::error::{Error, ErrorKind};
+use crate::motion::Along;
 use crate::pose::Pose;
 use crate::session::Session;
 
@@ -58,6 +59,14 @@ impl Frame {
         }
     }
 
+    /// A direction along the axes of this frame.
+    pub fn direction(&self, direction: [f64; 3]) -> Direction {
+        Direction {
+            frame: Some(self.clone()),
+            ..direction.into()
+        }
+    }
+
     /// Its pose in another frame.
     ///
     /// # Errors
@@ -97,6 +106,42 @@ impl<P: Into<Pose>> From<P> for Goal {
     fn from(pose: P) -> Self {
         let pose = pose.into();
         Self { pose, frame: None }
+    }
+}
+
+/// The direction of a force: three coordinates of any length but 0, along the axes of the base of the arm, of a
+/// [frame](Frame::direction), or of the motion centre.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Direction {
+    along: Along,
+    frame: Option<Frame>,
+}
+
+impl From<[f64; 3]> for Direction {
+    fn from(direction: [f64; 3]) -> Self {
+        Self {
+            along: Along::Base(direction),
+            frame: None,
+        }
+    }
+}
+
+impl Direction {
+    /// A direction along the axes of the motion centre, with which it turns.
+    pub const fn of_centre(direction: [f64; 3]) -> Self {
+        Self {
+            along: Along::Centre(direction),
+            frame: None,
+        }
+    }
+
+    /// The direction for an arm with this base.
+    pub(crate) fn within(&self, base: &Frame) -> Result<Along, ErrorKind> {
+        let Some(frame) = &self.frame else {
+            return Ok(self.along);
+        };
+        let frame = frame.placed_in(base)?;
+        Ok(self.along.turned(&frame))
     }
 }
 

@@ -11,6 +11,9 @@ mod figures;
 #[path = "../examples/first.rs"]
 mod first;
 #[allow(dead_code, reason = "tests call what `main` calls")]
+#[path = "../examples/follow.rs"]
+mod follow;
+#[allow(dead_code, reason = "tests call what `main` calls")]
 #[path = "../examples/jog.rs"]
 mod jog;
 #[allow(dead_code, reason = "tests call what `main` calls")]
@@ -19,6 +22,9 @@ mod lift;
 #[allow(dead_code, reason = "tests call what `main` calls")]
 #[path = "../examples/listing1.rs"]
 mod listing1;
+#[allow(dead_code, reason = "tests call what `main` calls")]
+#[path = "../examples/press.rs"]
+mod press;
 #[allow(dead_code, reason = "tests call what `main` calls")]
 #[path = "../examples/recovery.rs"]
 mod recovery;
@@ -152,6 +158,34 @@ fn stream_example_follows_goals_closely() {
 }
 
 #[test]
+fn press_example_holds_force_until_table_vanishes() {
+    steady(|| {
+        let steps = with_picture("press", press::run);
+        let outcomes: Vec<_> = steps.iter().map(|step| &step.outcome).collect();
+        let stopped = Outcome::Stopped("vanished".to_owned());
+        let (completed, holds) = (Outcome::Completed, Outcome::Maintaining);
+        assert_eq!(outcomes, [&completed, &holds, &holds, &stopped, &completed]);
+        for step in &steps[1..3] {
+            assert!((step.force - 20.0).abs() < 3.0, "{} N", step.force);
+        }
+        let fell = steps[2].height - steps[3].height;
+        assert!(steps[3].force.abs() < 0.1 && fell < 5e-3, "{fell} m");
+    });
+}
+
+#[test]
+fn follow_example_keeps_to_its_frame() {
+    steady(|| {
+        let (steps, outcome) = with_picture("follow", follow::run);
+        assert_eq!(outcome, Outcome::Completed);
+        for step in &steps {
+            assert_eq!(step.outcome, Outcome::Completed);
+            assert!(step.most < 0.03 && step.last < 1e-3, "{} m", step.most);
+        }
+    });
+}
+
+#[test]
 fn jog_example_rests_after_each_key() {
     steady(|| {
         let (keys, outcome) = jog::run().unwrap();
@@ -225,7 +259,10 @@ fn emulated_cell_unknown_name_lists_known_ones() {
     let error = Cell::emulated("three_lwr").unwrap_err();
     assert!(matches!(error.kind, ErrorKind::Invalid(_)), "{error}");
     let text = error.to_string();
-    assert!(text.contains("two_lwr, iiwa, factory, lwr_wsg"), "{text}");
+    assert!(
+        text.contains("two_lwr, iiwa, factory, lwr_wsg, lwr_table"),
+        "{text}"
+    );
 }
 
 #[test]

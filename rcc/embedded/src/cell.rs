@@ -12,15 +12,16 @@ use takt_devices::wsg::emulator::Port;
 use crate::error::Error;
 
 /// Names and texts of the cells.
-const CELLS: [(&str, &str); 4] = [
+const CELLS: [(&str, &str); 5] = [
     ("two_lwr", include_str!("../cells/two_lwr.toml")),
     ("iiwa", include_str!("../cells/iiwa.toml")),
     ("factory", include_str!("../cells/factory.toml")),
     ("lwr_wsg", include_str!("../cells/lwr_wsg.toml")),
+    ("lwr_table", include_str!("../cells/lwr_table.toml")),
 ];
 
 /// Names of the emulated cells.
-pub const NAMES: [&str; 4] = [CELLS[0].0, CELLS[1].0, CELLS[2].0, CELLS[3].0];
+pub const NAMES: [&str; 5] = [CELLS[0].0, CELLS[1].0, CELLS[2].0, CELLS[3].0, CELLS[4].0];
 
 /// Any free port of loopback.
 pub(crate) const ANY_PORT: SocketAddr =
@@ -87,14 +88,17 @@ mod tests {
             let (devices, segments) = (cell.config.devices.len(), cell.segments.len());
             (devices, segments, cell.grippers.len())
         });
-        assert_eq!(counts, [(2, 0, 0), (1, 0, 0), (2, 2, 0), (2, 0, 1)]);
+        assert_eq!(
+            counts,
+            [(2, 0, 0), (1, 0, 0), (2, 2, 0), (2, 0, 1), (1, 0, 0)]
+        );
     }
 
     #[test]
     fn emulated_cell_unknown_name_lists_all() {
         let error = EmulatedCell::named("three_lwr").unwrap_err().to_string();
         let expected = "there is no emulated cell `three_lwr`\n\
-                        hint: the emulated cells are two_lwr, iiwa, factory, lwr_wsg";
+                        hint: the emulated cells are two_lwr, iiwa, factory, lwr_wsg, lwr_table";
         assert_eq!(error, expected);
     }
 }

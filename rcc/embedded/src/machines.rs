@@ -8,14 +8,15 @@ use std::time::Duration;
 
 use takt_core::{CellConfig, Controller};
 use takt_devices::ethercat::{self, Ethercat, EthercatConfig, Wire};
-use takt_devices::fri::IiwaConfig;
 use takt_devices::fri::emulator::{Robot, holding_program, local, resting, tolerant_timing};
+use takt_devices::fri::{IiwaConfig, LwrConfig};
 use takt_devices::wsg::emulator::{Gripper, GripperConfig, Port};
 use takt_ethercat::emulator::{
     Coupler, DriveHandle, Segment, Server, ServoConfig, ServoDrive, SharedSegment, YouBot,
     YouBotConfig,
 };
 use takt_ethercat::linux::{cable, monotonic};
+use takt_fri::lwr::emulator::{Contact, Script, Shape};
 use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
 use takt_rt::Nanos;
 use takt_rt::stats::stalls;
@@ -26,6 +27,14 @@ use crate::error::Error;
 
 /// Time from one measurement of an emulated LWR to the next.
 const LWR_PERIOD: Duration = Duration::from_millis(1);
+/// Frame of a cell where its emulated table is.
+const TABLE: &str = "table";
+/// Stiffness of the table, N/m.
+const TABLE_STIFFNESS: f64 = 10_000.0;
+/// Damping of the table, Ns/m.
+const TABLE_DAMPING: f64 = 100.0;
+/// Digital output of the arm, from 0, that takes the table away while it is true.
+const TABLE_OFF: u32 = 0;
 /// Address of the master in a segment that has no other.
 const MASTER: [u8; 6] = [2, 0, 0, 0, 0, 1];
 /// Longest wait of an emulated segment for a frame, so that a stop is seen soon.
@@ -110,6 +119,14 @@ impl Machines {
             return Ok(());
         }
         let mut config = resting(LWR_PERIOD);
+        if let Some(table) = table(cell) {
+            config.contact = Some(table);
+            config.contact_off = Some(TABLE_OFF);
+        }
+        let lwr = cell.of_kind::<LwrConfig>().find(|lwr| lwr.name == name);
+        if let Some(handshake) = lwr.and_then(|lwr| lwr.handshake) {
+            config.script = Script::Handshake(handshake);
+        }
         config.seed = seed;
         config.faults.to_client.drop = drop;
         config.faults.to_krc.drop = drop;
@@ -165,6 +182,21 @@ impl Machines {
             .find_map(|(name, ended)| ended.err().map(|error| Error::emulator(name, error)));
         failed.map_or(Ok(()), Err)
     }
+}
+
+/// The emulated table: the plane z = 0 of the cell's frame `table`, for arms whose base is the world.
+fn table(cell: &CellConfig) -> Option<Contact> {
+    let frames = &cell.frames.frames;
+    let table = frames.iter().find(|frame| frame.name == TABLE)?;
+    let frame = table.placement().frame();
+    let [_, _, normal]: [[f64; 3]; 3] = (*frame.rotation.to_rotation_matrix().matrix()).into();
+    Some(Contact {
+        shape: Shape::Wall,
+        point: frame.translation.vector.into(),
+        normal,
+        stiffness: TABLE_STIFFNESS,
+        damping: TABLE_DAMPING,
+    })
 }
 
 /// Serves a device in turns, each of which waits briefly for input.

@@ -3,15 +3,17 @@
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict as _, PyDict};
 use takt_api as api;
-use takt_api::motion::CartesianLimits;
+use takt_api::motion::{CartesianLimits, ForceLimits};
 
 use crate::activity::Activity;
 use crate::arrays::array;
+use crate::control::Control;
 use crate::error;
 use crate::expression::{Condition, Number};
-use crate::frame::{Frame, goal, goals};
+use crate::frame::{Frame, direction, goal, goals};
 use crate::keywords::Keywords;
 use crate::live::{Described, Live};
+use crate::moving::MovingFrame;
 use crate::owned::Owned;
 use crate::pose;
 use crate::wait::{seconds, wait};
@@ -25,6 +27,30 @@ const LIMITS: [&str; 6] = [
     "rot_acceleration",
     "rot_jerk",
 ];
+
+/// Names of limits of motions under force, as keywords.
+const FORCE_LIMITS: [&str; 7] = [
+    "approach",
+    "velocity",
+    "travel",
+    "touch",
+    "tolerance",
+    "force_max",
+    "damping",
+];
+
+/// The fields of these limits, in the order of [`FORCE_LIMITS`].
+const fn force_fields(limits: &mut ForceLimits) -> [&mut f64; 7] {
+    [
+        &mut limits.approach,
+        &mut limits.velocity,
+        &mut limits.travel,
+        &mut limits.touch,
+        &mut limits.tolerance,
+        &mut limits.force_max,
+        &mut limits.damping,
+    ]
+}
 
 /// An arm of a cell.
 #[pyclass(frozen, module = "takt")]
@@ -128,6 +154,37 @@ impl Arm {
             limits.rot_jerk,
         ];
         LIMITS.into_iter().zip(values).into_py_dict(py)
+    }
+
+    /// Its limits on motions under force, by the keywords of `with_force_limits`.
+    #[getter]
+    fn force_limits<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let mut limits = self.0.get(py)?.force_limits();
+        let values = force_fields(&mut limits).map(|limit| *limit);
+        FORCE_LIMITS.into_iter().zip(values).into_py_dict(py)
+    }
+
+    /// The same arm with these limits on motions under force.
+    #[pyo3(signature = (**limits))]
+    fn with_force_limits(
+        &self,
+        py: Python<'_>,
+        limits: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let keywords = Keywords::of(limits, &FORCE_LIMITS)?;
+        let arm = self.0.get(py)?.clone();
+        let mut limits = ForceLimits::default();
+        for (name, field) in FORCE_LIMITS.into_iter().zip(force_fields(&mut limits)) {
+            let Some(limit) = keywords.get::<f64>(name)? else {
+                continue;
+            };
+            if !(limit > 0.0 && limit.is_finite()) {
+                let text = format!("{name} is {limit}; a limit is above 0 and finite");
+                return Err(error::invalid(py, text));
+            }
+            *field = limit;
+        }
+        Ok(Self::new(arm.with_force_limits(limits)))
     }
 
     /// Force and torque at the tool.
@@ -239,6 +296,63 @@ impl Arm {
     #[pyo3(signature = (**options))]
     fn hold(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Activity> {
         Activity::without_blend(py, self.0.get(py)?.hold(), options)
+    }
+
+    /// Presses with a force, N, in a direction.
+    #[pyo3(signature = (direction, force, **options))]
+    fn press(
+        &self,
+        direction: &Bound<'_, PyAny>,
+        force: f64,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Activity> {
+        let py = direction.py();
+        let press = self.0.get(py)?.press(self::direction(direction)?, force);
+        Activity::without_blend(py, press, options)
+    }
+
+    /// The same on the way to a pose.
+    #[pyo3(signature = (to, direction, force, **options))]
+    fn press_to(
+        &self,
+        to: &Bound<'_, PyAny>,
+        direction: &Bound<'_, PyAny>,
+        force: f64,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Activity> {
+        let py = to.py();
+        let direction = self::direction(direction)?;
+        let press = self.0.get(py)?.press_to(goal(to)?, direction, force);
+        Activity::without_blend(py, press, options)
+    }
+
+    /// Follows a frame that moves.
+    #[pyo3(signature = (frame, **options))]
+    fn follow(
+        &self,
+        frame: &Bound<'_, MovingFrame>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Activity> {
+        let py = frame.py();
+        let follow = self.0.get(py)?.follow(&frame.get().0);
+        Activity::without_blend(py, follow, options)
+    }
+
+    /// Its motion centre as a frame that moves.
+    fn centre(&self, py: Python<'_>) -> PyResult<MovingFrame> {
+        Ok(MovingFrame(self.0.get(py)?.centre()))
+    }
+
+    /// Switches how the arm is controlled.
+    #[pyo3(signature = (control, **options))]
+    fn switch_to(
+        &self,
+        control: &Bound<'_, Control>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Activity> {
+        let py = control.py();
+        let switch = self.0.get(py)?.switch_to(control.get().0.clone());
+        Activity::without_blend(py, switch, options)
     }
 
     /// Jogging of the motion centre by velocities that the program sends.

@@ -7,6 +7,7 @@ use takt_api as api;
 use crate::activity::Activity;
 use crate::error;
 use crate::expression::Number;
+use crate::moving::MovingFrame;
 use crate::owned::Owned;
 use crate::pose;
 use crate::wait::seconds;
@@ -65,6 +66,15 @@ impl Base {
         let duration = seconds(py, "duration", duration)?;
         let motion = self.0.get(py)?.drive(velocity, duration);
         Activity::without_blend(py, motion, options)
+    }
+
+    /// Itself as a frame that moves.
+    fn centre(&self, py: Python<'_>) -> PyResult<MovingFrame> {
+        let base = self.0.get(py)?;
+        let frame = py.detach(|| base.centre());
+        frame
+            .map(MovingFrame)
+            .map_err(|error| error::raise_here(py, &error))
     }
 
     /// The measured pose in the frame in which the base started.

@@ -153,6 +153,35 @@ fn instance<'py>(
             attributes.set_item("cause", cause)?;
             "Unplanned"
         }
+        ErrorKind::Unsupported {
+            device,
+            wanted,
+            cause,
+        } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("wanted", wanted)?;
+            attributes.set_item("cause", cause)?;
+            "Unsupported"
+        }
+        ErrorKind::ForceNotReached {
+            device,
+            force,
+            travel,
+        } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("force", force)?;
+            attributes.set_item("travel", travel)?;
+            "ForceNotReached"
+        }
+        ErrorKind::ContactLost { device } => {
+            attributes.set_item("device", device)?;
+            "ContactLost"
+        }
+        ErrorKind::ForceExceeded { device, limit } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("limit", limit)?;
+            "ForceExceeded"
+        }
         ErrorKind::PredecessorFailed(before) => {
             attributes.set_item("error", instance(py, before, None)?)?;
             "PredecessorFailed"

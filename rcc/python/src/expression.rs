@@ -20,13 +20,13 @@ pub(crate) struct Condition(pub(crate) api::Condition);
 
 /// The other side of an operator.
 #[derive(FromPyObject)]
-enum Operand<'py> {
+pub(crate) enum Operand<'py> {
     Number(Bound<'py, Number>),
     Constant(f64),
 }
 
 impl Operand<'_> {
-    fn number(self, py: Python<'_>) -> PyResult<api::Number> {
+    pub(crate) fn number(self, py: Python<'_>) -> PyResult<api::Number> {
         match self {
             Self::Number(number) => Ok(number.get().0.clone()),
             Self::Constant(value) if value.is_finite() => Ok(value.into()),
@@ -189,6 +189,11 @@ impl Condition {
     /// Whether it has just become false; also if it is false from the start.
     fn falls(&self) -> Self {
         Self(self.0.clone().falls())
+    }
+
+    /// Whether it holds once another condition has held since the activity began.
+    fn after(&self, other: &Bound<'_, Self>) -> Self {
+        Self(self.0.clone().after(other.get().0.clone()))
     }
 
     /// Whether it has been true for `duration` (s) without a break.

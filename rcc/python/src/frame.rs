@@ -30,6 +30,11 @@ impl Frame {
         Ok(Goal(self.0.pose(pose::read(pose)?)))
     }
 
+    /// A direction along the axes of this frame.
+    fn direction(&self, direction: [f64; 3]) -> Direction {
+        Direction(self.0.direction(direction))
+    }
+
     /// Its pose in another frame.
     fn within(&self, py: Python<'_>, other: &Bound<'_, Self>) -> PyResult<Pose> {
         let pose = self.0.within(&other.get().0);
@@ -58,4 +63,26 @@ pub(crate) fn goal(value: &Bound<'_, PyAny>) -> PyResult<api::Goal> {
 /// Reads several of them.
 pub(crate) fn goals(value: &Bound<'_, PyAny>) -> PyResult<Vec<api::Goal>> {
     value.try_iter()?.map(|value| goal(&value?)).collect()
+}
+
+/// The direction of a force.
+#[pyclass(frozen, eq, module = "takt")]
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Direction(pub(crate) api::Direction);
+
+#[pymethods]
+impl Direction {
+    /// A direction along the axes of the motion centre, with which it turns.
+    #[staticmethod]
+    const fn of_centre(direction: [f64; 3]) -> Self {
+        Self(api::Direction::of_centre(direction))
+    }
+}
+
+/// Reads a direction, or three coordinates in the base of the arm.
+pub(crate) fn direction(value: &Bound<'_, PyAny>) -> PyResult<api::Direction> {
+    if let Ok(direction) = value.cast::<Direction>() {
+        return Ok(direction.get().0.clone());
+    }
+    Ok(value.extract::<[f64; 3]>()?.into())
 }

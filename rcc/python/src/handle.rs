@@ -91,6 +91,18 @@ impl Handle {
         self.result(py, outcome.ok_or_else(late)?)
     }
 
+    /// Waits until it has ended, also if it maintains its goal; `timeout` in s.
+    #[pyo3(signature = (timeout=None))]
+    fn wait_to_end(&self, py: Python<'_>, timeout: Option<f64>) -> PyResult<Outcome> {
+        let handle = self.handle.get(py)?;
+        let limit = timeout
+            .map(|timeout| seconds(py, "timeout", timeout))
+            .transpose()?;
+        let outcome = wait(py, limit, |slice| handle.wait_to_end_for(slice))?;
+        let late = || error::timeout(py, timeout.unwrap_or_default(), self.place.as_ref());
+        self.result(py, outcome.ok_or_else(late)?)
+    }
+
     /// Requests that it end: it brakes on its path.
     pub(crate) fn cancel(&self, py: Python<'_>) -> PyResult<()> {
         let handle = self.handle.get(py)?;

@@ -7,6 +7,7 @@ mod arrays;
 mod base;
 mod cell;
 mod compose;
+mod control;
 mod coupled;
 mod dispatch;
 mod error;
@@ -19,6 +20,7 @@ mod io;
 mod keywords;
 mod listener;
 mod live;
+mod moving;
 mod outcome;
 mod owned;
 mod place;
@@ -44,13 +46,15 @@ mod native {
     #[pymodule_export]
     use super::compose::{Composite, Event, Waiting, either, together, when};
     #[pymodule_export]
+    use super::control::Control;
+    #[pymodule_export]
     use super::coupled::{Coupled, coupled};
     #[pymodule_export]
     use super::explain::{Cost, Explanation};
     #[pymodule_export]
     use super::expression::{Condition, Number};
     #[pymodule_export]
-    use super::frame::{Frame, Goal};
+    use super::frame::{Direction, Frame, Goal};
     #[pymodule_export]
     use super::gripper::Gripper;
     #[pymodule_export]
@@ -61,6 +65,8 @@ mod native {
     use super::listener::Listener;
     #[pymodule_export]
     use super::live::{Live, LiveHandle, Twist};
+    #[pymodule_export]
+    use super::moving::MovingFrame;
     #[pymodule_export]
     use super::outcome::Outcome;
     #[pymodule_export]

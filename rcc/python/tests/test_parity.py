@@ -11,8 +11,8 @@ import takt
 
 API = ROOT / "rcc" / "api" / "src"
 MODULES = """
-activity arm base cell compose cost coupled embedded explain expression gripper handle io listener live
-outcome plan pose prepared world
+activity arm base cell compose control cost coupled embedded explain expression gripper handle io listener live
+moving outcome plan pose prepared world
 """.split()
 
 OTHER_NAME = {
@@ -25,6 +25,7 @@ OTHER_NAME = {
     "Cell.emulated": "emulate",
     "Handle.poll_outcome": "Handle.__await__",
     "Handle.wait_for": "Handle.wait",
+    "Handle.wait_to_end_for": "Handle.wait_to_end",
     "Pose.isometry": "Pose.matrix",
 }
 """What has another name: options are keyword arguments, and constructors functions of the package."""

@@ -36,7 +36,7 @@ def test_net_text_equals_that_of_rust(cell: takt.Cell, address: str) -> None:
         left.ptp_to(pose, now=True),
     ]
     nets = [activity.explain().net for activity in activities]
-    nets += live(left, touch) + coupled_arms(cell) + devices(cell)
+    nets += live(left, touch) + coupled_arms(cell) + devices(cell) + guided(cell)
     ours = "".join(net + "\n\n" for net in nets)
     rust = subprocess.run([program("explain"), address], capture_output=True, check=True)
     for ours_net, rust_net in zip(nets, rust.stdout.decode().split("\n\n")):
@@ -84,6 +84,29 @@ def devices(cell: takt.Cell) -> list[str]:
         gripper.grasp(0.05, 30, until={"full": full}),
         platform.go_to(Pose.xyz(0.3, -0.2, 0).abc(0.5, 0, 0)),
         platform.with_speed(0.5).drive([0.2, 0, -0.1], 0.25, speed=0.5, until={"turned": turned}, now=True),
+    ]
+    return [activity.explain().net for activity in activities]
+
+
+def guided(cell: takt.Cell) -> list[str]:
+    """The nets of motions under force, of frames that move and of control modes."""
+    left, right = cell.arm("left"), cell.arm("right")
+    gone = (left.force.z < 2).after(left.force.z > 10)
+    world = cell.frame("world")
+    pose = Pose.xyz(0.4, 0.1, 0.5).abc(0.1, -0.2, 3.0)
+    firm = left.with_force_limits(travel=0.05, damping=1000)
+    here, there = left.with_base(Pose.xyz(0, 0.3, 0)), right.with_base(Pose.xyz(0, -0.3, 0.1))
+    numbers = takt.MovingFrame.of([right.joint(0), right.joint(1) * 0.5, 0.25], [0, right.joint(2), 0.5])
+    activities = [
+        left.press([0, 0, -1], 20),
+        firm.press(takt.Direction.of_centre([0, 0, 0.5]), 10, until={"gone": gone}, speed=0.5),
+        here.press_to(pose, world.direction([0, 1, -2]), 15),
+        here.follow(there.centre().pose(pose)),
+        here.follow(numbers.in_(world)),
+        here.follow(cell.base("platform").centre(), speed=0.5),
+        left.switch_to(takt.Control.position()),
+        left.switch_to(takt.Control.joints([300] * 7, [0.7] * 7)),
+        left.switch_to(takt.Control.cartesian([2000, 1000, 500, 200, 100, 50], [0.7] * 6)),
     ]
     return [activity.explain().net for activity in activities]
 

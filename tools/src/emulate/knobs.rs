@@ -40,8 +40,9 @@ pub(super) struct Knobs {
     /// Apply the limits assumed of a real controller: 10 missing answers, or bad quality, end command mode.
     #[arg(long)]
     strict: bool,
-    /// Obstacle below the tool: `wall:DEPTH[:STIFFNESS]` or `spring:DEPTH[:STIFFNESS]`, DEPTH in m below its rest
-    /// position, STIFFNESS in N/m (default 10000).
+    /// Obstacle below the tool: `wall:DEPTH[:STIFFNESS[:DAMPING]]` or `spring:…`, DEPTH in m below its rest position, or
+    /// `table:HEIGHT[:STIFFNESS[:DAMPING]]`, HEIGHT in m above the base of the arm; STIFFNESS in N/m (default 10000), DAMPING
+    /// in Ns/m (default 50).
     #[arg(long, value_name = "WHAT", value_parser = touch)]
     contact: Option<Touch>,
     /// Length of a tool along the flange's axis, such as 100mm: a contact at its tip has a moment about the flange.
@@ -65,10 +66,20 @@ pub(super) struct Knobs {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Touch {
     shape: Shape,
-    /// m below the flange.
-    depth: f64,
+    height: Height,
     /// N/m.
     stiffness: f64,
+    /// Ns/m.
+    damping: f64,
+}
+
+/// Where an obstacle is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Height {
+    /// m below the tool at rest.
+    Below(f64),
+    /// m above the base.
+    Above(f64),
 }
 
 impl Knobs {
@@ -115,10 +126,13 @@ impl Knobs {
         let [x, y, z] = tip;
         self.contact.map(|touch| Contact {
             shape: touch.shape,
-            point: [x, y, z - touch.depth],
+            point: match touch.height {
+                Height::Below(depth) => [x, y, z - depth],
+                Height::Above(height) => [x, y, height],
+            },
             normal: [0.0, 0.0, 1.0],
             stiffness: touch.stiffness,
-            damping: CONTACT_DAMPING,
+            damping: touch.damping,
         })
     }
 }
@@ -152,7 +166,8 @@ fn length(text: &str) -> Result<f64, String> {
 fn touch(text: &str) -> Result<Touch, String> {
     let wrong = || {
         format!(
-            "`{text}`: write a kind, a depth in m and perhaps a stiffness in N/m, such as wall:0.01:5000"
+            "`{text}`: write a kind, a depth or height in m, and perhaps a stiffness in N/m and a damping in Ns/m, such as \
+             wall:0.01:5000 or table:0.4"
         )
     };
     let number = |text: &str| -> Result<f64, String> {
@@ -164,18 +179,22 @@ fn touch(text: &str) -> Result<Touch, String> {
         }
     };
     let mut parts = text.split(':');
-    let shape = match parts.next() {
-        Some("wall") => Shape::Wall,
-        Some("spring") => Shape::Spring,
-        Some(_) | None => return Err(wrong()),
+    let kind = parts.next().unwrap_or_default();
+    let height = number(parts.next().ok_or_else(wrong)?)?;
+    let (shape, height) = match kind {
+        "wall" => (Shape::Wall, Height::Below(height)),
+        "spring" => (Shape::Spring, Height::Below(height)),
+        "table" => (Shape::Wall, Height::Above(height)),
+        _ => return Err(wrong()),
     };
-    let depth = number(parts.next().ok_or_else(wrong)?)?;
     let stiffness = parts.next().map_or(Ok(CONTACT_STIFFNESS), number)?;
+    let damping = parts.next().map_or(Ok(CONTACT_DAMPING), number)?;
     match parts.next() {
         None => Ok(Touch {
             shape,
-            depth,
+            height,
             stiffness,
+            damping,
         }),
         Some(_) => Err(wrong()),
     }
@@ -189,9 +208,16 @@ mod tests {
     fn contact_option_parses_or_is_refused() {
         let wall = |depth, stiffness| Touch {
             shape: Shape::Wall,
-            depth,
+            height: Height::Below(depth),
             stiffness,
+            damping: CONTACT_DAMPING,
         };
+        let table = Touch {
+            height: Height::Above(0.4),
+            damping: 80.0,
+            ..wall(0.0, 2_000.0)
+        };
+        assert_eq!(touch("table:0.4:2000:80"), Ok(table));
         assert_eq!(touch("wall:0.01"), Ok(wall(0.01, 10_000.0)));
         assert_eq!(touch("wall:0:5000"), Ok(wall(0.0, 5_000.0)));
         assert_eq!(touch("spring:0.2:1").map(|it| it.shape), Ok(Shape::Spring));
@@ -201,7 +227,8 @@ mod tests {
             "door:1",
             "wall:-1",
             "wall:NaN",
-            "wall:1:2:3",
+            "wall:1:2:3:4",
+            "table:-0.1",
             "wall:0.01m",
         ] {
             let error = touch(wrong).unwrap_err();

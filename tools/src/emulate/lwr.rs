@@ -32,6 +32,9 @@ pub(crate) struct Lwr {
     /// Control strategy at the start.
     #[arg(long, value_enum, default_value = "position")]
     strategy: Strategy,
+    /// Digital output of the controller, 0 to 15, that takes the obstacle of --contact away while it is true.
+    #[arg(long, value_name = "PORT", requires = "contact", value_parser = clap::value_parser!(u32).range(0..=15))]
+    contact_off: Option<u32>,
     #[command(flatten)]
     knobs: Knobs,
 }
@@ -107,6 +110,7 @@ impl Lwr {
             seed: self.knobs.seed,
             timing: self.knobs.timing(patient.timing),
             contact: self.knobs.contact(tip),
+            contact_off: self.contact_off,
             control: match self.strategy {
                 Strategy::Position => Control::Position,
                 Strategy::Joint => Control::JointImpedance,

@@ -27,6 +27,8 @@ pub struct KrcConfig {
     pub stiffness: Stiffness,
     /// What the tip of the tool touches.
     pub contact: Option<Contact>,
+    /// Index of a digital signal of the client, from 0 to 15, that takes the contact away while it is true.
+    pub contact_off: Option<u32>,
     /// Tip of the tool in the frame of the flange, m.
     pub tool_m: [f64; 3],
     /// The KRL program.
@@ -49,6 +51,7 @@ impl Default for KrcConfig {
             control: Control::Position,
             stiffness: Stiffness::default(),
             contact: None,
+            contact_off: None,
             tool_m: [0.0; 3],
             script: Script::default(),
             faults: Faults::default(),

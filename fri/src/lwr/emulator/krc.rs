@@ -409,6 +409,7 @@ impl Krc {
         self.check_timing();
         self.run_script();
         self.run_program();
+        self.switch_contact();
         self.move_joints();
         self.measure(now);
     }
@@ -466,6 +467,14 @@ impl Krc {
                 Call::Load(load) => self.load = load,
                 Call::Reopen(period) => self.reopen(period),
             }
+        }
+    }
+
+    /// Takes the contact away while the client's signal for that is true.
+    fn switch_contact(&mut self) {
+        if let Some(signal) = self.config.contact_off {
+            let is_off = self.krl_in.bool(signal);
+            self.arm.body.contact = self.config.contact.filter(|_| !is_off);
         }
     }
 

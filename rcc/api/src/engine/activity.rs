@@ -53,7 +53,7 @@ impl Failure {
     }
 
     /// One key for each device, so that a net may command several.
-    fn with(key: &str, device: &str, error: ErrorKind) -> Self {
+    pub fn with(key: &str, device: &str, error: ErrorKind) -> Self {
         let key = format!("{key}_{device}");
         Self { key, error }
     }

@@ -170,24 +170,33 @@ impl Route {
     }
 }
 
+/// Where a motion centre is commanded, which is at `tool` in the flange, in the base of its arm.
+pub(crate) fn centre_of(net: &mut Net, arm: &ArmDescription, tool: &Pose) -> Port {
+    let positions = arm.joint_array(net, "outCommandedPosition");
+    let flange = [
+        ("inJoints", (&positions).into()),
+        ("Robot", Argument::from(arm.name.as_str())),
+    ];
+    let flange = net.add("ArmKinematics::Kin", flange).out("outFrame");
+    net.transform(&flange, tool)
+}
+
 /// The commanded state of a motion centre, which is at `tool` in the flange.
 pub(crate) fn commanded(net: &mut Net, arm: &ArmDescription, tool: &Pose) -> InMotion {
     let positions = arm.joint_array(net, "outCommandedPosition");
     let velocities = arm.joint_array(net, "outCommandedVelocity");
     let accelerations = arm.joint_array(net, "outCommandedAcceleration");
-    let robot = || ("Robot", Argument::from(arm.name.as_str()));
-    let flange = [("inJoints", (&positions).into()), robot()];
-    let flange = net.add("ArmKinematics::Kin", flange).out("outFrame");
+    let frame = centre_of(net, arm, tool);
     let twist = [
         ("inJoints", (&positions).into()),
         ("inVelocities", (&velocities).into()),
         ("inAccelerations", (&accelerations).into()),
-        robot(),
+        ("Robot", Argument::from(arm.name.as_str())),
         ("Tool", tool.text().into()),
     ];
     let moved = net.add("ArmKinematics::VelKin", twist);
     InMotion {
-        frame: net.transform(&flange, tool),
+        frame,
         velocity: moved.out("outTwist"),
         acceleration: moved.out("outAcceleration"),
     }

@@ -1,44 +1,34 @@
 //! Jogging: the program writes the velocity of an arm while it moves, and the arm brakes when the program ceases to. Not
 //! here: who holds a key or a switch.
 
-use super::frame;
-use super::{ArmDescription, CartesianLimits};
-use crate::engine::Failure;
+use super::ArmDescription;
+use super::centre::{Centre, Next};
 use crate::error::ErrorKind;
 use crate::live::KEY;
 use crate::net::{Net, Port, array};
 use crate::order::{Operation, Ports, Requests};
-use crate::pose::Pose;
 
 /// How long a velocity is in effect after it arrived, s. An older one counts as zero.
 const DEAD_MAN_S: f64 = 0.1;
-
-/// Largest mean speed of a joint until the motion centre would be at rest, as part of its limit.
-const SPEED_MAX: f64 = 0.8;
 
 /// What of an arm moves at a velocity that a program writes.
 #[derive(Clone, Debug)]
 pub(crate) enum Jog {
     /// The motion centre, which is at `tool` in the flange, in the axes of the base.
-    Centre {
-        arm: ArmDescription,
-        limits: CartesianLimits,
-        tool: Pose,
-    },
+    Centre(Centre),
     /// Each joint.
     Joints { arm: ArmDescription },
 }
 
-/// What a jog writes of its motion.
+/// What a jog of joints writes of its motion.
 struct Moved {
     joints: Port,
     is_at_rest: Port,
-    failures: Vec<(Failure, Port)>,
 }
 
 impl Jog {
     const fn arm(&self) -> &ArmDescription {
-        let (Self::Centre { arm, .. } | Self::Joints { arm }) = self;
+        let (Self::Centre(Centre { arm, .. }) | Self::Joints { arm }) = self;
         arm
     }
 
@@ -137,130 +127,26 @@ impl Jog {
         Ok(Moved {
             joints,
             is_at_rest: net.of("Core::BooleanNot", &moves),
-            failures: Vec::new(),
         })
     }
 
-    /// The next velocity of a position or an orientation.
-    fn approach(
-        net: &mut Net,
-        (now, wanted, off): (&Port, &Port, &Port),
-        (over, [velocity, acceleration]): (&Port, [f64; 2]),
-    ) -> Port {
-        let wanted = [("inValue", wanted.into()), ("inFactor", over.into())];
-        let wanted = net.add("World::VectorScale", wanted).out("outValue");
-        let wanted = [("inValue", (&wanted).into()), ("Max", velocity.into())];
-        let wanted = net.add("World::VectorClamp", wanted).out("outValue");
-        let wanted = net.zero_if("World::Vector", off, &wanted);
-        let change = net.of_two("World::VectorSubtract", &wanted, now);
-        let period = net.add("Core::CycleTime", []).out("outValue");
-        let most = net.scaled(&period, acceleration);
-        let change = [("inValue", (&change).into()), ("inMax", (&most).into())];
-        let change = net.add("World::VectorClamp", change).out("outValue");
-        // The last change is the whole difference, so that zero is exact.
-        net.of_two("World::VectorAdd", now, &change)
-    }
-
-    /// Whether one of several velocities is not zero.
-    fn any_moves(net: &mut Net, speeds: &[Port]) -> Option<Port> {
-        let moving = speeds.iter().map(|speed| {
-            let length = [("inValue", speed.into())];
-            let length = net.add("World::VectorLength", length).out("outValue");
-            let greater = [("inFirst", (&length).into()), ("Second", 0.0.into())];
-            net.add("Core::DoubleGreater", greater).out("outValue")
-        });
-        let moving: Vec<_> = moving.collect();
-        net.any(&moving)
-    }
-
-    fn write_centre(
-        net: &mut Net,
-        (arm, limits, tool): (&ArmDescription, &CartesianLimits, &Pose),
-        requests: &Requests<'_>,
-    ) -> (Moved, Port) {
+    fn write_centre(net: &mut Net, centre: &Centre, requests: &Requests<'_>) -> Ports {
         let sent = net.add("World::TwistNetcommIn", [("Key", KEY.into())]);
-        // A fault stops the motion from the next cycle on.
-        let (fault_in, stop) = net.feedback(&requests.stop);
-        let off = Self::off(net, &sent.out("outLastUpdated"), &stop);
+        let mut moving = centre.begin(net, &requests.stop);
+        moving.stop = Self::off(net, &sent.out("outLastUpdated"), &moving.stop);
         let over = net.override_in();
-        let begin = frame::commanded(net, arm, tool);
-        let parts = [("inValue", (&begin.velocity).into())];
-        let parts = net.add("World::TwistToVelocities", parts);
         let wanted = [("inValue", (&sent.out("outValue")).into())];
         let wanted = net.add("World::TwistToVelocities", wanted);
-        let (at_in, at) = net.state("World::Frame", &begin.frame);
-        let bounds = limits.bounds(1.0);
-        let mut next = Vec::new();
-        let parts = ["outTransVel", "outRotVel"].map(|port| (wanted.out(port), parts.out(port)));
-        for ((wanted, begin), bounds) in parts.iter().zip([bounds.translation, bounds.rotation]) {
-            let (now_in, now) = net.state("World::Vector", begin);
-            let velocity = bounds.velocity * requests.speed;
-            let limits = (&over, [velocity, bounds.acceleration]);
-            let speed = Self::approach(net, (&now, wanted, &off), limits);
-            net.close(&now_in, &speed);
-            next.push(speed);
-        }
-        let twist = |net: &mut Net, speeds: &[Port]| {
-            let parts = ["inTransVel", "inRotVel"].into_iter().zip(speeds);
-            let parts: Vec<_> = parts.map(|(name, port)| (name, port.into())).collect();
-            net.add_with("World::TwistFromVelocities", &parts)
-                .out("outValue")
+        let wanted = ["outTransVel", "outRotVel"].map(|port| wanted.out(port));
+        let [velocity, rotation] = &wanted;
+        let velocities = moving.approach_both(net, [velocity, rotation], (&over, requests.speed));
+        let next = Next {
+            velocities,
+            at: None,
         };
-        let moved = |net: &mut Net, twist: &Port| {
-            let step = [("inFrame", (&at).into()), ("inTwist", twist.into())];
-            net.add("World::FrameAddTwist", step).out("outValue")
-        };
-        let step = twist(net, &next);
-        let position = moved(net, &step);
-        net.close(&at_in, &position);
-        // Where it is at rest at the latest, if it brakes now: from the largest speed that takes this time twice.
-        let time = |it: &takt_motion::plan::Bounds| it.velocity / (2.0 * it.acceleration);
-        let time_s = time(&bounds.translation).max(time(&bounds.rotation));
-        let period = net.add("Core::CycleTime", []).out("outValue");
-        let seconds = net.add("Core::DoubleValue", [("Value", time_s.into())]);
-        let cycles = net.of_two("Core::DoubleDivide", &seconds.out("outValue"), &period);
-        let far = next.iter().map(|speed| {
-            let far = [("inValue", speed.into()), ("inFactor", (&cycles).into())];
-            net.add("World::VectorScale", far).out("outValue")
-        });
-        let far: Vec<_> = far.collect();
-        let far = twist(net, &far);
-        let rest = moved(net, &far);
-        let grip = tool.inverse();
-        let (flange, rest) = (net.transform(&position, &grip), net.transform(&rest, &grip));
-        let (joints, beyond) = frame::inverse(net, arm, &flange);
-        let (rest_joints, will_be_beyond) = frame::inverse(net, arm, &rest);
-        let beyond = net.of_two("Core::BooleanOr", &beyond, &will_be_beyond);
-        let fast = arm.any_further(net, [&joints, &rest_joints], (time_s, SPEED_MAX));
-        let mut faults = vec![(Failure::unreachable(&arm.name), beyond)];
-        faults.extend(fast.map(|fast| (Failure::too_fast(&arm.name), fast)));
-        let moves = Self::any_moves(net, &next).unwrap_or_else(|| stop.clone());
-        let is_at_rest = net.of("Core::BooleanNot", &moves);
-        let latched = latched(net, faults);
-        let ports: Vec<_> = latched.iter().map(|(_, port)| port.clone()).collect();
-        let fault = net.any(&ports).unwrap_or_else(|| stop.clone());
-        net.close(&fault_in, &fault);
-        // The net ends when the arm is at rest.
-        let ended = latched.into_iter();
-        let ended = ended
-            .map(|(failure, port)| (failure, net.of_two("Core::BooleanAnd", &is_at_rest, &port)));
-        let failures = ended.collect();
-        let moved = Moved {
-            joints,
-            is_at_rest,
-            failures,
-        };
-        (moved, fault)
+        let moved = centre.end(net, moving, &next, Vec::new());
+        moved.ports(net, &requests.stop, Vec::new())
     }
-}
-
-/// The same faults, each kept from the cycle on in which it appears.
-fn latched(net: &mut Net, faults: Vec<(Failure, Port)>) -> Vec<(Failure, Port)> {
-    let latched = faults.into_iter().map(|(failure, port)| {
-        let latched = [("inOn", (&port).into())];
-        (failure, net.add("Core::Trigger", latched).out("outActive"))
-    });
-    latched.collect()
 }
 
 impl Operation for Jog {
@@ -270,12 +156,7 @@ impl Operation for Jog {
 
     fn check(&self) -> Result<(), ErrorKind> {
         match self {
-            Self::Centre { arm, limits, tool } => {
-                if !tool.is_finite() {
-                    return Err(ErrorKind::not_finite(&arm.name, "the motion centre"));
-                }
-                limits.check(&arm.name)
-            }
+            Self::Centre(centre) => centre.check(),
             Self::Joints { .. } => Ok(()),
         }
     }
@@ -285,21 +166,17 @@ impl Operation for Jog {
     }
 
     fn write(&self, net: &mut Net, requests: &Requests<'_>) -> Result<Ports, ErrorKind> {
-        let (moved, fault) = match self {
-            Self::Centre { arm, limits, tool } => {
-                let (moved, fault) = Self::write_centre(net, (arm, limits, tool), requests);
-                (moved, Some(fault))
-            }
-            Self::Joints { arm } => (Self::write_joints(net, arm, requests)?, None),
+        let arm = match self {
+            Self::Centre(centre) => return Ok(Self::write_centre(net, centre, requests)),
+            Self::Joints { arm } => arm,
         };
-        let mut failures = self.arm().command(net, &moved.joints);
-        failures.extend(moved.failures);
+        let moved = Self::write_joints(net, arm, requests)?;
         Ok(Ports {
             done: net.of_two("Core::BooleanAnd", &moved.is_at_rest, &requests.stop),
             progress: None,
-            failures,
+            failures: arm.command(net, &moved.joints),
             results: Vec::new(),
-            fault,
+            fault: None,
         })
     }
 }

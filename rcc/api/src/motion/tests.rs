@@ -24,6 +24,9 @@ fn arm(name: &str) -> ArmDescription {
         joints: vec![joint; 7],
         home: vec![0.0; 7],
         period: Duration::from_millis(2),
+        interfaces: ["wrench", "strategy", "cartesianimpedance"]
+            .map(str::to_owned)
+            .to_vec(),
     }
 }
 
@@ -242,11 +245,11 @@ fn live_net(operation: impl Operation + 'static) -> String {
 
 #[test]
 fn jog_nets_have_a_dead_man() {
-    let centre = live_net(Jog::Centre {
+    let centre = live_net(Jog::Centre(Centre {
         arm: arm("left"),
         limits: CartesianLimits::default(),
         tool: Pose::xyz(0.0, 0.0, 0.1),
-    });
+    }));
     let joints = live_net(Jog::Joints { arm: arm("left") });
     for (text, sent) in [
         (&centre, "World::TwistNetcommIn"),
@@ -325,4 +328,68 @@ fn coupled_line_that_would_brake_names_fitting_speed() {
         }
     }
     assert!(by_braking > 0, "no line is refused for its braking");
+}
+
+fn centre() -> Centre {
+    Centre {
+        arm: arm("left"),
+        limits: CartesianLimits::default(),
+        tool: Pose::IDENTITY,
+    }
+}
+
+fn press(force: f64, limits: ForceLimits) -> Press {
+    Press {
+        centre: centre(),
+        along: Ok(Along::Base([0.0, 0.0, -2.0])),
+        force,
+        limits,
+        to: None,
+    }
+}
+
+#[test]
+fn press_net_reports_each_way_to_fail() {
+    let text = live_net(press(20.0, ForceLimits::default()));
+    for key in [
+        "maintaining",
+        "forceless_left",
+        "exceeded_left",
+        "contactless_left",
+        "forceful_left",
+        "unreachable_left",
+        "fast_left",
+    ] {
+        assert!(text.contains(&format!("Key='{key}'")), "{key}: {text}");
+    }
+    // Half of the speeds, and the unit vector.
+    assert!(text.contains("False='0.01'") && text.contains("Max='0.005'"));
+    assert!(text.contains("{x:0,y:0,z:-1}"), "{text}");
+}
+
+#[test]
+fn press_arguments_out_of_bounds_are_refused() {
+    let limits = ForceLimits::default();
+    for force in [0.0, -1.0, f64::NAN, f64::INFINITY, 98.1] {
+        let error = press(force, limits).check().unwrap_err();
+        assert!(error.to_string().contains("at most 98 N"), "{error}");
+    }
+    let wrong = ForceLimits {
+        damping: 0.0,
+        ..limits
+    };
+    let error = press(20.0, wrong).check().unwrap_err();
+    assert!(error.to_string().contains("`damping` is 0"), "{error}");
+    for direction in [[0.0; 3], [f64::NAN, 0.0, 1.0], [f64::INFINITY, 0.0, 0.0]] {
+        let press = Press {
+            along: Ok(Along::Centre(direction)),
+            ..press(20.0, limits)
+        };
+        let error = press.check().unwrap_err();
+        assert!(error.to_string().contains("finite and not 0"), "{error}");
+    }
+    let mut blind = press(20.0, limits);
+    blind.centre.arm.interfaces.clear();
+    let error = blind.check().unwrap_err();
+    assert!(matches!(error, ErrorKind::Unsupported { .. }), "{error}");
 }

@@ -5,7 +5,7 @@ use super::lead::{Lead, SAMPLES};
 use super::profile::{Bounds, Profile, State, stopping};
 
 /// Override below which a motion holds.
-const HOLD_BELOW: f64 = 0.001;
+pub(super) const HOLD_BELOW: f64 = 0.001;
 /// Deviation, per unit of the limits, below which a motion counts as on its path.
 const ON_PATH: f64 = 1e-9;
 /// Parts of the velocity limit at which a motion that comes onto its path is tried.

@@ -6,7 +6,7 @@ use takt_net::{Build, Cycle, Definition, Fault, In, Out};
 use super::course::{Course, Progress};
 use super::profile::Bounds;
 
-const OVERRIDE: Port = port(
+pub(super) const OVERRIDE: Port = port(
     "inOverride",
     "part of the velocity limit to run at, 0 to 1; below 0.001, null or not a number: holds",
 )

@@ -574,6 +574,33 @@ fn track_follows_moving_goal() {
 }
 
 #[test]
+fn track_override_limits_speed_and_zero_holds() {
+    let overridden = tracking(&format!("inOverride=o.outValue,{TRACK}"));
+    let net = format!("o=Core::DoubleNetcommIn(Key='o',Value='0.5'),{overridden}");
+    let mut run = Run::new(&net);
+    run.fixture.write("g", "[3,1]");
+    (0..1500).for_each(|_| run.step());
+    let fastest = |run: &Run, from: usize| {
+        let joints = run.joints[from..].windows(2);
+        let speeds = joints.map(|pair| (pair[1][0] - pair[0][0]).abs() / PERIOD_S);
+        speeds.fold(0.0, f64::max)
+    };
+    let half = fastest(&run, 1);
+    assert!(half < 0.5 + 1e-9 && half > 0.45, "{half}");
+    run.fixture.write("o", "0");
+    (0..1000).for_each(|_| run.step());
+    let len = run.joints.len();
+    assert!(fastest(&run, len - 300) < 1e-12, "it stands still");
+    assert!(run.joints[len - 1][0] < 2.5, "on its way");
+    run.fixture.write("o", "1");
+    run.step();
+    let run = run.finish();
+    assert_eq!(run.joints.last().map(Vec::as_slice), Some(&[3.0, 1.0][..]));
+    assert!(fastest(&run, len) > 0.9);
+    assert_tracked(&run);
+}
+
+#[test]
 fn track_ignores_invalid_goal() {
     let mut run = Run::new(&tracking(TRACK));
     run.fixture.write("g", "[0.5,0]");

@@ -4,24 +4,35 @@
 use takt_net::definition::port;
 use takt_net::{ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, In, NullRule, Out, Primitive};
 
+use super::course::HOLD_BELOW;
 use super::profile::{Profile, State};
 use super::ptp::{JointsFrom, with_joints_from};
+use super::runner::OVERRIDE;
 use super::{is_sensible, joint_bounds, joint_positions, with_joint_limits};
 
 struct Joint {
     profile: Profile,
     start: f64,
     goal: f64,
+    /// Part of the velocity limit for which the plan is made.
+    part: f64,
 }
 
 impl Joint {
-    /// Plans for a new goal. A goal that is not a number, or cannot be planned for, changes
-    /// nothing.
-    fn aim_at(&mut self, goal: f64) {
-        let is_new = goal.to_bits() != self.goal.to_bits();
-        if is_new && is_sensible(goal) && self.profile.go_to(goal, 1.0) {
-            self.goal = goal;
+    /// Plans for a new goal or a new part of the velocity limit. A goal that is not a number, or cannot be planned for,
+    /// changes nothing.
+    fn aim_at(&mut self, goal: f64, part: f64) {
+        let same = |a: f64, b: f64| a.to_bits() == b.to_bits();
+        let is_new = !(same(goal, self.goal) && same(part, self.part));
+        if is_new && is_sensible(goal) && self.profile.go_to(goal, part) {
+            (self.goal, self.part) = (goal, part);
         }
+    }
+
+    /// Brakes, and plans again for its goal afterwards.
+    fn hold(&mut self) {
+        self.brake();
+        self.part = 0.0;
     }
 
     fn brake(&mut self) {
@@ -33,6 +44,7 @@ impl Joint {
     fn reset(&mut self) {
         self.profile.reset(self.start);
         self.goal = self.start;
+        self.part = 1.0;
     }
 
     /// Begins in a state of motion, towards rest.
@@ -47,6 +59,7 @@ struct Track {
     joints: Box<[Joint]>,
     goal: ArrayIn<f64>,
     from: Option<JointsFrom>,
+    speed: In<f64>,
     stop: In<bool>,
     reset: In<bool>,
     has_started: bool,
@@ -79,11 +92,20 @@ impl Track {
 
     fn aim(&mut self, cycle: &Cycle<'_>) {
         self.is_stopped |= self.stop.get(cycle) == Some(true);
+        let part = self.speed.get(cycle).unwrap_or(0.0).min(1.0);
+        let holds = part.is_nan() || part < HOLD_BELOW;
         if self.is_stopped {
             self.joints.iter_mut().for_each(Joint::brake);
+        } else if holds {
+            self.joints.iter_mut().for_each(Joint::hold);
         } else if let Some(goals) = self.goal.get(cycle) {
             for (joint, goal) in self.joints.iter_mut().zip(goals) {
-                joint.aim_at(goal.get());
+                joint.aim_at(goal.get(), part);
+            }
+        } else {
+            // The previous goals, at the present part.
+            for joint in &mut self.joints {
+                joint.aim_at(joint.goal, part);
             }
         }
     }
@@ -128,10 +150,12 @@ fn build(b: &mut Build<'_, '_>) -> Result<Track, Fault> {
         profile: Profile::new(start, bounds, period_s),
         start,
         goal: start,
+        part: 1.0,
     };
     Ok(Track {
         joints: from.into_iter().zip(bounds).map(joint).collect(),
         from: present,
+        speed: b.input("inOverride")?,
         stop: b.input("inStop")?,
         reset: b.input("inReset")?,
         has_started: false,
@@ -155,6 +179,7 @@ pub(super) fn definition() -> Definition {
     .array_input::<f64>(
         port("inGoal", "goal of each joint, rad; null or not a number keeps the previous one").required(),
     )
+    .input::<f64>(OVERRIDE)
     .input::<bool>(port(
         "inStop",
         "true ends the motion: every joint brakes and stays at rest until inReset",

@@ -131,6 +131,30 @@ class Callback(Error):
     """A callback raised; its listener has ended."""
 
 
+class Unsupported(_OfDevice):
+    """`device` has no such ability (`wanted`), or refuses it, for `cause`."""
+
+    wanted: str
+    cause: str
+
+
+class ForceNotReached(_OfDevice):
+    """`device` has moved `travel`, m, under force and not reached `force`, N: nothing was there, or it gave way. It is at rest."""
+
+    force: float
+    travel: float
+
+
+class ContactLost(_OfDevice):
+    """What `device` pressed against is there no more; it is at rest."""
+
+
+class ForceExceeded(_OfDevice):
+    """The force at the tool of `device` exceeds `limit`, N; it is at rest."""
+
+    limit: float
+
+
 class Unplanned(_OfDevice):
     """A motion of `device` cannot be planned, for `cause`; nothing was begun."""
 

@@ -38,7 +38,17 @@ class _Limits(TypedDict, total=False):
     rot_velocity: float | None
     rot_acceleration: float | None
     rot_jerk: float | None
+class _ForceLimits(TypedDict, total=False):
+    approach: float
+    velocity: float
+    travel: float
+    touch: float
+    tolerance: float
+    force_max: float
+    damping: float
+
 _GoalLike = _PoseLike | Goal
+_DirectionLike = _Numbers | Direction
 
 def connect(address: str | None = None, token: str | None = None) -> Cell:
     """Connects to a controller.
@@ -53,7 +63,8 @@ def emulate(name: str) -> Cell:
     """Starts a controller with emulated robots inside of the program, and connects to it. It needs no hardware.
 
     `name`: `two_lwr` (arms `left`, `right`), `iiwa` (`arm`), `factory` (`left`, `right`, `tx90`, youBot `arm`, `hand`,
-    `base`), or `lwr_wsg` (`arm`, `gripper`).
+    `base`), `lwr_wsg` (`arm`, `gripper`), or `lwr_table` (`arm` above a table at the frame `table`, which vanishes while the
+    digital output 0 of `arm` is true).
 
     Raises `Invalid` for another name.
     """
@@ -254,6 +265,17 @@ class Arm:
 
         Those left out are 0.25, 1, 10, 0.5, 2.5 and 25. Raises `Invalid` for a limit that is not above 0.
         """
+    @property
+    def force_limits(self) -> _ForceLimits:
+        """Its limits on motions under force, by the keywords of `with_force_limits`, in their units."""
+    def with_force_limits(self, **limits: Unpack[_ForceLimits]) -> Arm:
+        """The same arm with these limits on motions under force, each above 0. Those left out are the default.
+
+        `approach`: speed until contact, 0.02 m/s. `velocity`: largest speed in contact along the force, 0.01 m/s. `travel`:
+        longest way along the force, 0.1 m. `touch`: force from which on there is contact, 5 N; at most half of the wanted force
+        counts. `tolerance`: how far a held force may be off, 2 N. `force_max`: largest force at the tool, 100 N. `damping`:
+        missing force by velocity, 2000 Ns/m: lower is faster, and overshoots more on stiff objects. Raises `Invalid`.
+        """
     def with_tool(self, tool: _PoseLike) -> Arm:
         """The same arm with another motion centre, given in the flange: motions lead it, such as the tip of a tool."""
     def with_base(self, base: _PoseLike) -> Arm:
@@ -293,6 +315,41 @@ class Arm:
 
         It ends when another activity takes over, or it is cancelled.
         """
+    def press(self, direction: _DirectionLike, force: float, **options: Unpack[_Options]) -> Activity:
+        """Presses with `force`, N, in a direction: of the base of the arm, of a frame or of the motion centre (`Direction`).
+
+        The arm approaches until it touches something, and then moves as the missing force requires (admittance control),
+        within `force_limits`; its orientation and its place aside stay. It is `Outcome.Maintaining` when the force is held,
+        and goes on until a cancel, a condition or another activity. An arm that is in contact already holds the force without
+        approach. The load of the tool must not be part of the force.
+
+        It fails at rest: `ForceNotReached` after `travel`; `ContactLost`, if the force is less than half of `touch` for 0.1 s;
+        `ForceExceeded` beyond `force_max`; `Unreachable`; `DeviceFailed`, if the force becomes unknown. Raises `Unsupported` if
+        the arm does not know the force at its tool, `Invalid` for a force or direction out of bounds.
+        """
+    def press_to(
+        self, to: _GoalLike, direction: _DirectionLike, force: float, **options: Unpack[_Options]
+    ) -> Activity:
+        """The same on the way to a pose: the motion centre moves aside under force, within `limits`, and turns.
+
+        The place of the pose along the direction does not matter. It is `Outcome.Maintaining` at the pose, with the force held.
+        """
+    def follow(self, frame: MovingFrame, **options: Unpack[_Options]) -> Activity:
+        """Follows a frame that moves, within `limits`.
+
+        It is `Outcome.Maintaining` as long as the motion centre is within 1 mm and 0.01 rad, and goes on until a cancel, a
+        condition or another activity. Where the arm cannot follow, it brakes on its path and fails with `Unreachable` at rest,
+        and where the place of the frame becomes unknown, with `DeviceFailed`. Raises `NotConnected` if the frame moves in
+        another one than the base of the arm, `Invalid` if the arm follows itself.
+        """
+    def centre(self) -> MovingFrame:
+        """Its motion centre as a frame that moves, where the arm is commanded."""
+    def switch_to(self, control: Control, **options: Unpack[_Options]) -> Activity:
+        """Switches how the arm is controlled; it must be at rest. The mode stays until the arm switches again.
+
+        Some arms leave command mode for that and come back: completed when the arm follows again. Raises `Unsupported` if the
+        arm or the program of its robot cannot, `Invalid` for a stiffness or damping out of its range.
+        """
     def jog(self, **options: Unpack[_Options]) -> Live[Twist | _Numbers]:
         """Jogging of the motion centre: it moves at the velocity that the program sends, and brakes without a new one for 0.1 s.
 
@@ -304,8 +361,7 @@ class Arm:
     def stream(self, **options: Unpack[_Options]) -> Live[_Numbers]:
         """A motion to joint positions that the program sends, rad, one for each joint, at 10 to 100 Hz or when it likes.
 
-        Every joint moves to its latest goal as fast as its limits and `speed` allow, and rests there. The override does
-        not slow it.
+        Every joint moves to its latest goal as fast as its limits, `speed` and the override allow, and rests there.
         """
     def stream_poses(self, **options: Unpack[_Options]) -> Live[_PoseLike]:
         """The same for poses of the motion centre in the base of the arm: the joint positions next to those of the arm.
@@ -727,6 +783,8 @@ class Base:
         Then it brakes to rest. A program that requests it again with `now` before the time is over keeps the base in
         motion. Raises `Invalid` for a velocity beyond `limits`.
         """
+    def centre(self) -> MovingFrame:
+        """Itself as a frame that moves, where the base is measured. Raises `Lost` without connection."""
     def pose(self) -> Pose:
         """The measured pose in the frame in which the base started. Raises `DeviceFailed` if it is offline."""
     def wheel(self, wheel: int) -> Number:
@@ -747,6 +805,11 @@ class Handle:
         Raises the error with which it ended (`Unreachable`, `DeviceFailed`, `Conflict`, `PredecessorFailed`, `Ended`,
         `Lost`), with the line of the program that described it, or `Timeout`. Ctrl-C interrupts it; the activity goes on
         until the cell is closed.
+        """
+    def wait_to_end(self, timeout: float | None = None) -> Outcome:
+        """Waits until it has ended, also if it is `Outcome.Maintaining` meanwhile, at most for `timeout`, s.
+
+        Until a condition stops it, another activity takes over, or it is cancelled. Raises as `wait`.
         """
     def cancel(self) -> None:
         """Requests that it end: it brakes on its path. One that has not begun does not begin. Returns at once."""
@@ -861,6 +924,8 @@ class Frame:
         """The frame in which it is placed in the end, such as `world` or `left.flange`."""
     def pose(self, pose: _PoseLike) -> Goal:
         """A pose in this frame, as a goal of motions."""
+    def direction(self, direction: _Numbers) -> Direction:
+        """A direction along the axes of this frame, of any length but 0."""
     def within(self, other: Frame) -> Pose:
         """Its pose in another frame. Raises `NotConnected` if that changes with motions, or is not known."""
     def __eq__(self, other: object, /) -> bool: ...
@@ -872,6 +937,48 @@ class Goal:
     The activity raises `NotConnected` when it begins if the frame is not connected with the base of the arm.
     """
 
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Direction:
+    """The direction of a force, by `Frame.direction` or `of_centre`. Three numbers are one along the axes of the base."""
+
+    @staticmethod
+    def of_centre(direction: _Numbers) -> Direction:
+        """A direction along the axes of the motion centre, with which it turns, of any length but 0."""
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class MovingFrame:
+    """A frame that moves, for `Arm.follow`: by `Arm.centre`, `Base.centre` or `of`."""
+
+    @staticmethod
+    def of(position: Sequence[Number | float], rotation: Sequence[Number | float] | None = None) -> MovingFrame:
+        """The frame at three numbers, m, turned by three more about z, the new y and the new x, rad.
+
+        In the base of the arm that follows it, or in the frame of `in_`.
+        """
+    def in_(self, frame: Frame) -> MovingFrame:
+        """The frame of numbers that are given in a frame of the cell."""
+    def pose(self, pose: _PoseLike) -> MovingFrame:
+        """A pose that moves with the frame."""
+
+@final
+class Control:
+    """How an arm is controlled, for `Arm.switch_to`."""
+
+    @staticmethod
+    def position() -> Control:
+        """The arm follows positions, whatever pushes it."""
+    @staticmethod
+    def joints(stiffness: _Numbers, damping: _Numbers) -> Control:
+        """Springs at the joints: stiffness, 0 to 5000 Nm/rad, and damping ratio, 0 to 1, one for each joint."""
+    @staticmethod
+    def cartesian(stiffness: _Numbers, damping: _Numbers) -> Control:
+        """Springs at the tool: stiffness along x, y, z, N/m, and about x, y, z, Nm/rad, 0 to 10,000; damping ratio, 0 to 1.
+
+        The axes are those that the program of the robot selects.
+        """
     def __eq__(self, other: object, /) -> bool: ...
 
 @final
@@ -926,6 +1033,8 @@ class Condition:
         """Whether it has just become true; also if it is true from the start."""
     def falls(self) -> Condition:
         """Whether it has just become false; also if it is false from the start."""
+    def after(self, other: Condition) -> Condition:
+        """Whether it holds once `other` has held since the activity began."""
     def lasting(self, duration: float) -> Condition:
         """Whether it has been true for `duration`, s, without a break."""
     def __and__(self, other: Condition, /) -> Condition: ...

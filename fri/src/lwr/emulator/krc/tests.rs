@@ -1,7 +1,7 @@
 //! Every transition and rule of the emulated controller against a manual client. Behaviour with the session of this
 //! crate: tests/lwr_behaviour.rs.
 
-use super::super::{LineFaults, PowerOff};
+use super::super::{LineFaults, PowerOff, Shape};
 use super::message::to_f32;
 use super::*;
 use crate::lwr::wire::Header;
@@ -525,4 +525,35 @@ fn krc_user_data_is_exchanged() {
     bench.cycle(|cmd| cmd.krl.int[15] = 10);
     assert!(bench.msr.unwrap().krl.bool(3));
     assert_eq!(bench.krc.krl().int[15], 10);
+}
+
+#[test]
+fn krc_contact_vanishes_while_output_is_true() {
+    let mut bench = Bench::new(KrcConfig::default());
+    let [_, _, height] = bench.krc.flange();
+    let contact = Contact {
+        shape: Shape::Wall,
+        point: [0.0, 0.0, height + 0.001],
+        normal: [0.0, 0.0, 1.0],
+        stiffness: 1000.0,
+        damping: 0.0,
+    };
+    bench = Bench::new(KrcConfig {
+        contact: Some(contact),
+        contact_off: Some(0),
+        ..KrcConfig::default()
+    });
+    bench.receive();
+    while bench.msr.is_none() {
+        bench.receive();
+    }
+    let mut force = |is_off: bool| {
+        for _ in 0..5 {
+            bench.cycle(|cmd| cmd.krl.set_bool(0, is_off));
+        }
+        bench.krc.force()[2]
+    };
+    assert!((force(false) - 1.0).abs() < 1e-6);
+    assert!(force(true).abs() < 1e-12);
+    assert!((force(false) - 1.0).abs() < 1e-6);
 }
