@@ -38,6 +38,7 @@ mod objects;
 mod output;
 mod page;
 mod quantity;
+mod record;
 mod run;
 mod signal;
 mod stop;
@@ -105,6 +106,8 @@ enum Command {
     #[command(subcommand)]
     Net(net::Net),
     Page(page::Page),
+    #[command(subcommand)]
+    Record(record::Record),
     Stop(stop::Stop),
     /// Write manual pages and shell completions, for packages.
     #[command(hide = true)]
@@ -133,6 +136,7 @@ fn main() -> ExitCode {
         Command::Move(motion) => motion.run(),
         Command::Net(net) => net.run(),
         Command::Page(page) => page.run(),
+        Command::Record(record) => record.run(),
         Command::Stop(stop) => stop.run(),
         Command::Manual(manual) => manual.run(),
     };

@@ -3,6 +3,8 @@
 
 mod file;
 mod fuzz;
+mod inspect;
+mod read;
 mod replay;
 mod ros2;
 #[cfg(test)]
@@ -31,6 +33,7 @@ use words::Words;
 
 #[doc(hidden)]
 pub use fuzz::{files, fuzz};
+pub use inspect::{Contents, Topic, contents, recover};
 pub use replay::{Replay, replay};
 
 /// Buffers between the net thread and the file; each holds one cycle.

@@ -1,24 +1,21 @@
 //! The file of a recording: MCAP with messages of ROS 2 (`ros2msg`, CDR). What a replay needs is in `/takt/cycles` (words),
 //! `/takt/devices`, `/takt/nets` and `/takt/machines` (TOML in strings); the other topics are for viewers.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use mcap::records::{MessageHeader, Record, op};
-use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use serde::de::DeserializeOwned;
+use mcap::records::MessageHeader;
 use serde::{Deserialize, Serialize};
 use takt_net::JointLimits;
 use takt_rt::monotonic;
 
 use crate::device::{DeviceDescription, Part, Place};
 use crate::error::Error;
-use crate::files;
 use crate::record::Note;
-use crate::record::ros2::cdr::{Cdr, string, words};
+use crate::record::ros2::cdr::Cdr;
 use crate::record::ros2::{Messages, Stamp, schemas};
 use crate::record::words::start;
 
@@ -129,12 +126,6 @@ pub(super) struct MachineNote {
 pub(super) const FORMAT: &str = "5";
 /// Encoding of all messages.
 const ENCODING: &str = "cdr";
-
-/// Last bytes of a complete file; a file without them is truncated.
-const END: [u8; 8] = *b"\x89MCAP0\r\n";
-
-/// Maximum bytes of a chunk before compression that is read; the writer's are below 1 MiB.
-const CHUNK_BYTES_MAX: usize = 64 << 20;
 
 /// Writes the file in compressed chunks: after a full disk or a crash it is readable up to the last complete chunk.
 pub(super) struct Writer<W: Write + Seek = File> {
@@ -361,29 +352,11 @@ impl<W: Write + Seek> Writer<W> {
     }
 }
 
-fn note<T: DeserializeOwned>(data: &[u8]) -> Result<T, String> {
-    let unreadable = |why: &str| format!("unreadable note: {why}");
-    let data = string(data).ok_or_else(|| unreadable("it is no string"))?;
-    toml::from_slice(data).map_err(|e| unreadable(&e.to_string()))
-}
-
-fn wrong(path: &Path, why: String) -> Error {
+pub(super) fn wrong(path: &Path, why: String) -> Error {
     Error::Recording {
         path: path.to_owned(),
         why,
     }
-}
-
-fn of_other_version(format: Option<&str>) -> String {
-    let format = format.unwrap_or("4 or older");
-    format!(
-        "its format is {format}, this version reads {FORMAT}\nhint: replay it with the version that recorded it; viewers \
-         open it still"
-    )
-}
-
-fn too_long(most: u64) -> String {
-    format!("more than {most} bytes when unpacked\nhint: record shorter runs")
 }
 
 /// The error of a failed write, with the cycle and a hint.
@@ -410,123 +383,4 @@ fn broken(path: &Path, cycle: u64, error: &mcap::McapError) -> Error {
         path,
         format!("the recording ended at cycle {cycle}: {cause}{hint}"),
     )
-}
-
-/// Notes of a recording besides cycles.
-#[derive(Debug)]
-pub(super) enum RecordedNote {
-    Device(DeviceEvent),
-    Net(NetNote),
-    Machine(MachineNote),
-}
-
-/// A recording in memory.
-#[derive(Debug, Default)]
-pub(super) struct Recording {
-    /// Devices and nets in order.
-    pub(super) notes: Vec<RecordedNote>,
-    pub(super) cycles: Vec<Vec<u64>>,
-    /// It was not finished, because of a full disk or a crash; it holds the complete records.
-    pub(super) is_cut: bool,
-}
-
-impl Recording {
-    pub(super) fn read(path: &Path) -> Result<Self, Error> {
-        let read = files::read(path, files::RECORDING_BYTES_MAX);
-        let bytes = read.map_err(|source| Error::File {
-            path: path.to_owned(),
-            source,
-        })?;
-        Self::parse(&bytes, path)
-    }
-
-    /// Parses the bytes of that file.
-    pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Self, Error> {
-        Self::parse_limited(bytes, path, files::RECORDING_BYTES_MAX)
-    }
-
-    /// As [`Self::parse`], of at most so many bytes when unpacked.
-    pub(super) fn parse_limited(bytes: &[u8], path: &Path, most: u64) -> Result<Self, Error> {
-        let cut = |e: &mcap::McapError| wrong(path, format!("not a complete MCAP file: {e}"));
-        let mut recording = Self::default();
-        let mut topics = HashMap::new();
-        // Read record by record, because only this checks all checksums, and because the
-        // library's own streams panic on some malformed records of kinds that are not needed here.
-        let options = LinearReaderOptions::default()
-            .with_prevalidate_chunk_crcs(true)
-            .with_validate_data_section_crc(true)
-            .with_record_length_limit(CHUNK_BYTES_MAX);
-        let mut reader = LinearReader::new_with_options(options);
-        let is_ended = bytes.ends_with(&END);
-        let mut rest = bytes;
-        let mut unpacked = 0;
-        while let Some(event) = reader.next_event() {
-            // In a complete file, a record beyond the end is damage.
-            if matches!(event, Err(mcap::McapError::UnexpectedEof)) && !is_ended {
-                recording.is_cut = true;
-                break;
-            }
-            match event.map_err(|e| cut(&e))? {
-                LinearReadEvent::ReadRequest(wanted) => {
-                    let (next, left) = rest.split_at(wanted.min(rest.len()));
-                    reader.insert(next.len()).copy_from_slice(next);
-                    reader.notify_read(next.len());
-                    rest = left;
-                }
-                LinearReadEvent::Record {
-                    opcode: opcode @ (op::CHANNEL | op::MESSAGE),
-                    data,
-                } => {
-                    let record = mcap::parse_record(opcode, data).map_err(|e| cut(&e))?;
-                    if let Record::Channel(channel) = record {
-                        let format = channel.metadata.get("format").map(String::as_str);
-                        if channel.topic == CYCLES && format != Some(FORMAT) {
-                            return Err(wrong(path, of_other_version(format)));
-                        }
-                        // The other topics are for viewers.
-                        if [CYCLES, DEVICES, NETS, MACHINES].contains(&channel.topic.as_str()) {
-                            topics.insert(channel.id, channel.topic);
-                        }
-                    } else if let Record::Message { header, data } = record {
-                        let Some(topic) = topics.get(&header.channel_id) else {
-                            continue;
-                        };
-                        unpacked += data.len() as u64;
-                        if unpacked > most {
-                            return Err(wrong(path, too_long(most)));
-                        }
-                        recording
-                            .message(topic, &data)
-                            .map_err(|why| wrong(path, why))?;
-                    }
-                }
-                LinearReadEvent::Record { .. } => {}
-            }
-        }
-        if recording.cycles.is_empty() && recording.is_cut {
-            let why = "cut off before its first cycle: a full disk?";
-            return Err(wrong(path, why.to_owned()));
-        }
-        if recording.cycles.is_empty() {
-            return Err(wrong(
-                path,
-                "no cycles: not a recording of Takt, or an empty one".to_owned(),
-            ));
-        }
-        Ok(recording)
-    }
-
-    fn message(&mut self, topic: &str, data: &[u8]) -> Result<(), String> {
-        match topic {
-            DEVICES => self.notes.push(RecordedNote::Device(note(data)?)),
-            NETS => self.notes.push(RecordedNote::Net(note(data)?)),
-            MACHINES => self.notes.push(RecordedNote::Machine(note(data)?)),
-            CYCLES => {
-                let words = words(data).ok_or("a cycle is cut off")?;
-                self.cycles.push(words);
-            }
-            _ => {}
-        }
-        Ok(())
-    }
 }

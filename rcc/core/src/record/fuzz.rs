@@ -6,7 +6,8 @@ use std::path::Path;
 
 use mcap::records::MessageHeader;
 
-use super::file::{CYCLES, DEVICES, FORMAT, NETS, Recording};
+use super::file::{CYCLES, DEVICES, FORMAT, NETS};
+use super::read::Recording;
 use super::ros2::cdr::Cdr;
 
 /// Reads the bytes of an MCAP file as a recording.

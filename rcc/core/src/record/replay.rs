@@ -16,7 +16,8 @@ use crate::executor::machines::{Hosted, Seat};
 use crate::executor::{Executor, Running};
 use crate::ids::NetId;
 use crate::record::WORDS_A_CYCLE;
-use crate::record::file::{DeviceEvent, NetNote, RecordedNote, Recording};
+use crate::record::file::{DeviceEvent, NetNote};
+use crate::record::read::{RecordedNote, Recording};
 use crate::record::words::{Entry, Reader, Words};
 
 /// The outcome of a replay.

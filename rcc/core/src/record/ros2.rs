@@ -3,6 +3,7 @@
 
 pub(super) mod cdr;
 pub(super) mod schemas;
+mod values;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::{Seek, Write};
@@ -10,8 +11,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use takt_net::device::{Interfaces, Io, Kinematics, Layout};
-use takt_net::netcomm::{Directory, Entry as Value, OutStatus};
-use takt_net::{Element, Frame, Nanos};
+use takt_net::netcomm::{Directory, OutStatus};
+use takt_net::{Frame, Nanos};
 
 use crate::cell::CellFrames;
 use crate::device::{DeviceDescription, DeviceStatus, Place, parts};
@@ -20,6 +21,7 @@ use crate::ids::NetId;
 use crate::record::file::Writer;
 use crate::record::words::{Entry, Inputs, Reader};
 use cdr::Cdr;
+use values::{fields, identifier, number, shown};
 
 /// Nets whose values have a topic in one file; MCAP numbers 65,536 channels.
 const NET_TOPICS_MAX: usize = 4096;
@@ -79,88 +81,6 @@ pub(super) struct Messages {
     /// Number and begin of the cycle before.
     before: Option<(u64, Nanos)>,
     is_full: bool,
-}
-
-/// What names of topics and fields may contain.
-fn identifier(name: &str) -> String {
-    let mut found = String::with_capacity(name.len());
-    for letter in name.chars() {
-        let letter = letter.to_ascii_lowercase();
-        if letter.is_ascii_alphanumeric() {
-            found.push(letter);
-        } else if !found.is_empty() && !found.ends_with('_') {
-            found.push('_');
-        }
-    }
-    let found = found.trim_end_matches('_');
-    if found.starts_with(|first: char| first.is_ascii_alphabetic()) {
-        found.to_owned()
-    } else {
-        format!("v_{found}").trim_end_matches('_').to_owned()
-    }
-}
-
-/// The fields of a message with the shown values of a net, and their definition.
-fn fields(directory: &Directory) -> String {
-    let (mut text, mut used) = (String::new(), BTreeSet::new());
-    // The field of every net's message.
-    used.insert("stamp".to_owned());
-    let mut add = |kind: &str, name: &str| {
-        let base = identifier(name);
-        let mut names = std::iter::once(base.clone()).chain((2..).map(|n| format!("{base}_{n}")));
-        let name = names.find(|name| used.insert(name.clone()));
-        text.push_str(&format!("{kind} {}\n", name.unwrap_or_default()));
-    };
-    for value in shown(directory) {
-        let name = value.key.strip_prefix("out").unwrap_or(&value.key);
-        if value.ty.array {
-            add("float64[]", name);
-        } else {
-            for part in parts_of(value.ty.element) {
-                add("float64", &format!("{name}_{part}"));
-            }
-        }
-    }
-    text
-}
-
-fn shown(directory: &Directory) -> impl Iterator<Item = &Value> {
-    directory
-        .entries()
-        .iter()
-        .filter(|value| !value.is_hidden())
-}
-
-/// Names of the words of a value.
-const fn parts_of(element: Element) -> &'static [&'static str] {
-    match element {
-        Element::Bool | Element::Int | Element::Double | Element::Nanos => &[""],
-        Element::Vector => &["x", "y", "z"],
-        Element::Rotation => &["qw", "qx", "qy", "qz"],
-        Element::Frame => &["x", "y", "z", "qw", "qx", "qy", "qz"],
-        Element::Twist => &["x", "y", "z", "turn_x", "turn_y", "turn_z"],
-        Element::Wrench => &["x", "y", "z", "torque_x", "torque_y", "torque_z"],
-    }
-}
-
-/// A word of a value as a number; times in s.
-#[expect(
-    clippy::cast_precision_loss,
-    clippy::cast_possible_truncation,
-    reason = "a number to look at; the words beside it are exact"
-)]
-fn number(element: Element, word: u64) -> f64 {
-    match element {
-        Element::Bool => f64::from(u8::from(word != 0)),
-        Element::Int => f64::from((word as u32).cast_signed()),
-        Element::Nanos => word.cast_signed() as f64 * 1e-9,
-        Element::Double
-        | Element::Vector
-        | Element::Rotation
-        | Element::Frame
-        | Element::Twist
-        | Element::Wrench => f64::from_bits(word),
-    }
 }
 
 impl Messages {
@@ -579,23 +499,4 @@ fn transform(cdr: &mut Cdr, at: Stamp, (parent, child): (&str, &str), frame: &Fr
     }
     let turn = &frame.rotation;
     cdr.f64(turn.i).f64(turn.j).f64(turn.k).f64(turn.w);
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn identifiers_are_lower_case_letters_digits_underscores() {
-        for (name, wanted) in [
-            ("left", "left"),
-            ("Left Arm-2", "left_arm_2"),
-            ("2nd", "v_2nd"),
-            ("__", "v"),
-            ("", "v"),
-            ("motion.time", "motion_time"),
-        ] {
-            assert_eq!(identifier(name), wanted, "{name}");
-        }
-    }
 }

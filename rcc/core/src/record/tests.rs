@@ -6,7 +6,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use takt_net::Nanos;
 
-use super::file::{CYCLES, Recording, Writer};
+use super::file::{CYCLES, Writer};
+use super::read::Recording;
 use super::*;
 
 /// A disk with room for so many bytes, and what is on it.
@@ -231,7 +232,7 @@ fn recording_beyond_limit_when_unpacked_is_rejected() {
 
 #[test]
 fn recording_of_other_version_is_rejected_with_both() {
-    let other = fuzz::files();
+    let other = files();
     let at = |bytes: &[u8]| bytes.windows(7).position(|part| part == b"\x06\0\0\0for");
     // The one without chunks has no checksums; each of its channels names the format.
     let mut bytes = other[1].clone();

@@ -1,0 +1,166 @@
+//! What a recording contains, and a whole file from one that was cut off.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read as _, Seek as _, SeekFrom};
+use std::path::Path;
+use std::time::Duration;
+
+use mcap::records::Record;
+
+use crate::error::Error;
+use crate::record::file::wrong;
+use crate::record::read::{END, records};
+
+/// A topic of a recording.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Topic {
+    /// Type of its messages.
+    pub schema: String,
+    /// Number of its messages.
+    pub messages: u64,
+    /// Their bytes when unpacked.
+    pub bytes: u64,
+}
+
+/// What a recording contains.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Contents {
+    /// Topics by name.
+    pub topics: BTreeMap<String, Topic>,
+    /// Unix time of the first message, ns.
+    pub begin: Option<u64>,
+    /// Unix time of the last message, ns.
+    pub end: Option<u64>,
+    /// It was not finished, because of a full disk or a crash: whole records are counted.
+    pub is_cut: bool,
+}
+
+impl Contents {
+    /// Time from the first to the last message.
+    #[must_use]
+    pub fn duration(&self) -> Duration {
+        let bounds = self.begin.zip(self.end);
+        let ns = bounds.map_or(0, |(begin, end)| end.saturating_sub(begin));
+        Duration::from_nanos(ns)
+    }
+
+    /// Number of all messages.
+    #[must_use]
+    pub fn messages(&self) -> u64 {
+        self.topics.values().map(|topic| topic.messages).sum()
+    }
+}
+
+/// An MCAP file, and whether it ends as a whole one does.
+fn open(path: &Path) -> Result<(BufReader<File>, bool), Error> {
+    let try_open = || {
+        let mut file = File::open(path)?;
+        let mut end = [0; END.len()];
+        let length = file.metadata()?.len();
+        if let Some(begin) = length.checked_sub(END.len() as u64) {
+            file.seek(SeekFrom::Start(begin))?;
+            file.read_exact(&mut end)?;
+            file.rewind()?;
+        }
+        Ok((BufReader::new(file), end == END))
+    };
+    try_open().map_err(|source| Error::File {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Counts what a recording contains; any MCAP file is one.
+///
+/// # Errors
+/// If the file cannot be read, is no MCAP file, or is damaged other than by a cut.
+pub fn contents(path: &Path) -> Result<Contents, Error> {
+    let (mut file, is_ended) = open(path)?;
+    let mut found = Contents::default();
+    let (mut schemas, mut channels) = (HashMap::new(), HashMap::new());
+    let is_whole = records((&mut file, is_ended), path, |record| {
+        match record {
+            Record::Schema { header, .. } => {
+                schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                let topic = found.topics.entry(channel.topic.clone()).or_default();
+                let schema = schemas.get(&channel.schema_id);
+                topic.schema = schema.cloned().unwrap_or_default();
+                channels.insert(channel.id, channel.topic);
+            }
+            Record::Message { header, data } => {
+                let name = channels.get(&header.channel_id);
+                if let Some(topic) = name.and_then(|name| found.topics.get_mut(name)) {
+                    topic.messages += 1;
+                    topic.bytes += data.len() as u64;
+                }
+                let time = header.log_time;
+                found.begin = Some(found.begin.map_or(time, |begin| begin.min(time)));
+                found.end = Some(found.end.map_or(time, |end| end.max(time)));
+            }
+            _ => {}
+        }
+        Ok(())
+    })?;
+    found.is_cut = !is_whole;
+    Ok(found)
+}
+
+/// Copies all whole messages of a recording that was cut off to a new file with an index; returns their number.
+///
+/// # Errors
+/// If the file cannot be read or is damaged other than by a cut, holds nothing, or the new one exists or cannot be written.
+pub fn recover(path: &Path, to: &Path) -> Result<u64, Error> {
+    let (mut file, is_ended) = open(path)?;
+    let failed = |e: &mcap::McapError| wrong(to, e.to_string());
+    let created = File::create_new(to).map_err(|source| Error::File {
+        path: to.to_owned(),
+        source,
+    })?;
+    let mut writer = mcap::WriteOptions::new()
+        .compression(Some(mcap::Compression::Zstd))
+        .profile("ros2")
+        .library("takt")
+        .create(BufWriter::new(created))
+        .map_err(|e| failed(&e))?;
+    let (mut schemas, mut channels) = (HashMap::new(), HashMap::new());
+    let mut copied = 0;
+    let mut copy = |record: Record<'_>| -> mcap::McapResult<()> {
+        match record {
+            Record::Schema { header, data } => {
+                let added = writer.add_schema(&header.name, &header.encoding, &data)?;
+                schemas.insert(header.id, added);
+            }
+            Record::Channel(channel) => {
+                let schema = schemas.get(&channel.schema_id).copied().unwrap_or(0);
+                let (topic, encoding) = (&channel.topic, &channel.message_encoding);
+                let added = writer.add_channel(schema, topic, encoding, &channel.metadata)?;
+                channels.insert(channel.id, added);
+            }
+            Record::Message { mut header, data } => {
+                if let Some(channel) = channels.get(&header.channel_id) {
+                    header.channel_id = *channel;
+                    writer.write_to_known_channel(&header, &data)?;
+                    copied += 1;
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    };
+    let read = records((&mut file, is_ended), path, |record| {
+        copy(record).map_err(|e| failed(&e))
+    });
+    let finished = read.and_then(|_| writer.finish().map_err(|e| failed(&e)));
+    let outcome = finished.and_then(|_| match copied {
+        0 => Err(wrong(path, "it holds no whole message".to_owned())),
+        copied => Ok(copied),
+    });
+    if outcome.is_err() {
+        // What is half written would be taken for a recording.
+        let _ = std::fs::remove_file(to);
+    }
+    outcome
+}

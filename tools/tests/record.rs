@@ -1,0 +1,119 @@
+//! `takt record` on recordings of a controller, whole and cut off.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::time::Duration;
+
+use takt_core::record::{Recorder, replay};
+use takt_core::{CellConfig, Controller};
+
+fn takt(arguments: &[&str]) -> Output {
+    let mut takt = Command::new(env!("CARGO_BIN_EXE_takt"));
+    takt.args(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).unwrap()
+}
+
+/// A folder that is removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("takt-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.join(name).to_str().unwrap().to_owned()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Records an idle controller for a moment; returns how many cycles.
+fn recorded(path: &Path) -> u64 {
+    let recording = Recorder::start(path).unwrap();
+    let cell = CellConfig::default();
+    let controller = Controller::start_recording(&cell, Some(recording)).unwrap();
+    std::thread::sleep(Duration::from_millis(200));
+    controller.finish_recording().unwrap().unwrap()
+}
+
+#[test]
+fn record_info_lists_topics_of_whole_recording() {
+    let folder = Folder::new("info");
+    let whole = folder.path("whole.mcap");
+    let cycles = recorded(Path::new(&whole));
+    let output = takt(&["record", "info", &whole, "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(found["is_cut"], false);
+    let topics = found["topics"].as_array().unwrap();
+    let of = |name: &str| topics.iter().find(|topic| topic["name"] == name).unwrap();
+    assert_eq!(of("/takt/cycles")["messages"], cycles);
+    assert_eq!(of("/takt/thread")["type"], "takt_msgs/msg/Cycle");
+    let output = takt(&["record", "info", &whole]);
+    assert!(
+        text(&output.stdout).contains("takt_msgs/msg/Words"),
+        "{output:?}"
+    );
+}
+
+#[test]
+fn record_recover_makes_cut_recording_whole() {
+    let folder = Folder::new("recover");
+    let (whole, cut, new) = (
+        folder.path("whole.mcap"),
+        folder.path("cut.mcap"),
+        folder.path("new.mcap"),
+    );
+    recorded(Path::new(&whole));
+    let bytes = std::fs::read(&whole).unwrap();
+    // The index at the end is missing.
+    std::fs::write(&cut, &bytes[..bytes.len() - 40]).unwrap();
+    let output = takt(&["record", "info", &cut]);
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    assert!(
+        text(&output.stdout).contains("hint: takt record recover "),
+        "{output:?}"
+    );
+    let output = takt(&["record", "recover", &cut, "--output", &new]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    assert_eq!(takt(&["record", "info", &new]).status.code(), Some(0));
+    let (before, after) = (
+        replay(Path::new(&cut)).unwrap(),
+        replay(Path::new(&new)).unwrap(),
+    );
+    assert_eq!((before.cycles, before.is_cut), (after.cycles, true));
+    assert!(!after.is_cut && after.differs.is_none(), "{after:?}");
+    // It overwrites nothing.
+    let output = takt(&["record", "recover", &cut, "--output", &new]);
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    assert!(text(&output.stderr).contains("exists"), "{output:?}");
+}
+
+#[test]
+fn record_refuses_what_is_no_recording() {
+    let folder = Folder::new("none");
+    let (empty, new) = (folder.path("empty.mcap"), folder.path("new.mcap"));
+    std::fs::write(&empty, b"").unwrap();
+    for wrong in [empty.as_str(), "/dev/null", "/nonexistent", "/etc/hostname"] {
+        let output = takt(&["record", "recover", wrong, "--output", &new]);
+        assert_eq!(output.status.code(), Some(2), "{wrong}: {output:?}");
+        assert!(text(&output.stderr).starts_with("takt: "), "{output:?}");
+        assert!(!Path::new(&new).exists(), "{wrong} leaves half a file");
+    }
+    assert_ne!(
+        takt(&["record", "info", "/etc/hostname"]).status.code(),
+        Some(0)
+    );
+}
