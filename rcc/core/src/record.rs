@@ -4,6 +4,7 @@
 mod file;
 mod fuzz;
 mod inspect;
+mod notes;
 mod read;
 mod replay;
 mod ros2;
@@ -29,6 +30,7 @@ use crate::executor::machines::{Hosted, MachineInput};
 use crate::executor::{End, Executor, Running};
 use crate::ids::NetId;
 use file::Writer;
+use notes::{LEVEL_WARN, Note};
 use words::Words;
 
 #[doc(hidden)]
@@ -220,7 +222,7 @@ impl RecordedLog {
         // As rcl_interfaces/msg/Log numbers them.
         let level = match level {
             tracing::Level::ERROR => 40,
-            tracing::Level::WARN => ros2::LEVEL_WARN,
+            tracing::Level::WARN => LEVEL_WARN,
             tracing::Level::INFO => 20,
             _ => 10,
         };
@@ -230,35 +232,6 @@ impl RecordedLog {
             text: text.to_owned(),
         });
     }
-}
-
-/// Notes for the file besides cycles.
-#[derive(Debug)]
-enum Note {
-    Device {
-        number: usize,
-        place: Place,
-        description: DeviceDescription,
-    },
-    Gone(String),
-    Net {
-        id: u32,
-        every: u64,
-        period: Duration,
-        text: Arc<str>,
-        values: Arc<Directory>,
-    },
-    Frames(CellFrames),
-    Log {
-        level: u8,
-        name: String,
-        text: String,
-    },
-    Machine {
-        id: u32,
-        text: Arc<str>,
-        files: Vec<(String, String)>,
-    },
 }
 
 /// Event of a running recording, reported once per onset.

@@ -5,125 +5,21 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use mcap::records::MessageHeader;
-use serde::{Deserialize, Serialize};
-use takt_net::JointLimits;
+use serde::Serialize;
 use takt_rt::monotonic;
 
-use crate::device::{DeviceDescription, Part, Place};
 use crate::error::Error;
-use crate::record::Note;
+use crate::record::notes::{
+    CYCLES, DEVICES, DeviceEvent, DeviceNote, FORMAT, MACHINES, MachineNote, NETS, NetNote, Note,
+    wrong,
+};
 use crate::record::ros2::cdr::Cdr;
 use crate::record::ros2::{Messages, Stamp, schemas};
 use crate::record::words::start;
 
-pub(super) const CYCLES: &str = "/takt/cycles";
-pub(super) const DEVICES: &str = "/takt/devices";
-pub(super) const NETS: &str = "/takt/nets";
-pub(super) const MACHINES: &str = "/takt/machines";
-
-/// A device of the recorded cell.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct DeviceNote {
-    pub(super) name: String,
-    pub(super) number: usize,
-    first_joint: usize,
-    /// From and to.
-    signals: [usize; 2],
-    /// From and to.
-    commands: [usize; 2],
-    /// Model of its kinematics.
-    model: String,
-    /// By joint: minimum and maximum position (rad), speed (rad/s), acceleration (rad/s²).
-    limits: Vec<[f64; 4]>,
-    parts: Vec<Part>,
-}
-
-impl DeviceNote {
-    fn new(number: usize, place: &Place, device: &DeviceDescription) -> Self {
-        let limits = device.limits.iter().map(|l| {
-            [
-                l.position_min,
-                l.position_max,
-                l.velocity_max,
-                l.acceleration_max,
-            ]
-        });
-        Self {
-            name: device.name.clone(),
-            number,
-            first_joint: place.first_joint,
-            signals: [place.signals.start, place.signals.end],
-            commands: [place.commands.start, place.commands.end],
-            model: device.model.as_ref().to_owned(),
-            limits: limits.collect(),
-            parts: device.parts.clone(),
-        }
-    }
-
-    pub(super) fn place(&self) -> Place {
-        Place {
-            first_joint: self.first_joint,
-            joints: self.limits.len(),
-            signals: self.signals[0]..self.signals[1],
-            commands: self.commands[0]..self.commands[1],
-        }
-    }
-
-    pub(super) fn description(&self) -> DeviceDescription {
-        let limits = |l: &[f64; 4]| JointLimits {
-            position_min: l[0],
-            position_max: l[1],
-            velocity_max: l[2],
-            acceleration_max: l[3],
-        };
-        DeviceDescription {
-            name: self.name.clone(),
-            kind: "",
-            limits: self.limits.iter().map(limits).collect(),
-            model: self.model.clone().into(),
-            parts: self.parts.clone(),
-        }
-    }
-}
-
-/// Addition or removal of a device.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum DeviceEvent {
-    Came(DeviceNote),
-    Went { name: String },
-}
-
-/// A net of the recording.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct NetNote {
-    pub(super) id: u32,
-    /// Its period in cycles of its thread.
-    pub(super) every: u64,
-    period_ns: u64,
-    pub(super) text: String,
-}
-
-impl NetNote {
-    pub(super) const fn period(&self) -> Duration {
-        Duration::from_nanos(self.period_ns)
-    }
-}
-
-/// A machine of the recording.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct MachineNote {
-    pub(super) id: u32,
-    pub(super) text: String,
-    /// Component files by name.
-    pub(super) files: Vec<(String, String)>,
-}
-
-/// Version of what a replay reads, in the metadata of its channels.
-pub(super) const FORMAT: &str = "5";
 /// Encoding of all messages.
 const ENCODING: &str = "cdr";
 
@@ -349,13 +245,6 @@ impl<W: Write + Seek> Writer<W> {
             let _left = buffer.into_parts();
         }
         flushed.map_err(|error| broken(&self.path, self.written, &error.into()))
-    }
-}
-
-pub(super) fn wrong(path: &Path, why: String) -> Error {
-    Error::Recording {
-        path: path.to_owned(),
-        why,
     }
 }
 

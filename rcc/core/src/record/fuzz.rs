@@ -6,7 +6,7 @@ use std::path::Path;
 
 use mcap::records::MessageHeader;
 
-use super::file::{CYCLES, DEVICES, FORMAT, NETS};
+use super::notes::{CYCLES, DEVICES, FORMAT, NETS};
 use super::read::Recording;
 use super::ros2::cdr::Cdr;
 

@@ -9,7 +9,7 @@ use std::time::Duration;
 use mcap::records::Record;
 
 use crate::error::Error;
-use crate::record::file::wrong;
+use crate::record::notes::wrong;
 use crate::record::read::{END, records};
 
 /// A topic of a recording.

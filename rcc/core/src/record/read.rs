@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 
 use crate::error::Error;
 use crate::files;
-use crate::record::file::{
+use crate::record::notes::{
     CYCLES, DEVICES, DeviceEvent, FORMAT, MACHINES, MachineNote, NETS, NetNote, wrong,
 };
 use crate::record::ros2::cdr::{string, words};

@@ -16,7 +16,7 @@ use crate::executor::machines::{Hosted, Seat};
 use crate::executor::{Executor, Running};
 use crate::ids::NetId;
 use crate::record::WORDS_A_CYCLE;
-use crate::record::file::{DeviceEvent, NetNote};
+use crate::record::notes::{DeviceEvent, NetNote};
 use crate::record::read::{RecordedNote, Recording};
 use crate::record::words::{Entry, Reader, Words};
 

@@ -19,6 +19,7 @@ use crate::device::{DeviceDescription, DeviceStatus, Place, parts};
 use crate::error::Error;
 use crate::ids::NetId;
 use crate::record::file::Writer;
+use crate::record::notes::LEVEL_WARN;
 use crate::record::words::{Entry, Inputs, Reader};
 use cdr::Cdr;
 use values::{fields, identifier, number, shown};
@@ -476,9 +477,6 @@ impl Messages {
         to.message(*channel, self.cdr.bytes(), at)
     }
 }
-
-/// Level of a warning in the log.
-pub(super) const LEVEL_WARN: u8 = 30;
 
 fn or_nan(value: Option<f64>) -> f64 {
     value.unwrap_or(f64::NAN)

@@ -6,7 +6,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use takt_net::Nanos;
 
-use super::file::{CYCLES, Writer};
+use super::file::Writer;
+use super::notes::{CYCLES, FORMAT};
 use super::read::Recording;
 use super::*;
 
@@ -240,7 +241,7 @@ fn recording_of_other_version_is_rejected_with_both() {
     for start in 0..bytes.len() {
         if at(&bytes[start..]) == Some(0) {
             let value = start + 4 + 6 + 4;
-            assert_eq!(bytes[value..=value], *file::FORMAT.as_bytes());
+            assert_eq!(bytes[value..=value], *FORMAT.as_bytes());
             bytes[value] = b'9';
             changed += 1;
         }
