@@ -52,3 +52,5 @@ name = "count"
 direction = "out"
 kind = "binary"
 channel = 0
+bits = 8
+io = "io:0"

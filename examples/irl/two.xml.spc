@@ -25,5 +25,5 @@
   <signal name="part_present" direction="in" kind="digital" channel="0"/>
   <signal name="pressure" direction="in" kind="analog" channel="0"/>
   <signal name="grip" direction="out" kind="digital" channel="0"/>
-  <signal name="count" direction="out" kind="binary" channel="0"/>
+  <signal name="count" direction="out" kind="binary" channel="0" bits="8" io="io:0"/>
 </system>

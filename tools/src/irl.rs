@@ -2,12 +2,13 @@
 
 mod live;
 mod simulate;
+mod values;
 mod write;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use takt_irl::{Diagnostic, Program, System, compile, specification_of};
 
 use crate::Verdict;
@@ -48,6 +49,18 @@ pub(crate) struct Source {
     /// The system specification; else the file that the program names, beside it.
     #[arg(long, value_name = "FILE")]
     spc: Option<PathBuf>,
+    /// How errors and warnings of the program are written to standard error: with excerpts, or as one JSON object a line.
+    #[arg(long, value_enum, value_name = "FORMAT", default_value_t = MessageFormat::Human)]
+    message_format: MessageFormat,
+}
+
+/// How errors and warnings are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum MessageFormat {
+    /// For people.
+    Human,
+    /// For editors.
+    Json,
 }
 
 /// Check a program.
@@ -71,14 +84,8 @@ struct Checked {
 }
 
 fn read_bytes(path: &Path) -> anyhow::Result<Vec<u8>> {
-    let reading = || format!("cannot read {}", path.display());
-    let size = std::fs::metadata(path).with_context(reading)?.len();
-    anyhow::ensure!(
-        size <= FILE_MAX,
-        "{} is larger than {FILE_MAX} bytes",
-        path.display()
-    );
-    std::fs::read(path).with_context(reading)
+    takt_core::files::read(path, FILE_MAX)
+        .with_context(|| format!("cannot read {}", path.display()))
 }
 
 impl Source {
@@ -87,25 +94,35 @@ impl Source {
     }
 
     fn check(&self) -> anyhow::Result<Checked> {
-        let text = takt_core::files::read_text(&self.file, FILE_MAX)
-            .with_context(|| format!("cannot read {}", self.file.display()))?;
-        let beside = || {
-            let name = specification_of(&text)?;
-            Some(
-                self.file
-                    .parent()
-                    .unwrap_or_else(|| Path::new(""))
-                    .join(name),
-            )
+        let bytes = read_bytes(&self.file)?;
+        anyhow::ensure!(
+            !bytes.starts_with(b"TIRL"),
+            "{} is object code\nhint: name the source; `takt irl explain` lists object code",
+            self.name()
+        );
+        let text = String::from_utf8(bytes)
+            .with_context(|| format!("cannot read {}: it is not text in UTF-8", self.name()))?;
+        let named = specification_of(&text);
+        let system = match (&self.spc, &named) {
+            (Some(path), _) => read_system(path)?,
+            (None, None) => (System::default(), String::new()),
+            (None, Some((name, at))) => {
+                let folder = self.file.parent().unwrap_or_else(|| Path::new(""));
+                match read_system(&folder.join(name)) {
+                    Ok(system) => system,
+                    // An error of the program, with its location.
+                    Err(error) => {
+                        let diagnostics =
+                            vec![Diagnostic::specification(at.clone(), format!("{error:#}"))];
+                        return Ok(Checked {
+                            text,
+                            program: None,
+                            diagnostics,
+                        });
+                    }
+                }
+            }
         };
-        let mut system = (System::default(), String::new());
-        if let Some(path) = self.spc.clone().or_else(beside) {
-            let spec = takt_core::files::read_text(&path, FILE_MAX)
-                .with_context(|| format!("cannot read {}", path.display()))?;
-            let parsed = System::parse(&spec);
-            system.0 = parsed.with_context(|| format!("{} is invalid", path.display()))?;
-            system.1 = spec;
-        }
         let compiled = compile(&text, &system.0, &system.1);
         Ok(match compiled {
             Ok(compiled) => Checked {
@@ -135,25 +152,39 @@ impl Source {
             return Ok(Some(program.with_context(|| self.name())?));
         }
         let checked = self.check()?;
-        print(&checked, &self.name());
+        self.print(&checked);
         Ok(checked.program)
+    }
+
+    fn print(&self, checked: &Checked) {
+        let name = &self.name();
+        for diagnostic in &checked.diagnostics {
+            match self.message_format {
+                MessageFormat::Json => complain(&json_of(diagnostic, checked, name).to_string()),
+                MessageFormat::Human => {
+                    complain(diagnostic.render(name, &checked.text).trim_end());
+                }
+            }
+        }
+        if checked.program.is_none() && self.message_format == MessageFormat::Human {
+            complain(&errors_of(checked, name));
+        }
     }
 }
 
-fn print(checked: &Checked, name: &str) {
-    for diagnostic in &checked.diagnostics {
-        complain(diagnostic.render(name, &checked.text).trim_end());
-    }
-    if checked.program.is_none() {
-        let mut errors = checked.diagnostics.len();
-        errors -= checked
-            .diagnostics
-            .iter()
-            .filter(|d| d.code.is_warning())
-            .count();
-        let plural = if errors == 1 { "" } else { "s" };
-        complain(&format!("{name}: {errors} error{plural}"));
-    }
+/// A system specification and its text.
+fn read_system(path: &Path) -> anyhow::Result<(System, String)> {
+    let text = takt_core::files::read_text(path, FILE_MAX)
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    let system = System::parse(&text).with_context(|| format!("{} is invalid", path.display()))?;
+    Ok((system, text))
+}
+
+fn errors_of(checked: &Checked, name: &str) -> String {
+    let all = checked.diagnostics.iter();
+    let errors = all.filter(|d| !d.code.is_warning()).count();
+    let plural = if errors == 1 { "" } else { "s" };
+    format!("{name}: {errors} error{plural}")
 }
 
 impl Check {
@@ -163,7 +194,7 @@ impl Check {
         if self.json {
             say(&json(&checked, &name).to_string())?;
         } else {
-            print(&checked, &name);
+            self.source.print(&checked);
             if let Some(program) = &checked.program {
                 say(&summary(&name, program))?;
             }
@@ -187,16 +218,19 @@ fn summary(name: &str, program: &Program) -> String {
     )
 }
 
+/// The warning or error of a program.
+fn json_of(d: &Diagnostic, checked: &Checked, name: &str) -> serde_json::Value {
+    let (line, column) = d.location(&checked.text);
+    serde_json::json!({
+        "file": name, "code": d.code.text(), "severity": if d.code.is_warning() { "warning" } else { "error" },
+        "line": line, "column": column, "start": d.at.start, "end": d.at.end,
+        "text": d.text, "hint": d.hint,
+    })
+}
+
 fn json(checked: &Checked, name: &str) -> serde_json::Value {
-    let diagnostic = |d: &Diagnostic| {
-        let (line, column) = d.location(&checked.text);
-        serde_json::json!({
-            "code": d.code.text(), "severity": if d.code.is_warning() { "warning" } else { "error" },
-            "line": line, "column": column, "start": d.at.start, "end": d.at.end,
-            "text": d.text, "hint": d.hint,
-        })
-    };
-    let diagnostics: Vec<_> = checked.diagnostics.iter().map(diagnostic).collect();
+    let diagnostics = checked.diagnostics.iter();
+    let diagnostics: Vec<_> = diagnostics.map(|d| json_of(d, checked, name)).collect();
     serde_json::json!({
         "ok": checked.program.is_some(), "file": name, "diagnostics": diagnostics,
         "instructions": checked.program.as_ref().map(Program::instructions),

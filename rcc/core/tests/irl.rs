@@ -129,6 +129,27 @@ fn program_moves_arm_and_signals_without_allocations() {
 }
 
 #[test]
+fn program_output_before_its_end_reaches_device() {
+    let mut cell = cell();
+    let last = "program last;\nsignal out grip = \"grip\";\nbegin\n  grip := true;\nendprogram;\n";
+    let binding = Binding {
+        watch: Vec::new(),
+        ..binding()
+    };
+    let text = net(&program(last), &binding).unwrap();
+    cell.try_start(1, &text, 1).unwrap();
+    cell.steps(50);
+    assert_eq!(cell.ended[&1], End::Terminated);
+    let state = watch("Core::Boolean", "grip", "m.outIO");
+    cell.start(
+        2,
+        &format!("m=IO::OutBoolSensor(DeviceID='io',Port='1'),{state}"),
+    );
+    cell.steps(20);
+    assert_eq!(cell.out(2, "grip"), "true");
+}
+
+#[test]
 fn program_pauses_at_breakpoint_with_line_visible() {
     let mut cell = cell();
     let binding = Binding {

@@ -29,11 +29,11 @@ pub struct Compiled {
     pub warnings: Vec<Diagnostic>,
 }
 
-/// The name of the system specification that a source text uses, if it names one.
+/// The name of the system specification that a source text uses, if it names one, and the bytes of the text that do.
 #[must_use]
-pub fn specification_of(text: &str) -> Option<String> {
+pub fn specification_of(text: &str) -> Option<(String, std::ops::Range<usize>)> {
     let (program, _) = parse(text);
-    Some(program?.specification?.0)
+    program?.specification
 }
 
 /// Compiles a source text for a system; `system_text` is the text of its specification, whose sum the program keeps.

@@ -52,6 +52,29 @@ pub enum Code {
 }
 
 impl Code {
+    /// All of them, by number.
+    pub const ALL: [Self; 19] = [
+        Self::Lexical,
+        Self::Syntax,
+        Self::Bound,
+        Self::UnknownName,
+        Self::Twice,
+        Self::WrongKind,
+        Self::Type,
+        Self::Count,
+        Self::NotConstant,
+        Self::Range,
+        Self::ReadOnly,
+        Self::Recursion,
+        Self::Misplaced,
+        Self::Attribute,
+        Self::Robot,
+        Self::Target,
+        Self::SharedRobot,
+        Self::Specification,
+        Self::StatusUnused,
+    ];
+
     /// As it is printed: `E0102`, or `W0901` for a warning.
     #[must_use]
     pub fn text(self) -> String {
@@ -87,6 +110,13 @@ impl Diagnostic {
             text: text.into(),
             hint: String::new(),
         }
+    }
+
+    /// The system specification that a text names at these bytes cannot be used.
+    #[must_use]
+    pub fn specification(at: Range<usize>, cause: impl Into<String>) -> Self {
+        let hint = "the file is searched beside the program; `--spc FILE` names another one";
+        Self::new(Code::Specification, at, cause).hint(hint)
     }
 
     pub(crate) fn hint(mut self, hint: impl Into<String>) -> Self {

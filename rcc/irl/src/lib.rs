@@ -30,7 +30,7 @@ pub use machine::{
     BREAKPOINTS_MAX, Control, Fault, FaultKind, Machine, MachineError, Phase, STEP_COST_NS,
 };
 pub use primitive::all;
-pub use spec::{Direction, Joint, Robot, Signal, SignalKind, SpecError, System};
+pub use spec::{Channel, Direction, Joint, Robot, Signal, SignalKind, SpecError, System};
 
 #[cfg(test)]
 mod tests;

@@ -83,11 +83,14 @@ pub enum FaultKind {
     /// The object code contradicts itself.
     #[error("the object code is invalid")]
     BadCode = 14,
+    /// A whole number that the bits of a binary output cannot show.
+    #[error("the value does not fit the bits of the output")]
+    SignalRange = 15,
 }
 
 impl FaultKind {
     /// All of them; the position of each is its number less one.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::DivisionByZero,
         Self::Overflow,
         Self::NotANumber,
@@ -102,6 +105,7 @@ impl FaultKind {
         Self::SharedRobot,
         Self::NoInput,
         Self::BadCode,
+        Self::SignalRange,
     ];
 
     /// What to do about it.
@@ -124,6 +128,9 @@ impl FaultKind {
             Self::SharedRobot => "move the robot in one branch only, or let the others wait for it",
             Self::NoInput => "check the device of the signal, and that the signal is bound",
             Self::BadCode => "compile the source again",
+            Self::SignalRange => {
+                "limit the value, or give the signal more `bits` in the specification"
+            }
         }
     }
 }

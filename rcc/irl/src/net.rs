@@ -1,27 +1,23 @@
 //! The net that executes a program on the devices of a controller: the arms of its robots, inputs and outputs of its signals,
 //! and the values with which a program is observed and controlled. Nothing is loaded here.
 
+mod signals;
+
 use std::fmt::Write as _;
 
 use crate::code::Program;
 use crate::machine::BREAKPOINTS_MAX;
-use crate::spec::{Direction, Signal, SignalKind};
+use crate::spec::{Direction, SignalKind};
 
-/// A digital or analogue input or output of a device.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Channel {
-    /// The device.
-    pub device: String,
-    /// Which one, from 0.
-    pub port: u16,
-}
+pub use crate::spec::Channel;
 
 /// Which devices execute a program.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Binding {
     /// The arm of each robot.
     pub arms: Vec<String>,
-    /// Input or output of each signal. A signal without one is a value of the net, `signal_` and its name.
+    /// Input or output of each signal, that of the lowest bit of a binary one. A signal without one is a value of the net,
+    /// `signal_` and its name.
     pub channels: Vec<Option<Channel>>,
     /// First values of signals that are values of the net, as texts of nets; `false` or 0 if there is none.
     pub values: Vec<Option<String>>,
@@ -53,12 +49,21 @@ pub enum BindingError {
         /// As needed.
         needed: usize,
     },
-    /// Devices have digital and analogue inputs and outputs only.
+    /// A binary signal takes as many digital inputs or outputs as it has bits.
     #[error(
-        "signal `{0}` is a whole number, which no device has\nhint: leave it unbound; it is a value of the net then"
+        "signal `{0}` is a whole number of unknown width, which no device has\nhint: give it `bits` in the system specification, or \
+         leave it unbound"
     )]
-    Kind(String),
+    Width(String),
+    /// There are no ports for all bits.
+    #[error("signal `{0}` has more bits than there are ports from {1} on")]
+    Ports(String, Channel),
+    /// An output that two signals set.
+    #[error("signals `{0}` and `{1}` both set output {2}\nhint: bind each output once")]
+    Shared(String, String, Channel),
 }
+
+const KINDS: [SignalKind; 3] = [SignalKind::Digital, SignalKind::Analog, SignalKind::Binary];
 
 /// The value of the net that shows or takes a signal without a device.
 #[must_use]
@@ -79,10 +84,8 @@ pub fn net(program: &Program, binding: &Binding) -> Result<String, BindingError>
     controls(&mut net, binding);
     let joints = arms(&mut net, program, binding);
     let mut links = String::new();
-    for kind in [SignalKind::Digital, SignalKind::Analog, SignalKind::Binary] {
-        if let Some(array) = inputs(&mut net, program, binding, kind) {
-            let _ = write!(links, "in{}={array}, ", port(kind));
-        }
+    for kind in KINDS {
+        signals::inputs(&mut net, &mut links, program, binding, kind);
     }
     if !joints.is_empty() {
         let _ = write!(links, "inPosition=where{}.outArray, ", joints.len());
@@ -102,8 +105,8 @@ pub fn net(program: &Program, binding: &Binding) -> Result<String, BindingError>
         binding.steps
     ));
     set_points(&mut net, &joints);
-    for kind in [SignalKind::Digital, SignalKind::Analog, SignalKind::Binary] {
-        outputs(&mut net, program, binding, kind);
+    for kind in KINDS {
+        signals::outputs(&mut net, program, binding, kind);
     }
     for name in ["State", "Line", "Column", "Error"] {
         let key = name.to_lowercase();
@@ -141,16 +144,49 @@ fn check(program: &Program, binding: &Binding) -> Result<(), BindingError> {
         .chain(&binding.watch)
         .chain(values)
     {
-        let is_name = |c: char| c.is_alphanumeric() || "_-.[]".contains(c);
-        if name.is_empty() || !name.chars().all(is_name) {
+        if !crate::spec::is_device(name) {
             return Err(BindingError::Name(name.clone()));
         }
     }
-    let mut bound = signals.iter().zip(&binding.channels);
-    match bound.find(|(signal, channel)| signal.kind == SignalKind::Binary && channel.is_some()) {
-        Some((signal, _)) => Err(BindingError::Kind(signal.name.clone())),
-        None => Ok(()),
+    check_channels(program, binding)
+}
+
+fn check_channels(program: &Program, binding: &Binding) -> Result<(), BindingError> {
+    let all = program.system.signals.iter().zip(&binding.channels);
+    let bound: Vec<_> = all
+        .filter_map(|(signal, channel)| Some((signal, channel.as_ref()?)))
+        .collect();
+    for (i, (signal, channel)) in bound.iter().enumerate() {
+        let name = || signal.name.clone();
+        if signal.kind == SignalKind::Binary && signal.bits == 0 {
+            return Err(BindingError::Width(name()));
+        }
+        if channel.port.checked_add(signal.width()).is_none() {
+            return Err(BindingError::Ports(name(), (*channel).clone()));
+        }
+        if signal.direction == Direction::In {
+            continue;
+        }
+        let is_analog = |kind| kind == SignalKind::Analog;
+        let others = bound.iter().take(i).filter(|(other, at)| {
+            other.direction == Direction::Out
+                && is_analog(other.kind) == is_analog(signal.kind)
+                && at.device == channel.device
+        });
+        for (other, at) in others {
+            let first = channel.port.max(at.port);
+            let ends =
+                [(signal, channel), (other, at)].map(|(s, at)| at.port.saturating_add(s.width()));
+            if ends.iter().all(|end| first < *end) {
+                let shared = Channel {
+                    port: first,
+                    device: channel.device.clone(),
+                };
+                return Err(BindingError::Shared(other.name.clone(), name(), shared));
+            }
+        }
     }
+    Ok(())
 }
 
 #[derive(Default)]
@@ -237,101 +273,4 @@ fn set_points(net: &mut Text, joints: &[(String, usize)]) {
     net.line(&format!(
         "end=Core::BooleanOr(inFirst=program.outDone, inSecond=failed{size}.outValue)"
     ));
-}
-
-/// Part of the names of the ports of `Irl::Program`.
-const fn port(kind: SignalKind) -> &'static str {
-    match kind {
-        SignalKind::Digital => "Digital",
-        SignalKind::Analog => "Analog",
-        SignalKind::Binary => "Binary",
-    }
-}
-
-/// The family of primitives, and that of inputs and outputs of devices.
-const fn families(kind: SignalKind) -> (&'static str, &'static str) {
-    match kind {
-        SignalKind::Digital => ("Core::Boolean", "Bool"),
-        SignalKind::Analog => ("Core::Double", "Real"),
-        SignalKind::Binary => ("Core::Int", ""),
-    }
-}
-
-/// The signals of a direction and kind with their numbers, and the elements of their array.
-fn signals(
-    program: &Program,
-    direction: Direction,
-    kind: SignalKind,
-) -> (Vec<(usize, &Signal)>, u32) {
-    let all = program.system.signals.iter().enumerate();
-    let fitting = all.filter(|(_, s)| s.direction == direction && s.kind == kind);
-    let fitting: Vec<_> = fitting.collect();
-    let size = fitting.iter().map(|(_, s)| u32::from(s.channel) + 1).max();
-    (fitting, size.unwrap_or(0))
-}
-
-/// The array of the inputs of a kind; returns its link, if there are any.
-fn inputs(
-    net: &mut Text,
-    program: &Program,
-    binding: &Binding,
-    kind: SignalKind,
-) -> Option<String> {
-    let (signals, size) = signals(program, Direction::In, kind);
-    let (family, io) = families(kind);
-    let name = port(kind);
-    if signals.is_empty() {
-        return None;
-    }
-    net.line(&format!("in{name}0={family}Array(Size='{size}')"));
-    for (i, (number, signal)) in signals.iter().enumerate() {
-        let from = format!("read{number}");
-        let value = if let Some(Channel { device, port }) = binding.channels.get(*number)?.as_ref()
-        {
-            net.line(&format!(
-                "{from}=IO::In{io}(DeviceID='{device}', Port='{port}')"
-            ));
-            "outIO"
-        } else {
-            let key = signal_key(&signal.name);
-            let default = if kind == SignalKind::Digital {
-                "false"
-            } else {
-                "0"
-            };
-            let value = binding.values.get(*number).and_then(Option::as_deref);
-            let value = value.unwrap_or(default);
-            net.line(&format!(
-                "{from}={family}NetcommIn(Key='{key}', Value='{value}')"
-            ));
-            "outValue"
-        };
-        net.line(&format!(
-            "in{name}{}={family}ArraySet(inArray=in{name}{i}.outArray, inValue={from}.{value}, Size='{size}', Index='{}')",
-            i + 1,
-            signal.channel
-        ));
-    }
-    Some(format!("in{name}{}.outArray", signals.len()))
-}
-
-fn outputs(net: &mut Text, program: &Program, binding: &Binding, kind: SignalKind) {
-    let (signals, size) = signals(program, Direction::Out, kind);
-    let (family, io) = families(kind);
-    for (number, signal) in signals {
-        net.line(&format!(
-            "written{number}={family}ArrayGet(inArray=program.out{}, Size='{size}', Index='{}')",
-            port(kind),
-            signal.channel
-        ));
-        if let Some(Some(Channel { device, port })) = binding.channels.get(number) {
-            net.line(&format!(
-                "output{number}=IO::Out{io}(inIO=written{number}.outValue, DeviceID='{device}', Port='{port}')"
-            ));
-        }
-        let key = signal_key(&signal.name);
-        net.line(&format!(
-            "shown{number}={family}NetcommOut(inValue=written{number}.outValue, Key='{key}')"
-        ));
-    }
 }

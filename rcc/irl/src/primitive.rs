@@ -43,9 +43,9 @@ struct Interpreter {
     step: Edge,
     stop: In<bool>,
     breakpoints: Option<ArrayIn<i32>>,
-    digital_in: (Option<ArrayIn<bool>>, Channels),
-    analog_in: (Option<ArrayIn<f64>>, Channels),
-    binary_in: (Option<ArrayIn<i32>>, Channels),
+    digital_in: Inputs<bool>,
+    analog_in: Inputs<f64>,
+    binary_in: Inputs<i32>,
     positions: ArrayOut<f64>,
     digital_out: (ArrayOut<bool>, Channels),
     analog_out: (ArrayOut<f64>, Channels),
@@ -74,7 +74,8 @@ impl Edge {
 
     fn rises(&mut self, cycle: &Cycle<'_>) -> bool {
         let is = self.input.get(cycle) == Some(true);
-        is && !std::mem::replace(&mut self.was, is)
+        let was = std::mem::replace(&mut self.was, is);
+        is && !was
     }
 }
 
@@ -104,13 +105,10 @@ impl Interpreter {
 
     fn read_inputs(&mut self, cycle: &Cycle<'_>) {
         let machine = &mut self.machine;
-        let (port, channels) = &self.digital_in;
-        read(port.as_ref(), channels, cycle, machine, u64::from);
-        let (port, channels) = &self.analog_in;
-        read(port.as_ref(), channels, cycle, machine, f64::to_bits);
-        let (port, channels) = &self.binary_in;
+        self.digital_in.read(cycle, machine, u64::from);
+        self.analog_in.read(cycle, machine, f64::to_bits);
         let word = |value: i32| i64::from(value).cast_unsigned();
-        read(port.as_ref(), channels, cycle, machine, word);
+        self.binary_in.read(cycle, machine, word);
         if let Some(lines) = self.breakpoints.as_ref().and_then(|port| port.get(cycle)) {
             let lines = lines.iter().map(|line| u32::try_from(line.get()));
             machine.set_breakpoints(lines.map(|line| line.unwrap_or(0)));
@@ -145,17 +143,44 @@ impl Interpreter {
     }
 }
 
-fn read<T: takt_net::Value>(
-    port: Option<&ArrayIn<T>>,
-    channels: &Channels,
-    cycle: &Cycle<'_>,
-    machine: &mut Machine,
-    word: impl Fn(T) -> u64,
-) {
-    let values = port.and_then(|port| port.get(cycle));
-    for (signal, channel) in channels {
-        let value = values.and_then(|values| values.get(*channel));
-        machine.set_input(*signal, value.map(|value| word(value.get())));
+/// Inputs of a kind.
+struct Inputs<T: takt_net::Value> {
+    port: Option<ArrayIn<T>>,
+    /// Which of them have no value.
+    nulls: Option<ArrayIn<bool>>,
+    channels: Channels,
+}
+
+impl<T: takt_net::value::text::TextValue> Inputs<T> {
+    fn linked(
+        b: &mut Build<'_, '_>,
+        [name, nulls]: [&'static str; 2],
+        channels: Channels,
+    ) -> Result<Self, Fault> {
+        let needed = width(&channels);
+        let port = linked::<T>(b, name, needed)?;
+        let is_linked = b.is_linked(nulls);
+        let nulls = if is_linked {
+            linked::<bool>(b, nulls, needed)?
+        } else {
+            None
+        };
+        Ok(Self {
+            port,
+            nulls,
+            channels,
+        })
+    }
+
+    fn read(&self, cycle: &Cycle<'_>, machine: &mut Machine, word: impl Fn(T) -> u64) {
+        let values = self.port.as_ref().and_then(|port| port.get(cycle));
+        let nulls = self.nulls.as_ref().and_then(|port| port.get(cycle));
+        for (signal, channel) in &self.channels {
+            let null = nulls.and_then(|nulls| nulls.get(*channel));
+            let value = values.and_then(|values| values.get(*channel));
+            let value = value.filter(|_| !null.is_some_and(|null| null.get()));
+            machine.set_input(*signal, value.map(|value| word(value.get())));
+        }
     }
 }
 
@@ -328,9 +353,9 @@ fn build(b: &mut Build<'_, '_>) -> Result<Interpreter, Fault> {
             None
         },
         stop: b.input("inStop")?,
-        digital_in: (linked(b, "inDigital", width(&digital_in))?, digital_in),
-        analog_in: (linked(b, "inAnalog", width(&analog_in))?, analog_in),
-        binary_in: (linked(b, "inBinary", width(&binary_in))?, binary_in),
+        digital_in: Inputs::linked(b, ["inDigital", "inDigitalNull"], digital_in)?,
+        analog_in: Inputs::linked(b, ["inAnalog", "inAnalogNull"], analog_in)?,
+        binary_in: Inputs::linked(b, ["inBinary", "inBinaryNull"], binary_in)?,
         positions: b.array_output("outPosition", total)?,
         digital_out: (
             b.array_output("outDigital", width(&digital_out))?,
@@ -372,8 +397,11 @@ fn definition() -> Definition {
     .array_input::<i32>(port("inBreakpoints", "lines, from 1, before which the program waits; 0 is none, the first 16 count"))
     .input::<bool>(port("inStop", "true ends the program; motions brake on their paths"))
     .array_input::<bool>(port("inDigital", "digital inputs by channel"))
+    .array_input::<bool>(port("inDigitalNull", "which digital inputs have no value; none if not connected"))
     .array_input::<f64>(port("inAnalog", "analogue inputs by channel, any unit"))
+    .array_input::<bool>(port("inAnalogNull", "which analogue inputs have no value; none if not connected"))
     .array_input::<i32>(port("inBinary", "inputs of whole numbers by channel"))
+    .array_input::<bool>(port("inBinaryNull", "which inputs of whole numbers have no value; none if not connected"))
     .array_output::<f64>("outPosition", "joints of all robots, rad")
     .array_output::<bool>("outDigital", "digital outputs by channel")
     .array_output::<f64>("outAnalog", "analogue outputs by channel, any unit")

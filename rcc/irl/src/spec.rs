@@ -1,9 +1,13 @@
 //! The system specification: the robots, their limits and defaults, and the signals that a program can use. It is read
 //! from TOML or XML (`.spc`). Devices of a cell are bound to it by the net, not here.
 
+mod channel;
 mod xml;
 
 use serde::Deserialize;
+
+pub use channel::Channel;
+pub(crate) use channel::is_device;
 
 /// Most robots of a system.
 pub(crate) const ROBOTS_MAX: usize = 8;
@@ -11,6 +15,8 @@ pub(crate) const ROBOTS_MAX: usize = 8;
 pub(crate) const JOINTS_MAX: usize = 7;
 /// Most signals of a system.
 pub(crate) const SIGNALS_MAX: usize = 256;
+/// Most bits of a binary signal with a width: its values are whole numbers from 0.
+pub(crate) const BITS_MAX: u8 = 31;
 
 /// A joint of a robot, in degrees.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
@@ -120,6 +126,43 @@ pub struct Signal {
     pub kind: SignalKind,
     /// Index in the port of its direction and kind, from 0.
     pub channel: u16,
+    /// Width of a binary signal, 1 to 31: its values are 0 to 2^bits - 1. 0 is any whole number, which no device can have.
+    #[serde(default)]
+    pub bits: u8,
+    /// Input or output of a device that has it; that of the lowest bit if it is binary. A controller can be given another one.
+    #[serde(default)]
+    pub io: Option<Channel>,
+}
+
+impl Signal {
+    /// Inputs or outputs of a device that it takes.
+    #[must_use]
+    pub fn width(&self) -> u16 {
+        self.bits.max(1).into()
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let is_binary = self.kind == SignalKind::Binary;
+        if self.bits > if is_binary { BITS_MAX } else { 0 } {
+            let bits = self.bits;
+            return Err(format!(
+                "bits is {bits}; binary signals have 1 to {BITS_MAX}, others none"
+            ));
+        }
+        if usize::from(self.channel) >= SIGNALS_MAX {
+            let (channel, last) = (self.channel, SIGNALS_MAX - 1);
+            return Err(format!("channel {channel}; channels are 0 to {last}"));
+        }
+        match &self.io {
+            Some(io) if is_binary && self.bits == 0 => Err(format!(
+                "{io} is digital; give the signal its `bits`, 1 to {BITS_MAX}"
+            )),
+            Some(io) if io.port.checked_add(self.width()).is_none() => {
+                Err(format!("{io} leaves no ports for its bits"))
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
 /// The robots and signals that a program can use.
@@ -196,13 +239,10 @@ impl System {
                     "signals `{name}` and `{other}` have the same name or the same channel"
                 ));
             }
-            if usize::from(signal.channel) >= SIGNALS_MAX {
-                let (name, channel) = (&signal.name, signal.channel);
-                return Err(format!(
-                    "signal `{name}`: channel {channel}; channels are 0 to {}",
-                    SIGNALS_MAX - 1
-                ));
-            }
+            let name = &signal.name;
+            signal
+                .check()
+                .map_err(|why| format!("signal `{name}`: {why}"))?;
         }
         Ok(())
     }

@@ -11,7 +11,7 @@ mod common;
 use std::collections::{BTreeMap, BTreeSet};
 
 use common::{TWO, errors};
-use takt_irl::{System, compile};
+use takt_irl::{Code, FaultKind, System, compile};
 
 const DOCS: &str = include_str!("../../../docs/irl.md");
 
@@ -371,6 +371,28 @@ fn whole(sample: &str) -> String {
     } else {
         format!("{HEAD} begin {sample} endprogram;")
     }
+}
+
+/// First cells of the table below a heading.
+fn first_cells(heading: &str) -> Vec<&'static str> {
+    let section = DOCS.split(heading).nth(1).unwrap();
+    let section = section.split("\n## ").next().unwrap();
+    let rows = section.lines().filter(|line| line.starts_with('|'));
+    let cells = rows
+        .skip(2)
+        .map(|row| row.split('|').nth(1).unwrap().trim());
+    cells.collect()
+}
+
+#[test]
+fn errors_and_faults_are_all_in_reference() {
+    let codes = Code::ALL.map(Code::text);
+    assert_eq!(first_cells("## Errors of a program\n"), codes);
+    let faults: Vec<String> = FaultKind::ALL
+        .iter()
+        .map(|kind| (*kind as i32).to_string())
+        .collect();
+    assert_eq!(first_cells("## Faults of a running program\n"), faults);
 }
 
 #[test]

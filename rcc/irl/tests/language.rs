@@ -312,6 +312,10 @@ fn errors_have_code_location_and_hint() {
             "program t; signal in s = \"part_present\"; begin s := true; endprogram;",
             "E0305 1:48 ",
         ),
+        (
+            "program t; signal out c = \"count\"; begin c := 255; c := 256; endprogram;",
+            "E0304 1:57 ",
+        ),
         ("program t; ? endprogram;", "E0101 1:12 comments"),
         ("program t; while true do", "E0102 1:25 "),
         ("begin endprogram;", "E0102 1:1 "),
@@ -378,6 +382,16 @@ fn faults_name_cause_and_statement() {
             "",
             "move ptp (9000, 0, 0) act_rob:=\"lwr\";",
             FaultKind::Unreachable,
+        ),
+        (
+            "var x: int; signal out count = \"count\";",
+            "x := 255; count := x; x := x + 1; count := x;",
+            FaultKind::SignalRange,
+        ),
+        (
+            "var x: int; signal out count = \"count\";",
+            "x := x - 1; count := x;",
+            FaultKind::SignalRange,
         ),
     ];
     for (declarations, statements, expected) in cases {
@@ -458,7 +472,7 @@ fn object_code_and_listing_are_golden() {
         assert_eq!(listing, golden);
     }
     let code = program.encode();
-    assert_eq!(&code[..6], b"TIRL\x01\x00");
+    assert_eq!(&code[..6], b"TIRL\x02\x00");
     assert_eq!(crc32fast::hash(&code[10..]).to_le_bytes(), code[6..10]);
 }
 

@@ -5,11 +5,11 @@ mod console;
 
 use std::time::{Duration, Instant};
 
-use anyhow::Context as _;
 use clap::Args;
-use takt_irl::{BREAKPOINTS_MAX, Program};
+use takt_irl::{BREAKPOINTS_MAX, Channel, Direction, Program};
 
 use crate::client::Client;
+use crate::irl::values::{signal_of, value_of};
 use crate::net::server::Server;
 use crate::output::{complain, say};
 use crate::signal::Stop;
@@ -34,7 +34,8 @@ pub(super) struct Live {
     /// Arm of a robot of the program, such as lwr=left; else the arm of the same name. May be given several times.
     #[arg(long, value_name = "ROBOT=ARM")]
     robot: Vec<String>,
-    /// Input or output of a signal, such as grip=io:3. May be given several times. Outputs without one are printed.
+    /// Input or output of a signal, such as grip=io:3, or that of its lowest bit; none is no device. Without it, the one in the
+    /// system specification. Outputs without one are printed. May be given several times.
     #[arg(long, value_name = "SIGNAL=DEVICE:PORT")]
     signal: Vec<String>,
     /// Wait before this line. May be given several times.
@@ -132,6 +133,7 @@ impl Live {
             text: options.text.as_deref(),
             lines: binding.breakpoints,
             watch: binding.watch,
+            channels: binding.channels,
             shown: Shown::default(),
             pulse: Some((true, Instant::now())),
             begin: Instant::now(),
@@ -160,6 +162,8 @@ struct Run<'p> {
     text: Option<&'p str>,
     lines: Vec<u32>,
     watch: Vec<String>,
+    /// Devices of the signals.
+    channels: Vec<Option<Channel>>,
     shown: Shown,
     /// Whether `continue` or `step` is true, or false again, and since when.
     pulse: Option<(bool, Instant)>,
@@ -274,13 +278,16 @@ impl Run<'_> {
             Request::Stop => self.write("stop", "true"),
             Request::Override(part) => self.write("override", &part.to_string()),
             Request::Break(line) => {
-                if !self.lines.contains(&line) {
-                    anyhow::ensure!(
-                        self.lines.len() < BREAKPOINTS_MAX,
-                        "at most {BREAKPOINTS_MAX} breakpoints are possible"
-                    );
-                    self.lines.push(line);
+                if self.lines.contains(&line) {
+                    return Ok(());
                 }
+                if self.lines.len() >= BREAKPOINTS_MAX {
+                    complain(&format!(
+                        "at most {BREAKPOINTS_MAX} breakpoints are possible\nhint: `clear LINE` removes one"
+                    ));
+                    return Ok(());
+                }
+                self.lines.push(line);
                 self.write_breakpoints()
             }
             Request::Clear(line) => {
@@ -288,15 +295,25 @@ impl Run<'_> {
                 self.write_breakpoints()
             }
             Request::Set(signal, value) => {
-                let key = takt_irl::net::signal_key(&signal);
-                let written = self.write(&key, &value);
-                if let Err(error) = written {
+                if let Err(error) = self.set(&signal, &value) {
                     complain(&format!("cannot set {signal}: {error:#}"));
                 }
                 Ok(())
             }
             Request::Print(name) => self.print(&name),
         }
+    }
+
+    /// Writes an input that no device has.
+    fn set(&mut self, name: &str, value: &str) -> anyhow::Result<()> {
+        let number = signal_of(self.program, name)?;
+        let signal = &self.program.system.signals[number];
+        anyhow::ensure!(signal.direction == Direction::In, "it is an output");
+        if let Some(channel) = &self.channels[number] {
+            anyhow::bail!("its value comes from {channel}");
+        }
+        let value = value_of(signal, value)?;
+        self.write(&takt_irl::net::signal_key(name), &value)
     }
 
     fn write_breakpoints(&mut self) -> anyhow::Result<()> {
@@ -311,10 +328,11 @@ impl Run<'_> {
         let [_, values] = self.client.values(&self.net)?;
         let values = values.get("outwatch").map_or("", String::as_str);
         let values = values.trim_matches(['[', ']']).split(',').map(str::trim);
-        let component = format!("{name}.");
+        let components = [format!("{name}."), format!("{name}[")];
         let mut is_known = false;
         for (variable, value) in self.watch.iter().zip(values) {
-            if name.is_empty() || variable == name || variable.starts_with(&component) {
+            let is_part = || components.iter().any(|part| variable.starts_with(part));
+            if name.is_empty() || variable == name || is_part() {
                 is_known = true;
                 say(&format!("{variable} = {value}"))?;
             }
@@ -356,10 +374,4 @@ impl Run<'_> {
             }
         }
     }
-}
-
-/// Splits `name=value`.
-fn assignment<'t>(text: &'t str, form: &str) -> anyhow::Result<(&'t str, &'t str)> {
-    let parts = text.split_once('=');
-    parts.with_context(|| format!("`{text}` is not {form}"))
 }

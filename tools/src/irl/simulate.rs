@@ -6,14 +6,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context as _;
 use clap::Args;
-use takt_irl::{Control, Machine, Phase, SignalKind};
+use takt_irl::{Control, Direction, Machine, Phase, SignalKind};
 
 use super::Source;
 use super::live::{Live, Options};
+use super::values::{assignment, signal_of, value_of};
 use crate::Verdict;
-use crate::output::{complain, positive_span, say};
+use crate::output::{complain, positive_span, save, say};
 
 /// Run a program: in virtual time with robots that follow exactly, or on the arms of a controller.
 ///
@@ -92,8 +92,7 @@ impl Simulate {
             }
         }
         if let Some(path) = &self.csv {
-            std::fs::write(path, &csv)
-                .with_context(|| format!("cannot write {}", path.display()))?;
+            save(path, &csv)?;
         }
         self.report(&machine, cycle as f64 * self.period.as_secs_f64())
     }
@@ -156,26 +155,18 @@ fn home(robot: &takt_irl::Robot) -> Vec<f64> {
 }
 
 fn set(machine: &mut Machine, input: &str) -> anyhow::Result<()> {
-    let (name, value) = input
-        .split_once('=')
-        .with_context(|| format!("`{input}` is not SIGNAL=VALUE"))?;
-    let signals = &machine.program().system.signals;
-    let number = signals
-        .iter()
-        .position(|s| s.name.eq_ignore_ascii_case(name));
-    let number = number.with_context(|| format!("the program has no signal `{name}`"))?;
-    let kind = signals.get(number).map(|s| s.kind);
-    let wrong = || format!("`{value}` is not a value of signal `{name}`");
-    let word = match kind {
-        Some(SignalKind::Analog) => value.parse::<f64>().with_context(wrong)?.to_bits(),
-        Some(SignalKind::Binary) => {
-            i64::from(value.parse::<i32>().with_context(wrong)?).cast_unsigned()
-        }
-        Some(SignalKind::Digital) | None => match value {
-            "1" | "true" => 1,
-            "0" | "false" => 0,
-            _ => anyhow::bail!("{}: give 0 or 1", wrong()),
-        },
+    let (name, value) = assignment(input, "SIGNAL=VALUE")?;
+    let number = signal_of(machine.program(), name)?;
+    let signal = &machine.program().system.signals[number];
+    anyhow::ensure!(
+        signal.direction == Direction::In,
+        "`{name}` is an output; only inputs take a value"
+    );
+    let value = value_of(signal, value)?;
+    let word = match signal.kind {
+        SignalKind::Digital => u64::from(value == "true"),
+        SignalKind::Analog => value.parse::<f64>()?.to_bits(),
+        SignalKind::Binary => value.parse::<i64>()?.cast_unsigned(),
     };
     machine.set_input(number, Some(word));
     Ok(())

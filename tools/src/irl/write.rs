@@ -2,13 +2,12 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use takt_irl::Program;
 
 use super::{Source, summary};
 use crate::Verdict;
-use crate::output::say;
+use crate::output::{save, say};
 
 /// A form of object code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -59,8 +58,7 @@ impl Compile {
         };
         let beside = || self.source.file.with_extension(self.emit.extension());
         let path = self.output.clone().unwrap_or_else(beside);
-        std::fs::write(&path, self.emit.of(&program))
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        save(&path, self.emit.of(&program))?;
         say(&summary(&path.display().to_string(), &program))?;
         Ok(Verdict::Good)
     }

@@ -141,6 +141,18 @@ impl Process {
         }
     }
 
+    /// Enters a line; its command was spawned with a piped standard input.
+    pub(crate) fn enter(&mut self, line: &str) {
+        use std::io::Write as _;
+        let input = self.child.stdin.as_mut().unwrap();
+        writeln!(input, "{line}").unwrap();
+    }
+
+    /// Ends its standard input.
+    pub(crate) fn close(&mut self) {
+        drop(self.child.stdin.take());
+    }
+
     /// All lines that came, once it has ended, and its exit status.
     pub(crate) fn end(mut self) -> (Vec<String>, Option<i32>) {
         let until = Instant::now() + TIMEOUT;

@@ -14,12 +14,15 @@ const MANY: u64 = 1_000_000;
 
 /// Crates that process the inputs. Third-party crates are optimized in test builds anyway, so that only these must be
 /// built again.
-const OPTIMIZED: [&str; 8] = [
+const OPTIMIZED: [&str; 11] = [
     "takt-can",
     "takt-cia402",
     "takt-core",
     "takt-fri",
+    "takt-irl",
     "takt-link",
+    "takt-machine",
+    "takt-motion",
     "takt-net",
     "takt-server",
     "takt-tests",

@@ -18,7 +18,7 @@ use crate::spec::{Direction, Joint, Robot, Signal, SignalKind, System};
 
 const MAGIC: &[u8; 4] = b"TIRL";
 /// Version of the binary form.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 const HEADER: usize = 10;
 
 /// Why object code is refused.
@@ -208,6 +208,9 @@ impl Program {
             w.0.push(signal.direction as u8);
             w.0.push(signal.kind as u8);
             w.u32(signal.channel.into());
+            w.0.push(signal.bits);
+            let io = signal.io.as_ref();
+            w.text(&io.map_or_else(String::new, ToString::to_string));
         });
         w.list(&self.texts, |w, text| w.text(text));
         w.list(&self.variables, |w, variable| {
@@ -285,6 +288,14 @@ impl Program {
                 },
                 channel: u16::try_from(r.u32()?)
                     .map_err(|_| r.invalid("a channel is out of range"))?,
+                bits: r.u8()?,
+                io: match r.text()?.as_str() {
+                    "" => None,
+                    io => Some(
+                        io.parse()
+                            .map_err(|_| r.invalid("a signal has no device"))?,
+                    ),
+                },
             })
         })?;
         let texts = r.list(Reader::text)?;

@@ -34,11 +34,18 @@ impl Program {
             let _ = writeln!(out, "robot {}: {joints} joints, {model}", robot.name);
         }
         for signal in &self.system.signals {
-            let _ = writeln!(
+            let _ = write!(
                 out,
                 "signal {}: {:?} {:?} {}",
                 signal.name, signal.direction, signal.kind, signal.channel
             );
+            if signal.bits > 0 {
+                let _ = write!(out, ", {} bits", signal.bits);
+            }
+            if let Some(io) = &signal.io {
+                let _ = write!(out, " at {io}");
+            }
+            out.push('\n');
         }
         for (number, (instruction, location)) in self.code.iter().zip(&self.locations).enumerate() {
             let place = format!("{}:{}", location.line, location.column);
@@ -76,12 +83,19 @@ impl Program {
                 format!("{:?}", signal.direction).to_lowercase(),
                 format!("{:?}", signal.kind).to_lowercase(),
             );
-            let _ = writeln!(
+            let _ = write!(
                 out,
-                "  <signal name=\"{}\" direction=\"{direction}\" kind=\"{kind}\" channel=\"{}\"/>",
+                "  <signal name=\"{}\" direction=\"{direction}\" kind=\"{kind}\" channel=\"{}\"",
                 escape(&signal.name),
                 signal.channel
             );
+            if signal.bits > 0 {
+                let _ = write!(out, " bits=\"{}\"", signal.bits);
+            }
+            if let Some(io) = &signal.io {
+                let _ = write!(out, " io=\"{}\"", escape(io.to_string()));
+            }
+            out.push_str("/>\n");
         }
         for variable in &self.variables {
             let (name, at) = (escape(&variable.name), variable.at);

@@ -99,6 +99,7 @@ impl Compiler<'_> {
             let number = u32::try_from(number).unwrap_or(0);
             let ty = self.signal_type(number);
             self.value_as(value, &ty)?;
+            self.fits_signal(number, name, value)?;
             self.emitter.at(&to.at);
             self.emitter.op(Opcode::Sync);
             self.emitter.emit(Opcode::Out, number, 0, 0);
@@ -121,6 +122,20 @@ impl Compiler<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Whether a constant fits the bits of an output.
+    fn fits_signal(&mut self, number: u32, name: &str, value: &Expr) -> Checked<()> {
+        let signal = self.system.signals.get(number as usize);
+        let bits = signal.map_or(0, |signal| signal.bits);
+        match self.fold(value) {
+            Some(Value::Int(constant)) if bits > 0 && constant >> bits.min(62) != 0 => {
+                let most = (1_i64 << bits.min(62)) - 1;
+                let cause = format!("{constant} does not fit `{name}`, which takes 0 to {most}");
+                Err(self.error(Code::Range, &value.at, cause))
+            }
+            _ => Ok(()),
+        }
     }
 
     fn call_statement(&mut self, name: &Name, arguments: &[Expr], at: &Span) -> Checked<()> {

@@ -369,6 +369,16 @@ impl Machine {
         Ok(())
     }
 
+    fn write_output(&mut self, number: usize, value: u64) -> Result<()> {
+        let signal = self.program.system.signals.get(number);
+        if signal.is_some_and(|s| s.bits > 0 && value >> s.bits.min(63) != 0) {
+            return Err(FaultKind::SignalRange);
+        }
+        let output = self.outputs.get_mut(number);
+        *output.ok_or(FaultKind::BadCode)? = Some(value);
+        Ok(())
+    }
+
     /// Signals, time, threads, and the end.
     fn outside(&mut self, number: usize, thread: &mut Thread, i: Instruction) -> Result<Next> {
         match i.opcode {
@@ -390,8 +400,7 @@ impl Machine {
             }
             Opcode::Out => {
                 let value = self.pop(thread)?;
-                let output = self.outputs.get_mut(i.a as usize);
-                *output.ok_or(FaultKind::BadCode)? = Some(value);
+                self.write_output(i.a as usize, value)?;
             }
             Opcode::Move => return self.begin_move(number, thread, i),
             Opcode::Sync => {

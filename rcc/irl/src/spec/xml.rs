@@ -147,7 +147,8 @@ fn attributes(start: &BytesStart<'_>) -> Result<Table, String> {
         let key = attribute.key.as_ref().to_owned();
         let text = attribute.normalized_value(XmlVersion::Implicit1_0);
         let text = text.map_err(|error| error.to_string())?;
-        let is_text = ["name", "model", "direction", "kind", "positions"].contains(&key.as_str());
+        let is_text =
+            ["name", "model", "direction", "kind", "positions", "io"].contains(&key.as_str());
         let value = if is_text {
             Value::String(text.into_owned())
         } else {
