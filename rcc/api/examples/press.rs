@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use takt_api::{Arm, Cell, Handle, Outcome, Pose};
 
-/// The flange points down, 10 cm above the table.
+/// The flange points down, 4 cm above the table.
 const ABOVE: [f64; 7] = [0.0, 0.6, 0.0, -1.3, 0.0, 1.2416, 0.0];
 /// Force, N.
 const FORCE: f64 = 20.0;
