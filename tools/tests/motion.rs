@@ -42,6 +42,14 @@ fn move_plans_moves_and_reports() {
         let planned = object(&expect_status(&run(&planned.concat()), 0));
         assert_eq!(planned["outcome"], Value::Null);
         assert!(planned["duration_s"].as_f64().unwrap() > 0.1, "{planned}");
+        assert!(
+            planned["cycle_cost_us"].as_f64().unwrap() > 0.0,
+            "{planned}"
+        );
+        assert!(
+            !planned["rules"].as_array().unwrap().is_empty(),
+            "{planned}"
+        );
         let goal = planned["joints"][3]["to_rad"].as_f64().unwrap();
         assert!((goal + 70_f64.to_radians()).abs() < 1e-6, "{planned}");
         let picture = std::fs::read_to_string(&svg).unwrap();
