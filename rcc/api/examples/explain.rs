@@ -154,7 +154,6 @@ fn guided(cell: &Cell) -> Result<Vec<Text>, takt_api::Error> {
         here.press_to(pose, down, 15.0),
         here.follow(&there.centre().pose(pose)),
         here.follow(&numbers.in_(&world)),
-        here.follow(&cell.base("platform")?.centre()?).speed(0.5),
         left.switch_to(Control::position()),
         left.switch_to(Control::joints([300.0; 7], [0.7; 7])),
         left.switch_to(Control::cartesian(

@@ -103,7 +103,6 @@ def guided(cell: takt.Cell) -> list[str]:
         here.press_to(pose, world.direction([0, 1, -2]), 15),
         here.follow(there.centre().pose(pose)),
         here.follow(numbers.in_(world)),
-        here.follow(cell.base("platform").centre(), speed=0.5),
         left.switch_to(takt.Control.position()),
         left.switch_to(takt.Control.joints([300] * 7, [0.7] * 7)),
         left.switch_to(takt.Control.cartesian([2000, 1000, 500, 200, 100, 50], [0.7] * 6)),
