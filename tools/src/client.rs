@@ -36,6 +36,11 @@ impl Client {
         Ok(())
     }
 
+    /// The session to which it loads.
+    pub(crate) fn session(&self) -> &str {
+        &self.session
+    }
+
     /// Ends the session and all its nets.
     pub(crate) fn end_session(&mut self) -> anyhow::Result<()> {
         self.inner.call("ase", [self.session.as_str()])?;

@@ -3,6 +3,7 @@
 //! against real robots.
 
 mod cell;
+mod lola;
 mod motion;
 mod plot;
 mod recovery;
@@ -16,7 +17,6 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use clap::Args;
 use takt_core::Controller;
-use takt_core::device::DeviceStatus;
 use takt_core::device::driver::DeviceDriver as _;
 use takt_core::record::Recorder;
 use takt_core::stop_channel::StopSwitch;
@@ -31,22 +31,22 @@ use crate::output::{check_writable, complain, is_terminal, positive_span, say, s
 use crate::run::{Access, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
 use cell::Kind;
+use lola::Trace;
 use recovery::{Outcome, Parts};
 use report::{Baseline, Report};
-use samples::Samples;
+use samples::{SAMPLE_EVERY, Samples};
 
 /// How long a robot may take to come into command mode, or to find its stops.
 const READY_WITHIN: Duration = Duration::from_mins(1);
-/// How often joints are noted for the plot.
-const SAMPLE_EVERY: Duration = Duration::from_millis(10);
 
 /// Move emulated robots with nets.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
-    /// Which robots: two LWRs, or these beside a TX90 and a youBot on EtherCAT.
+    /// Which robots: two LWRs, these beside a TX90 and a youBot on EtherCAT, or `lola`, a test station of three servomotors whose
+    /// machine calibrates, homes and moves it.
     #[arg(long, alias = "cell", value_enum, default_value_t = Kind::Pair)]
     robots: Kind,
-    /// How long the motion takes.
+    /// How long the motion takes; that of `lola` takes as long as its program.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = positive_span)]
     duration: Duration,
     /// Print one JSON object instead of the report.
@@ -105,17 +105,17 @@ impl Demo {
             Some(&channel),
         )?;
         let machines = Machines::start(&controller, emulated, self.drop)?;
-        self.wait_until_ready(&controller, &stop)?;
+        self.wait_until_ready(&controller, &machines, &stop)?;
         let address = server.tcp_address().context("the server does not listen")?;
         let baseline = Baseline::take(&controller, machines.krcs());
         let ended = self.drive(&controller, &machines, address, &nets, &stop);
         let recorded = controller.finish_recording();
-        let (samples, outcome) = ended?;
+        let (samples, outcome, trace) = ended?;
         let arms = self.robots.moved();
         let moved: Vec<_> = arms.iter().copied().zip(samples.moved()).collect();
         let followed = cell.controller.follow.unwrap_or_default();
         let krcs = machines.krcs();
-        let report = Report::collect(
+        let mut report = Report::collect(
             &controller,
             &host,
             krcs,
@@ -123,7 +123,13 @@ impl Demo {
             &followed,
             (&baseline, outcome),
         );
-        let drawn = plot::draw(&self.svg, arms, &samples, &controller.stats());
+        let drawn = match &trace {
+            Some(trace) => {
+                report.set_states(trace.states());
+                lola::draw(&self.svg, &samples, trace)
+            }
+            None => plot::draw(&self.svg, arms, &samples, &controller.stats()),
+        };
         stop_server(server);
         // Before its robots, so that their end is no fault.
         drop(controller);
@@ -138,6 +144,25 @@ impl Demo {
         failed.map_or(Ok(verdict), |error| Err(error.into()))
     }
 
+    /// Sends the machine of the station, starts it, and follows it to its end.
+    fn run_machine(
+        &self,
+        controller: &Controller,
+        machines: &Machines,
+        address: SocketAddr,
+        stop: &Stop,
+    ) -> anyhow::Result<(Samples, Outcome, Option<Trace>)> {
+        let mut client = Client::connect(Some(&address.to_string()), None)?;
+        client.open_session("takt demo")?;
+        let ended = lola::follow(controller, machines, &mut client, stop, self.json)?;
+        client.end_session()?;
+        let outcome = Outcome {
+            failures: ended.failures,
+            ..Outcome::default()
+        };
+        Ok((ended.samples, outcome, Some(ended.trace)))
+    }
+
     /// Sends the nets, starts them, and follows them to their end, over the faults of devices.
     fn drive(
         &self,
@@ -146,7 +171,10 @@ impl Demo {
         address: SocketAddr,
         nets: &[String],
         stop: &Stop,
-    ) -> anyhow::Result<(Samples, Outcome)> {
+    ) -> anyhow::Result<(Samples, Outcome, Option<Trace>)> {
+        if self.robots == Kind::Lola {
+            return self.run_machine(controller, machines, address, stop);
+        }
         let mut client = Client::connect(Some(&address.to_string()), None)?;
         client.open_session("takt demo")?;
         let mut ids = Vec::new();
@@ -158,14 +186,14 @@ impl Demo {
         for id in &ids {
             // On a host that stalled a device may be lost again by now; it recovers.
             if client.command("nest", id).is_err() {
-                self.wait_until_ready(controller, stop)?;
+                self.wait_until_ready(controller, machines, stop)?;
                 client.command("nest", id)?;
             }
         }
         complain(&format!("the motion begins and takes {:?}", self.duration));
         let samples = self.follow(controller, machines, &mut client, &mut parts, stop)?;
         client.end_session()?;
-        Ok((samples, parts.finish(stop.is_requested())))
+        Ok((samples, parts.finish(stop.is_requested()), None))
     }
 
     /// Notes how the arms move until all parts of the cell have come to their end, or one does not come back.
@@ -198,7 +226,12 @@ impl Demo {
     }
 
     /// Waits for all robots, and prints for which: a youBot searches its stops first, which takes some seconds.
-    fn wait_until_ready(&self, controller: &Controller, stop: &Stop) -> anyhow::Result<()> {
+    fn wait_until_ready(
+        &self,
+        controller: &Controller,
+        machines: &Machines,
+        stop: &Stop,
+    ) -> anyhow::Result<()> {
         let until = Instant::now() + READY_WITHIN;
         let waiting = indicatif::ProgressBar::new_spinner();
         if self.json || !is_terminal() {
@@ -208,7 +241,7 @@ impl Demo {
             let devices = controller.devices();
             let late = devices
                 .iter()
-                .find(|d| d.status != DeviceStatus::Operational);
+                .find(|d| !machines.is_ready(&d.name, d.status));
             let Some(device) = late else {
                 waiting.finish_and_clear();
                 return Ok(());

@@ -72,6 +72,36 @@ fn demo_reports_what_was_promised() {
 }
 
 #[test]
+fn demo_lola_passes_all_states_and_replays() {
+    let _alone = alone();
+    let folder = Folder::new();
+    let recording = folder.file("lola.mcap");
+    let report = good_demo(&["--cell", "lola", "--record", &recording]);
+    let states = report["states"].as_array().unwrap();
+    let names: Vec<_> = states.iter().map(|state| state[0].clone()).collect();
+    let expected = [
+        "StartRobot",
+        "CalibrateOffsets",
+        "InitializationSequence",
+        "MoveRobot",
+        "StopRobot",
+    ];
+    assert_eq!(names, expected);
+    let times: Vec<f64> = states
+        .iter()
+        .filter_map(|state| state[1].as_f64())
+        .collect();
+    assert!(times.is_sorted() && times.len() == 5, "{times:?}");
+    assert_eq!(report["rt_allocations"], 0);
+    // From the switches to the program's 45 degrees.
+    let moved = report["robots"][0]["moved_rad_max"].as_f64().unwrap();
+    assert!(moved > 2.0, "{report}");
+    let replay = run(&["demo", "--from", &recording]);
+    let text = expect_status(&replay, 0);
+    assert!(text.contains("every byte as recorded"), "{text}");
+}
+
+#[test]
 fn demo_factory_moves_two_lwrs_tx90_and_youbot() {
     let _alone = alone();
     let report = good_demo(&["--robots", "factory"]);

@@ -260,7 +260,7 @@ fn emulated_cell_unknown_name_lists_known_ones() {
     assert!(matches!(error.kind, ErrorKind::Invalid(_)), "{error}");
     let text = error.to_string();
     assert!(
-        text.contains("two_lwr, iiwa, factory, lwr_wsg, lwr_table"),
+        text.contains("two_lwr, iiwa, factory, lwr_wsg, lwr_table, lola"),
         "{text}"
     );
 }

@@ -140,6 +140,11 @@ impl DeviceState {
         (self.status, self.stamp) = (status, stamp);
     }
 
+    /// As [`Self::enter`], where leaving [`DeviceStatus::Operational`] is no fault: the device does what it was requested to.
+    pub const fn retire(&mut self, status: DeviceStatus, stamp: Nanos) {
+        (self.status, self.stamp) = (status, stamp);
+    }
+
     /// Whether nothing moves: no joint and no base is commanded to move, and the base does not measure motion.
     /// Measured joint velocities are not checked: their noise never ends. An offline device counts as at rest,
     /// because waiting for it would be pointless. `base` is where a base lies in [`Self::signals`].

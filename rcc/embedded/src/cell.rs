@@ -12,16 +12,19 @@ use takt_devices::wsg::emulator::Port;
 use crate::error::Error;
 
 /// Names and texts of the cells.
-const CELLS: [(&str, &str); 5] = [
+const CELLS: [(&str, &str); 6] = [
     ("two_lwr", include_str!("../cells/two_lwr.toml")),
     ("iiwa", include_str!("../cells/iiwa.toml")),
     ("factory", include_str!("../cells/factory.toml")),
     ("lwr_wsg", include_str!("../cells/lwr_wsg.toml")),
     ("lwr_table", include_str!("../cells/lwr_table.toml")),
+    ("lola", include_str!("../cells/lola.toml")),
 ];
 
 /// Names of the emulated cells.
-pub const NAMES: [&str; 5] = [CELLS[0].0, CELLS[1].0, CELLS[2].0, CELLS[3].0, CELLS[4].0];
+pub const NAMES: [&str; 6] = [
+    CELLS[0].0, CELLS[1].0, CELLS[2].0, CELLS[3].0, CELLS[4].0, CELLS[5].0,
+];
 
 /// Any free port of loopback.
 pub(crate) const ANY_PORT: SocketAddr =
@@ -90,7 +93,14 @@ mod tests {
         });
         assert_eq!(
             counts,
-            [(2, 0, 0), (1, 0, 0), (2, 2, 0), (2, 0, 1), (1, 0, 0)]
+            [
+                (2, 0, 0),
+                (1, 0, 0),
+                (2, 2, 0),
+                (2, 0, 1),
+                (1, 0, 0),
+                (0, 1, 0)
+            ]
         );
     }
 
@@ -98,7 +108,7 @@ mod tests {
     fn emulated_cell_unknown_name_lists_all() {
         let error = EmulatedCell::named("three_lwr").unwrap_err().to_string();
         let expected = "there is no emulated cell `three_lwr`\n\
-                        hint: the emulated cells are two_lwr, iiwa, factory, lwr_wsg, lwr_table";
+                        hint: the emulated cells are two_lwr, iiwa, factory, lwr_wsg, lwr_table, lola";
         assert_eq!(error, expected);
     }
 }

@@ -6,7 +6,6 @@ use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use takt_client::Token;
-use takt_core::device::DeviceStatus;
 use takt_core::device::driver::DeviceDriver as _;
 use takt_core::{CellConfig, Controller};
 use takt_devices::ethercat::Ethercat;
@@ -113,7 +112,12 @@ impl Embedded {
     }
 
     fn wait_until_ready(&self) -> Result<(), Error> {
-        let Some(controller) = self.controller() else {
+        let Some(Parts {
+            controller,
+            machines,
+            ..
+        }) = &self.parts
+        else {
             return Ok(());
         };
         let until = Instant::now() + READY_WITHIN;
@@ -121,7 +125,7 @@ impl Embedded {
             let devices = controller.devices();
             let mut late = devices
                 .into_iter()
-                .filter(|device| device.status != DeviceStatus::Operational);
+                .filter(|device| !machines.is_ready(&device.name, device.status));
             let Some(device) = late.next() else {
                 return Ok(());
             };

@@ -6,14 +6,15 @@ use std::net::SocketAddr;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use takt_core::device::DeviceStatus;
 use takt_core::{CellConfig, Controller};
 use takt_devices::ethercat::{self, Ethercat, EthercatConfig, Wire};
 use takt_devices::fri::emulator::{Robot, holding_program, local, resting, tolerant_timing};
 use takt_devices::fri::{IiwaConfig, LwrConfig};
 use takt_devices::wsg::emulator::{Gripper, GripperConfig, Port};
 use takt_ethercat::emulator::{
-    Coupler, DriveHandle, Segment, Server, ServoConfig, ServoDrive, SharedSegment, YouBot,
-    YouBotConfig,
+    Coupler, DriveHandle, Segment, Server, ServoConfig, ServoDrive, SharedSegment, Station,
+    StationMotor, YouBot, YouBotConfig,
 };
 use takt_ethercat::linux::{cable, monotonic};
 use takt_fri::lwr::emulator::{Contact, Script, Shape};
@@ -54,6 +55,9 @@ pub struct Machines {
     cabinets: Vec<(String, Robot<Cabinet>)>,
     services: Vec<(String, Service)>,
     wheels: Vec<DriveHandle>,
+    station: Option<Station>,
+    /// Arms that have power while a net requests it.
+    on_request: Vec<String>,
 }
 
 impl fmt::Debug for Machines {
@@ -79,6 +83,7 @@ impl Machines {
             machines.gripper(name, port)?;
         }
         for config in &cell.segments {
+            machines.on_request.extend(config.on_request().cloned());
             let slaves = machines.slaves(config)?;
             let service = segment(controller, config, slaves)?;
             machines.services.push((config.name.clone(), service));
@@ -94,6 +99,18 @@ impl Machines {
     /// The wheels of an emulated base.
     pub fn wheels(&self) -> &[DriveHandle] {
         &self.wheels
+    }
+
+    /// Whether a device in that state is as it is to be before any net runs: arms that have power on request have none.
+    #[must_use]
+    pub fn is_ready(&self, device: &str, status: DeviceStatus) -> bool {
+        let waits = || self.on_request.iter().any(|name| name == device);
+        status == DeviceStatus::Operational || (status == DeviceStatus::SafeOperational && waits())
+    }
+
+    /// The motors of an emulated test station.
+    pub const fn station(&self) -> Option<&Station> {
+        self.station.as_ref()
     }
 
     fn arm(
@@ -148,6 +165,11 @@ impl Machines {
         if !config.youbot_bases.is_empty() {
             let (slaves, bot) = YouBot::segment(&YouBotConfig::default());
             self.wheels = bot.wheels.into_iter().collect();
+            return Ok(slaves);
+        }
+        if !config.servos.is_empty() {
+            let (slaves, station) = Station::segment(StationMotor::three());
+            self.station = Some(station);
             return Ok(slaves);
         }
         let mut tx90 = ServoConfig::tx90();

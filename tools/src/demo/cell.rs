@@ -9,11 +9,13 @@ use takt_embedded::Machines;
 
 use super::motion;
 
-/// A cell to show: two KUKA LWRs, or these beside a Stäubli TX90 and a KUKA youBot, each on an EtherCAT segment.
+/// A cell to show: two KUKA LWRs, or these beside a Stäubli TX90 and a KUKA youBot, each on an EtherCAT segment, or a test
+/// station of three servomotors at EtherCAT terminals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Kind {
     Pair,
     Factory,
+    Lola,
 }
 
 /// An arm of a cell, or a base.
@@ -60,9 +62,22 @@ const BASE: Arm = Arm {
     joints: &["front left", "front right", "rear left", "rear right"],
 };
 
+/// The machine of the test station, its arm and the axes of that.
+pub(super) const MACHINE: &str = include_str!("../../../examples/machine/station/lola.machine");
+pub(super) const AXES: [&str; 3] = ["axis0", "axis1", "axis2"];
+pub(super) const STATION: Arm = Arm {
+    name: "arm",
+    make: "three servo axes",
+    wheel: None,
+    joints: &["J1", "J2", "J3"],
+};
+
 impl Kind {
-    /// The nets that move all that can move, for a motion of that length.
+    /// The nets that move all that can move, for a motion of that length; the machine that does so on the station.
     pub(super) fn nets(self, duration: Duration) -> Vec<String> {
+        if self == Self::Lola {
+            return vec![MACHINE.to_owned()];
+        }
         let parts = self.parts().iter();
         parts.map(|arms| motion::of(arms, duration)).collect()
     }
@@ -72,6 +87,7 @@ impl Kind {
         match self {
             Self::Pair => &[&[LEFT, RIGHT]],
             Self::Factory => &[&[LEFT, RIGHT], &[TX90], &[ARM], &[BASE]],
+            Self::Lola => &[],
         }
     }
 
@@ -80,6 +96,7 @@ impl Kind {
         match self {
             Self::Pair => &[LEFT, RIGHT],
             Self::Factory => &[LEFT, RIGHT, TX90, ARM, BASE],
+            Self::Lola => &[STATION],
         }
     }
 
@@ -88,6 +105,7 @@ impl Kind {
         match self {
             Self::Pair => "two_lwr",
             Self::Factory => "factory",
+            Self::Lola => "lola",
         }
     }
 }

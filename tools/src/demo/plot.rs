@@ -10,21 +10,21 @@ use super::cell::Arm;
 use crate::demo::samples::Samples;
 use crate::output::{save, time};
 
-type Drawn = Result<(), Box<dyn std::error::Error + Send + Sync>>;
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+pub(super) type Drawn = Result<(), Box<dyn std::error::Error + Send + Sync>>;
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
 /// Width of the picture and height of each of its parts, in units of CSS pixels.
 const SIZE: (u32, u32) = (900, 260);
 /// The library draws on whole numbers, which makes steps of slow curves: so they are fractions of
 /// a pixel.
-const SCALE: u32 = 8;
+pub(super) const SCALE: u32 = 8;
 /// From the line of a legend's entry to its text.
 const LEGEND_TEXT: u32 = 24;
 /// Points of a curve; more are not distinguishable.
-const POINTS_MAX: usize = 900;
+pub(super) const POINTS_MAX: usize = 900;
 
 /// Colours that are distinguishable with colour blindness, in the order of joints.
-const COLOURS: [RGBColor; takt_fri::lwr::AXES] = [
+pub(super) const COLOURS: [RGBColor; takt_fri::lwr::AXES] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -71,7 +71,7 @@ fn draw_parts(backend: SVGBackend<'_>, arms: &[Arm], samples: &Samples, stats: &
     Ok(())
 }
 
-fn font(size: u32) -> TextStyle<'static> {
+pub(super) fn font(size: u32) -> TextStyle<'static> {
     ("sans-serif", size * SCALE).into_font().color(&BLACK)
 }
 
@@ -83,7 +83,7 @@ fn legend_width(arms: &[Arm]) -> u32 {
     (LEGEND_TEXT + 7 * characters + 16).max(64)
 }
 
-fn chart<'a, 'b>(
+pub(super) fn chart<'a, 'b>(
     area: &'a Area<'b>,
     caption: &str,
     legend: u32,

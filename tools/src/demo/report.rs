@@ -319,6 +319,9 @@ pub(super) struct Report {
     /// Whether the kernel bounds how late they may be.
     preempt_rt: bool,
     robots: Vec<RobotReport>,
+    /// States of the machine, and seconds from its start to each.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    states: Vec<(String, f64)>,
     /// Longest time between handing the set-points of one cycle to the first and to the last arm.
     sync_error_ns_max: i64,
 }
@@ -385,8 +388,14 @@ impl Report {
             realtime: is_real_time(controller, host),
             preempt_rt: host.is_preempt_rt(),
             robots,
+            states: Vec::new(),
             sync_error_ns_max: controller.hand_over().max.0,
         }
+    }
+
+    /// Adds the states of a machine.
+    pub(super) fn set_states<'s>(&mut self, states: impl Iterator<Item = (&'s str, f64)>) {
+        self.states = states.map(|(name, at_s)| (name.to_owned(), at_s)).collect();
     }
 
     /// The report for people.
@@ -399,16 +408,15 @@ impl Report {
             }
         };
         let mut text = format!(
-            "cycle      1 ms, {} cycles, {} overruns; {kind}\nlatency    {}\nexecution  {}\n\
-             phase      {}; on {}'s clock in {} cycles\n",
-            self.cycles,
-            self.overruns,
-            self.latency_ns,
-            self.execution_ns,
-            self.phase_error_ns,
-            self.followed,
-            self.phase_known
+            "cycle      1 ms, {} cycles, {} overruns; {kind}\nlatency    {}\nexecution  {}\n",
+            self.cycles, self.overruns, self.latency_ns, self.execution_ns,
         );
+        if !self.followed.is_empty() {
+            text += &format!(
+                "phase      {}; on {}'s clock in {} cycles\n",
+                self.phase_error_ns, self.followed, self.phase_known
+            );
+        }
         text.extend(self.robots.iter().map(RobotReport::text));
         text += &format!(
             "sync       all arms had each set-point within {}\nallocations in real-time threads: {}\n",

@@ -7,6 +7,8 @@ use takt_embedded::Machines;
 
 use super::cell::{Arm, positions};
 
+/// How often joints are noted for the plot.
+pub(super) const SAMPLE_EVERY: Duration = Duration::from_millis(10);
 /// Maximum number of samples. At that number every other one is dropped, and the sampling rate is halved.
 const SAMPLES_MAX: usize = 4096;
 

@@ -95,6 +95,7 @@ pub struct Arm {
     /// The shutdown, once requested.
     shutdown: Option<Shutdown>,
     held: bool,
+    withheld: bool,
     returned: Return,
 }
 
@@ -127,6 +128,7 @@ impl Arm {
             powered: false,
             shutdown: None,
             held: false,
+            withheld: false,
             returned: Return::None,
         }
     }
@@ -141,6 +143,11 @@ impl Arm {
     /// Starts or ends a hold: joints brake and hold their positions, and commands are ignored.
     pub const fn hold(&mut self, held: bool) {
         self.held = held;
+    }
+
+    /// Starts or ends a hold by those who give it power: as [`Self::hold`], but no fault unless a net commands the arm.
+    pub const fn withhold(&mut self, withheld: bool) {
+        self.withheld = withheld;
     }
 
     /// The next event of a joint.
@@ -184,7 +191,7 @@ impl Arm {
             self.shutdown = None;
             self.choose_goal(now)
         };
-        let may_move = self.follows() && !stopping && !self.held;
+        let may_move = self.follows() && !stopping && !self.held && !self.withheld;
         let elapsed = self.last.replace(now).map_or(Nanos(0), |last| now - last);
         let when = When {
             now,
@@ -247,14 +254,18 @@ impl Arm {
 
     fn publish(&mut self, tick: &Tick) {
         self.note_return(tick.scheduled);
-        let status = if self.follows() && !self.held {
+        let status = if self.follows() && !self.held && !self.withheld {
             DeviceStatus::Operational
         } else if self.joints.iter().all(Driven::is_online) {
             DeviceStatus::SafeOperational
         } else {
             DeviceStatus::Offline
         };
-        self.end.reported.enter(status, tick.scheduled);
+        if self.withheld && status == DeviceStatus::SafeOperational && !self.end.is_commanded() {
+            self.end.reported.retire(status, tick.scheduled);
+        } else {
+            self.end.reported.enter(status, tick.scheduled);
+        }
         self.end.report_joints(self.joints.iter().map(|driven| {
             let measured = driven.measured;
             let measured = [measured.map(|it| it[0]), measured.map(|it| it[1]), None];

@@ -104,6 +104,17 @@ impl EthercatConfig {
         Duration::from_millis(1)
     }
 
+    /// Arms with an axis that has power while a net requests it: they are not operational before.
+    pub fn on_request(&self) -> impl Iterator<Item = &String> {
+        let waits = |drive: &str| {
+            let mut servos = self.servos.iter();
+            servos.any(|it| it.name == drive && it.power == ServoPower::OnRequest)
+        };
+        let arms = self.arms.iter();
+        let arms = arms.filter(move |arm| arm.joints.iter().any(|joint| waits(&joint.drive)));
+        arms.map(|arm| &arm.name)
+    }
+
     /// Devices that get no commands after a fault until their driver restarts.
     pub(crate) fn on_restart(&self) -> Vec<String> {
         let arms = self.arms.iter().map(|it| (it.recovery, &it.name));

@@ -63,8 +63,8 @@ def emulate(name: str) -> Cell:
     """Starts a controller with emulated robots inside of the program, and connects to it. It needs no hardware.
 
     `name`: `two_lwr` (arms `left`, `right`), `iiwa` (`arm`), `factory` (`left`, `right`, `tx90`, youBot `arm`, `hand`,
-    `base`), `lwr_wsg` (`arm`, `gripper`), or `lwr_table` (`arm` above a table at the frame `table`, which vanishes while the
-    digital output 0 of `arm` is true).
+    `base`), `lwr_wsg` (`arm`, `gripper`), `lwr_table` (`arm` above a table at the frame `table`, which vanishes while the
+    digital output 0 of `arm` is true), or `lola` (`arm`).
 
     Raises `Invalid` for another name.
     """

@@ -170,7 +170,8 @@ impl Arm {
             Mover::Servo(servo) => servos.get(*servo).is_some_and(ServoAxis::is_withheld),
             Mover::Axis(_) => false,
         });
-        self.arm.hold(hold || is_withheld);
+        self.arm.hold(hold);
+        self.arm.withhold(is_withheld);
         let stopping = stopping || stop;
         let movers = &mut self.movers;
         self.arm.cycle(tick, stopping, |joint, order| {

@@ -412,7 +412,7 @@ fn check_servo(config: &EthercatConfig, servo: &EthercatServo) -> Result<(), Str
         && config.arms.iter().find(moves).is_some_and(on_restart)
     {
         return Err(
-            "`power = \"on_request\"` needs an arm with `recovery = \"automatic\"`: each end of a request is a fault of it"
+            "`power = \"on_request\"` needs an arm with `recovery = \"automatic\"`: an end of the request in motion is a fault of it"
                 .to_owned(),
         );
     }
