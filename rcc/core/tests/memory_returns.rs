@@ -97,17 +97,15 @@ fn measure() {
         std::thread::sleep(Duration::from_millis(20));
     }
     let after = resident();
-    eprintln!(
-        "MiB: {} at start, {} with the nets, {} after; locked {locked}",
-        begin / MIB,
-        loaded / MIB,
-        after / MIB
-    );
+    let used = [begin, loaded, after].map(|bytes| bytes / MIB);
     assert!(
         loaded - begin > 100 * MIB,
         "the nets are too small to show it"
     );
-    assert!(after <= wanted);
+    assert!(
+        after <= wanted,
+        "MiB at start, with the nets, after: {used:?}; locked {locked}"
+    );
     // A net loaded afterwards is evaluated without a page fault if memory is locked.
     let last = load(net(1000));
     controller.start_net(last).unwrap();

@@ -80,27 +80,22 @@ pub fn contents(path: &Path) -> Result<Contents, Error> {
     let mut found = Contents::default();
     let (mut schemas, mut channels) = (HashMap::new(), HashMap::new());
     let is_whole = records((&mut file, is_ended), path, |record| {
-        match record {
-            Record::Schema { header, .. } => {
-                schemas.insert(header.id, header.name);
+        if let Record::Schema { header, .. } = record {
+            schemas.insert(header.id, header.name);
+        } else if let Record::Channel(channel) = record {
+            let topic = found.topics.entry(channel.topic.clone()).or_default();
+            let schema = schemas.get(&channel.schema_id);
+            topic.schema = schema.cloned().unwrap_or_default();
+            channels.insert(channel.id, channel.topic);
+        } else if let Record::Message { header, data } = record {
+            let name = channels.get(&header.channel_id);
+            if let Some(topic) = name.and_then(|name| found.topics.get_mut(name)) {
+                topic.messages += 1;
+                topic.bytes += data.len() as u64;
             }
-            Record::Channel(channel) => {
-                let topic = found.topics.entry(channel.topic.clone()).or_default();
-                let schema = schemas.get(&channel.schema_id);
-                topic.schema = schema.cloned().unwrap_or_default();
-                channels.insert(channel.id, channel.topic);
-            }
-            Record::Message { header, data } => {
-                let name = channels.get(&header.channel_id);
-                if let Some(topic) = name.and_then(|name| found.topics.get_mut(name)) {
-                    topic.messages += 1;
-                    topic.bytes += data.len() as u64;
-                }
-                let time = header.log_time;
-                found.begin = Some(found.begin.map_or(time, |begin| begin.min(time)));
-                found.end = Some(found.end.map_or(time, |end| end.max(time)));
-            }
-            _ => {}
+            let time = header.log_time;
+            found.begin = Some(found.begin.map_or(time, |begin| begin.min(time)));
+            found.end = Some(found.end.map_or(time, |end| end.max(time)));
         }
         Ok(())
     })?;
@@ -128,25 +123,20 @@ pub fn recover(path: &Path, to: &Path) -> Result<u64, Error> {
     let (mut schemas, mut channels) = (HashMap::new(), HashMap::new());
     let mut copied = 0;
     let mut copy = |record: Record<'_>| -> mcap::McapResult<()> {
-        match record {
-            Record::Schema { header, data } => {
-                let added = writer.add_schema(&header.name, &header.encoding, &data)?;
-                schemas.insert(header.id, added);
-            }
-            Record::Channel(channel) => {
-                let schema = schemas.get(&channel.schema_id).copied().unwrap_or(0);
-                let (topic, encoding) = (&channel.topic, &channel.message_encoding);
-                let added = writer.add_channel(schema, topic, encoding, &channel.metadata)?;
-                channels.insert(channel.id, added);
-            }
-            Record::Message { mut header, data } => {
-                if let Some(channel) = channels.get(&header.channel_id) {
-                    header.channel_id = *channel;
-                    writer.write_to_known_channel(&header, &data)?;
-                    copied += 1;
-                }
-            }
-            _ => {}
+        if let Record::Schema { header, data } = record {
+            let added = writer.add_schema(&header.name, &header.encoding, &data)?;
+            schemas.insert(header.id, added);
+        } else if let Record::Channel(channel) = record {
+            let schema = schemas.get(&channel.schema_id).copied().unwrap_or(0);
+            let (topic, encoding) = (&channel.topic, &channel.message_encoding);
+            let added = writer.add_channel(schema, topic, encoding, &channel.metadata)?;
+            channels.insert(channel.id, added);
+        } else if let Record::Message { mut header, data } = record
+            && let Some(channel) = channels.get(&header.channel_id)
+        {
+            header.channel_id = *channel;
+            writer.write_to_known_channel(&header, &data)?;
+            copied += 1;
         }
         Ok(())
     };

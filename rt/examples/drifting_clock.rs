@@ -1,5 +1,5 @@
 //! A cycle thread kept in phase with a device's clock, here an emulated one that runs 80 ppm fast and is
-//! read over a noisy line. `cargo run --example follow --release [CYCLES]`; 1 ms each, no rights needed.
+//! read over a noisy line. `cargo run --example drifting_clock --release [CYCLES]`; 1 ms each, no rights needed.
 //!
 //! The clock is emulated, the thread, its sleeps and their lateness are real.
 #![expect(clippy::print_stdout, reason = "examples print results")]
