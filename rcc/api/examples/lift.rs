@@ -49,6 +49,8 @@ pub(crate) fn run(directory: &Path) -> Result<Vec<Step>, Box<dyn Error>> {
     let reach = reach.into_iter().collect::<Result<Vec<_>, _>>()?;
     together(reach).run()?;
 
+    // Measured positions follow the set-points some cycles later.
+    std::thread::sleep(Duration::from_millis(100));
     let grasp = grasp(&arms)?;
     let [x, y, z] = middle(&arms)?;
     let table = Pose::xyz(x, y, z);
