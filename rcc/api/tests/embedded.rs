@@ -114,7 +114,8 @@ fn lift_example_keeps_the_grasp() {
         assert_eq!(steps.len(), 4);
         for step in &steps {
             assert_eq!(step.outcome, Outcome::Completed);
-            assert!(step.planned < 1e-5, "{} m", step.planned);
+            // Measured positions may rest 10 µm from the set-points that the path begins with.
+            assert!(step.planned < 2e-5, "{} m", step.planned);
             assert!(step.rested < 1e-4, "{} m", step.rested);
         }
     });

@@ -229,6 +229,7 @@ impl Executor {
             net.withhold(&self.image, &self.devices, &self.places);
             self.pass_values(at);
         }
+        self.image.last_cycle.set(moment.cycle);
         self.withdraw_ended();
     }
 

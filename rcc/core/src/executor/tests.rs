@@ -5,11 +5,12 @@
 
 use std::time::Duration;
 
-use takt_net::{Limits, LoadContext, Nanos, NoDevices, Registry, load};
+use takt_net::device::Devices;
+use takt_net::{JointLimits, JointState, Limits, LoadContext, Nanos, NoDevices, Registry, load};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
 use super::*;
-use crate::device::DeviceStatus;
+use crate::device::{ArmDescription, DeviceStatus, DeviceTable, Surroundings};
 
 /// Counts its evaluations in out value `n` and ends when asked to cancel.
 const COUNTER: &str = "{clock=Core::Clock(Increment='1000'),
@@ -40,12 +41,15 @@ struct Loaded {
 }
 
 fn loaded(id: u32, text: &str) -> Loaded {
-    let registry = Registry::core();
+    loaded_at(id, text, (&Registry::core(), &NoDevices))
+}
+
+fn loaded_at(id: u32, text: &str, (registry, devices): (&Registry, &dyn Devices)) -> Loaded {
     let limits = Limits::default();
     let period = Duration::from_millis(1);
     let context = LoadContext {
-        registry: &registry,
-        devices: &NoDevices,
+        registry,
+        devices,
         period,
         limits,
     };
@@ -418,4 +422,54 @@ fn unaccepted_ended_net_is_not_evaluated() {
     }
     assert_eq!(bench.run(), [(0, End::Terminated)]);
     assert_eq!(bench.start(holding(1, BRIEF, &[1])), Ok(()));
+}
+
+/// A net that moves a joint on from where it is commanded. What its driver reports stays behind.
+const FURTHER: &str = "{m=RobotArm::JointMonitor(Robot='arm',Axis='0'),
+    p=Core::DoubleAdd(inFirst=m.outCommandedPosition,Second='0.001'),
+    j=RobotArm::JointPosition(inPosition=p.outValue,Robot='arm',Axis='0'),
+    never=Core::BooleanValue(),outTerminate=never.outValue}";
+
+#[test]
+fn skipped_cycles_leave_commanded_position() {
+    let mut table = DeviceTable::default();
+    let limits = JointLimits {
+        position_min: -3.0,
+        position_max: 3.0,
+        velocity_max: 1e3,
+        acceleration_max: 1e6,
+    };
+    let arm = ArmDescription {
+        name: "arm".to_owned(),
+        kind: "test",
+        limits: vec![limits],
+        model: "".into(),
+    };
+    table.add_arm(arm).unwrap();
+    let devices = Surroundings {
+        devices: &table,
+        boxes: |_| None,
+    };
+    let net = loaded_at(0, FURTHER, (&crate::registry(), &devices)).running;
+    let mut executor = Executor::default();
+    executor.use_joints(1);
+    let reported = JointState {
+        commanded_position: Some(0.0),
+        ..JointState::default()
+    };
+    executor.image.joints[0].state.set(reported);
+    executor.start(net).unwrap();
+    // The last pause is so long that the driver has braked.
+    for (cycle, thousandths) in [(1, 1.0), (2, 2.0), (4, 3.0), (5, 4.0), (16, 5.0), (28, 1.0)] {
+        executor.cycle(Moment {
+            cycle,
+            every: 1,
+            ..Moment::default()
+        });
+        let position = executor.joints()[0].command.get().position;
+        assert!(
+            (position - thousandths * 1e-3).abs() < 1e-12,
+            "{cycle}: {position}"
+        );
+    }
 }

@@ -115,8 +115,9 @@ impl Primitive for JointMonitor {
         let trail = joint.trail.get();
         let (now, every) = (cycle.moment.cycle, cycle.moment.every.max(1));
         let limits = &self.limits;
+        // In a cycle that the thread skipped, no net could command.
         let last = trail
-            .before(now, every)
+            .before(now, every + cycle.image.skipped(now))
             .filter(|motion| motion.keeps(limits.velocity_max, limits.acceleration_max));
         // A joint that follows its set-points goes on from the last one, not from where its driver, which plays them with
         // a delay, has come with them. Steps are smoothed by the driver: there, what it reports counts.

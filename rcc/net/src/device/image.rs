@@ -132,6 +132,22 @@ pub struct Image {
     pub owners: Box<[Cell<Option<u32>>]>,
     /// Emergency-stop votes.
     pub stop: Cell<StopVote>,
+    /// The last cycle in which nets were evaluated; 0 before the first.
+    pub last_cycle: Cell<u64>,
+}
+
+/// Longest pause of a thread after which nets go on from what they commanded last, cycles: in longer ones, drivers brake.
+const SKIPPED_MAX: u64 = 10;
+
+impl Image {
+    /// Cycles that the thread skipped between this one and the last that it evaluated; 0 also after a longer pause.
+    pub fn skipped(&self, cycle: u64) -> u64 {
+        let since = match self.last_cycle.get() {
+            0 => 0,
+            last => cycle.saturating_sub(last).saturating_sub(1),
+        };
+        if since <= SKIPPED_MAX { since } else { 0 }
+    }
 }
 
 impl Default for Image {
@@ -142,6 +158,7 @@ impl Default for Image {
             commands: (0..COMMAND_WORDS_MAX).map(|_| Cell::new(0)).collect(),
             owners: (0..COMMAND_WORDS_MAX).map(|_| Cell::new(None)).collect(),
             stop: Cell::default(),
+            last_cycle: Cell::default(),
         }
     }
 }

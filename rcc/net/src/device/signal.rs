@@ -192,12 +192,12 @@ impl<T: Words> Command<T> {
         value.put_words(|i, word| cells[self.0 + STAMP + i].set(word));
     }
 
-    /// What a net gave in the cycle before, or already in this one; `None` if none did.
+    /// What a net gave in the last cycle, or already in this one; `None` if none did.
     pub fn recent(self, cycle: &Cycle<'_>) -> Option<T> {
         let cells = &cycle.image.commands;
         let [given, every] = [1, EVERY].map(|word| cells[self.0 + word].get());
-        let gap = every.max(cycle.moment.every).max(1);
         let now = cycle.moment.cycle;
+        let gap = every.max(cycle.moment.every).max(1) + cycle.image.skipped(now);
         let is_recent = given != 0 && given <= now && now - given <= gap;
         is_recent.then(|| T::take_words(|i| cells[self.0 + STAMP + i].get()))
     }
