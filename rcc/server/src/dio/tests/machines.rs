@@ -122,6 +122,17 @@ fn machine_of_ended_session_runs_its_final_state() {
     assert!(controller.machines().is_empty() && controller.nets().is_empty());
 }
 
+/// A net that was being loaded for a component is unloaded when it is there.
+fn wait_until_unloaded(controller: &Controller) {
+    for _ in 0..5_000 {
+        if controller.nets().is_empty() {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    panic!("{:?} are left", controller.nets());
+}
+
 #[test]
 fn machine_commands_with_errors_are_refused() {
     let controller = controller();
@@ -192,12 +203,5 @@ fn machine_commands_with_errors_are_refused() {
     // Nothing of that has changed it.
     assert!(client.call("i=main()").contains(r#"status:"inactive""#));
     assert_eq!(client.call(r#"e=maen("M")"#), "e=ok()");
-    // A net that was being loaded for a component is unloaded when it is there.
-    for _ in 0..5_000 {
-        if controller.nets().is_empty() {
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(1));
-    }
-    panic!("{:?} are left", controller.nets());
+    wait_until_unloaded(&controller);
 }
