@@ -2,12 +2,16 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
-use std::path::{Path, PathBuf};
+mod common;
+
+use std::path::Path;
 use std::process::{Command, Output};
 use std::time::Duration;
 
 use takt_core::record::{Recorder, replay};
 use takt_core::{CellConfig, Controller};
+
+use common::Folder;
 
 fn takt(arguments: &[&str]) -> Output {
     let mut takt = Command::new(env!("CARGO_BIN_EXE_takt"));
@@ -16,27 +20,6 @@ fn takt(arguments: &[&str]) -> Output {
 
 fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).unwrap()
-}
-
-/// A folder that is removed at the end.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("takt-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&path).unwrap();
-        Self(path)
-    }
-
-    fn path(&self, name: &str) -> String {
-        self.0.join(name).to_str().unwrap().to_owned()
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
 }
 
 /// Records an idle controller for a moment; returns how many cycles.
@@ -50,8 +33,8 @@ fn recorded(path: &Path) -> u64 {
 
 #[test]
 fn record_info_lists_topics_of_whole_recording() {
-    let folder = Folder::new("info");
-    let whole = folder.path("whole.mcap");
+    let folder = Folder::new();
+    let whole = folder.file("whole.mcap");
     let cycles = recorded(Path::new(&whole));
     let output = takt(&["record", "info", &whole, "--json"]);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -70,11 +53,11 @@ fn record_info_lists_topics_of_whole_recording() {
 
 #[test]
 fn record_recover_makes_cut_recording_whole() {
-    let folder = Folder::new("recover");
+    let folder = Folder::new();
     let (whole, cut, new) = (
-        folder.path("whole.mcap"),
-        folder.path("cut.mcap"),
-        folder.path("new.mcap"),
+        folder.file("whole.mcap"),
+        folder.file("cut.mcap"),
+        folder.file("new.mcap"),
     );
     recorded(Path::new(&whole));
     let bytes = std::fs::read(&whole).unwrap();
@@ -103,8 +86,8 @@ fn record_recover_makes_cut_recording_whole() {
 
 #[test]
 fn record_refuses_what_is_no_recording() {
-    let folder = Folder::new("none");
-    let (empty, new) = (folder.path("empty.mcap"), folder.path("new.mcap"));
+    let folder = Folder::new();
+    let (empty, new) = (folder.file("empty.mcap"), folder.file("new.mcap"));
     std::fs::write(&empty, b"").unwrap();
     for wrong in [empty.as_str(), "/dev/null", "/nonexistent", "/etc/hostname"] {
         let output = takt(&["record", "recover", wrong, "--output", &new]);

@@ -15,7 +15,7 @@ mod words;
 use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
@@ -212,9 +212,23 @@ impl Tap {
     }
 }
 
-/// The log of a recording. Lines after its end are dropped.
+/// Maximum number of lines of the log that wait for the file.
+const LINES_MAX: usize = 4096;
+
+/// Lines of the log on their way to the file.
+#[derive(Debug, Default)]
+struct Lines {
+    waiting: AtomicUsize,
+    /// Lines for which there was no room, not reported yet.
+    lost: AtomicU64,
+}
+
+/// The log of a recording. Lines after its end are dropped; those that a slow disk leaves no room for are counted in it.
 #[derive(Clone, Debug)]
-pub struct RecordedLog(mpsc::Sender<Note>);
+pub struct RecordedLog {
+    notes: mpsc::Sender<Note>,
+    lines: Arc<Lines>,
+}
 
 impl RecordedLog {
     /// Records a line of that part of the program.
@@ -226,7 +240,12 @@ impl RecordedLog {
             tracing::Level::INFO => 20,
             _ => 10,
         };
-        let _ = self.0.send(Note::Log {
+        if self.lines.waiting.fetch_add(1, Ordering::Relaxed) >= LINES_MAX {
+            self.lines.waiting.fetch_sub(1, Ordering::Relaxed);
+            self.lines.lost.fetch_add(1, Ordering::Relaxed);
+            return;
+        }
+        let _ = self.notes.send(Note::Log {
             level,
             name: part.to_owned(),
             text: text.to_owned(),
@@ -250,6 +269,7 @@ const LOSS_QUIET: Duration = Duration::from_secs(10);
 #[derive(Debug)]
 pub struct Recorder {
     notes: mpsc::Sender<Note>,
+    lines: Arc<Lines>,
     stop: Arc<AtomicBool>,
     lost: Arc<AtomicU64>,
     failures: mpsc::Receiver<String>,
@@ -285,8 +305,10 @@ impl Recorder {
             free: free_in,
             full: full_out,
             notes: notes_out,
+            lines: Arc::default(),
             stop: Arc::clone(&stop),
         };
+        let lines = Arc::clone(&file_thread.lines);
         for _ in 0..BUFFERS {
             // The ring has capacity for all of them.
             let _ = file_thread.free.push(Vec::with_capacity(WORDS_A_CYCLE));
@@ -315,6 +337,7 @@ impl Recorder {
         Ok((
             Self {
                 notes,
+                lines,
                 stop,
                 lost,
                 failures,
@@ -367,7 +390,10 @@ impl Recorder {
     /// Where lines of the log are recorded too.
     #[must_use]
     pub fn log(&self) -> RecordedLog {
-        RecordedLog(self.notes.clone())
+        RecordedLog {
+            notes: self.notes.clone(),
+            lines: Arc::clone(&self.lines),
+        }
     }
 
     /// Records a loaded machine with the files of its components.
@@ -436,6 +462,7 @@ struct FileThread<W: Write + Seek> {
     free: Producer<Vec<u64>>,
     full: Consumer<Vec<u64>>,
     notes: mpsc::Receiver<Note>,
+    lines: Arc<Lines>,
     stop: Arc<AtomicBool>,
 }
 
@@ -444,8 +471,20 @@ impl<W: Write + Seek> FileThread<W> {
     fn notes(&mut self) -> Result<(), Error> {
         while let Ok(note) = self.notes.try_recv() {
             self.writer.note(&note)?;
+            if matches!(note, Note::Log { .. }) {
+                self.lines.waiting.fetch_sub(1, Ordering::Relaxed);
+            }
         }
-        Ok(())
+        match self.lines.lost.swap(0, Ordering::Relaxed) {
+            0 => Ok(()),
+            lost => self.writer.note(&Note::Log {
+                level: LEVEL_WARN,
+                name: "takt_core::record".to_owned(),
+                text: format!(
+                    "{lost} lines of the log are missing before this one: the disk was too slow"
+                ),
+            }),
+        }
     }
 
     fn run(&mut self) -> Result<u64, Error> {

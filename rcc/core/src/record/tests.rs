@@ -255,3 +255,45 @@ fn recording_of_other_version_is_rejected_with_both() {
         "{error}"
     );
 }
+
+#[test]
+fn log_that_disk_cannot_follow_is_bounded_and_counted() {
+    let disk = Disk::new(usize::MAX);
+    let (notes, waiting) = mpsc::channel();
+    let lines = Arc::new(Lines::default());
+    let log = RecordedLog {
+        notes,
+        lines: Arc::clone(&lines),
+    };
+    for number in 0..LINES_MAX + 3 {
+        log.line(tracing::Level::INFO, "test", &number.to_string());
+    }
+    let mut thread = FileThread {
+        writer: Writer::on(disk.clone(), Path::new(PATH)).unwrap(),
+        free: ring(1).0,
+        full: ring(1).1,
+        notes: waiting,
+        lines,
+        stop: Arc::default(),
+    };
+    thread.notes().unwrap();
+    log.line(tracing::Level::INFO, "test", "there is room again");
+    thread.notes().unwrap();
+    thread.writer.finish().unwrap();
+    let bytes = disk.bytes();
+    let messages = mcap::MessageStream::new(&bytes)
+        .unwrap()
+        .map(Result::unwrap);
+    let lines: Vec<_> = messages
+        .filter(|message| message.channel.topic == "/rosout")
+        .collect();
+    assert_eq!(lines.len(), LINES_MAX + 2);
+    let has = |line: &mcap::Message<'_>, text: &[u8]| {
+        line.data.windows(text.len()).any(|part| part == text)
+    };
+    assert!(has(
+        &lines[LINES_MAX],
+        b"3 lines of the log are missing before this one"
+    ));
+    assert!(has(&lines[LINES_MAX + 1], b"there is room again"));
+}
