@@ -1,22 +1,113 @@
-//! The web page: a static text whose script reads the resources and displays them. It loads nothing from other
-//! servers.
+//! The web page: static files whose scripts read the resources and display them. They are part of this program, load nothing
+//! from other servers, and need no build step.
 
-/// The HTML text.
-pub(super) const PAGE: &str = include_str!("page.html");
+use super::Response;
+
+/// A table of the files of `rcc/server/page/`, by their paths below `/page/`.
+macro_rules! files {
+    ($($path:literal),+ $(,)?) => {
+        &[$(($path, include_str!(concat!("../../page/", $path)))),+]
+    };
+}
+
+/// The page itself, served at `/`.
+const INDEX: &str = include_str!("../../page/index.html");
+
+/// All that it loads. A new file needs a line here; views are listed in `js/main.js`.
+const FILES: &[(&str, &str)] = files![
+    "style.css",
+    "js/api.js",
+    "js/dom.js",
+    "js/main.js",
+    "js/stop.js",
+    "js/view_overview.js",
+];
+
+/// The page.
+pub(super) fn index(stop_port: Option<u16>) -> Response {
+    Response::page(INDEX, stop_port)
+}
+
+/// A file below `/page/`.
+pub(super) fn file(path: &[&str]) -> Option<Response> {
+    let path = path.join("/");
+    let (_, text) = FILES.iter().find(|(name, _)| *name == path)?;
+    Some(Response::of_kind(kind(&path), (*text).to_owned()))
+}
+
+/// The content type of a file.
+fn kind(path: &str) -> &'static str {
+    match path.rsplit_once('.') {
+        Some((_, "js")) => "text/javascript; charset=utf-8",
+        Some((_, "css")) => "text/css; charset=utf-8",
+        Some((_, "svg")) => "image/svg+xml",
+        _ => "text/plain; charset=utf-8",
+    }
+}
 
 #[cfg(test)]
 mod tests {
+    use std::path::{Path, PathBuf};
     use std::process::Command;
 
-    use super::PAGE;
+    use super::{FILES, INDEX};
 
-    /// What a page needs of a browser: elements are objects with their class, text and children.
+    /// Most bytes of the whole page.
+    const BYTES_MAX: usize = 300_000;
+    /// Most lines of a module.
+    const LINES_MAX: usize = 400;
+
+    fn folder() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("page")
+    }
+
+    #[test]
+    fn page_files_are_all_embedded_and_small() {
+        let mut found: Vec<String> = Vec::new();
+        for part in ["", "js", "css"] {
+            let Ok(entries) = std::fs::read_dir(folder().join(part)) else {
+                continue;
+            };
+            let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+            let loaded = names.filter(|name| name.ends_with(".js") || name.ends_with(".css"));
+            found.extend(loaded.map(|name| Path::new(part).join(name).display().to_string()));
+        }
+        found.sort();
+        let mut known: Vec<_> = FILES.iter().map(|(path, _)| (*path).to_owned()).collect();
+        known.sort();
+        assert_eq!(
+            found, known,
+            "files of rcc/server/page and the table of page.rs"
+        );
+        let bytes = INDEX.len() + FILES.iter().map(|(_, text)| text.len()).sum::<usize>();
+        assert!(bytes <= BYTES_MAX, "the page has {bytes} bytes");
+        for (path, text) in FILES {
+            let lines = text.lines().count();
+            assert!(lines <= LINES_MAX, "{path} has {lines} lines");
+        }
+    }
+
+    #[test]
+    fn page_loads_nothing_from_other_hosts() {
+        let files = FILES.iter().map(|(_, text)| *text).chain([INDEX]);
+        for text in files {
+            let foreign = text.replace("http://www.w3.org/", "");
+            assert!(!foreign.contains("http://") && !foreign.contains("https://"));
+        }
+        // The policy of the page permits no script in it.
+        assert!(
+            !INDEX.contains("<script>") && !INDEX.contains("style=") && !INDEX.contains("onclick")
+        );
+    }
+
+    /// What a module needs of a browser: elements are objects with their class, text and children.
     const BROWSER: &str = r#"
         class Element {
           constructor(tag) { this.tag = tag; this.style = {}; this.children = []; this.className = ""; }
           set textContent(text) { this.children = [String(text)]; }
           append(...children) { this.children.push(...children); }
           replaceChildren(...children) { this.children = children; }
+          setAttribute() {}
           insertRow() { const row = new Element("tr"); this.append(row); return row; }
           insertCell() { const cell = new Element("td"); this.append(cell); return cell; }
           createTHead() { const head = new Element("thead"); this.append(head); return head; }
@@ -25,22 +116,17 @@ mod tests {
             return this.tag + "(" + inner.join(" ") + ")"; }
         }
         globalThis.Node = Element;
-        const ids = {};
-        globalThis.document = { createElement: tag => new Element(tag), hidden: true, addEventListener() {},
-          getElementById: id => ids[id] ??= new Element(id) };
-        globalThis.location = { hostname: "h" };
-        globalThis.setInterval = globalThis.setTimeout = () => 0;
-        globalThis.fetch = async path => ({ ok: path in answers, text: async () => "no answer", json: async () => answers[path] });
+        globalThis.document = { createElement: tag => new Element(tag) };
     "#;
 
-    /// Runs the page's script with these answers to its requests, then a program; returns what that prints.
-    fn run(answers: &str, program: &str) -> Option<String> {
-        let script = PAGE.split_once("<script>")?.1.split_once("</script>")?.0;
-        let text = format!(
-            "{BROWSER} const answers = {answers};\n{script}\n(async () => {{ {program} }})();"
-        );
-        let output = Command::new("node").args(["--eval", &text]).output();
-        let output = output.ok()?;
+    /// What a program prints that may import modules of the page from `PAGE`; `None` without node.
+    fn run(program: &str) -> Option<String> {
+        let program = program.replace("PAGE", &format!("file://{}", folder().display()));
+        let text = format!("{BROWSER}\n{program}");
+        let output = Command::new("node")
+            .args(["--input-type=module", "--eval", &text])
+            .output()
+            .ok()?;
         let errors = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{errors}");
         Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
@@ -48,12 +134,15 @@ mod tests {
 
     #[test]
     fn page_lists_configured_devices_with_whole_numbers() {
-        let answers = r#"{ "/devices/left%20arm/robotarm": { joint: [{ measured: "1.23456" }, { measured: -0.5 }] } }"#;
         let program = r#"
+            const { deviceRows } = await import("PAGE/js/view_overview.js");
+            const { table } = await import("PAGE/js/dom.js");
+            const answers = { "/devices/left%20arm/robotarm": { joint: [{ measured: "1.23456" }, { measured: -0.5 }, {}] } };
             const arm = { name: "left arm", type: "t", state: "op", interface: [{ name: "robotarm" }] };
-            await showDevices([{ name: "rcc", type: "rcc", state: "op" }, arm]);
-            console.log($("devices").text());"#;
-        let Some(shown) = run(answers, program) else {
+            const devices = { device: [{ name: "rcc", type: "rcc", state: "op" }, arm] };
+            const { rows } = await deviceRows(devices, { get: async path => answers[path] });
+            console.log(table(["name", "type", "state", "joints"], rows, "no devices").text());"#;
+        let Some(shown) = run(program) else {
             takt_tests::skip(
                 "page_lists_configured_devices_with_whole_numbers",
                 "needs node",
@@ -62,18 +151,32 @@ mod tests {
         };
         assert!(!shown.contains("rcc"), "{shown}");
         assert!(
-            shown.ends_with("td(span(1.235) span(-0.500) span(rad))))))"),
+            shown.ends_with("td(span(1.235) span(-0.500) span(—) span(rad)))))"),
             "{shown}"
         );
     }
 
     #[test]
     fn page_breaks_long_values_between_numbers() {
-        let program = r#"console.log(new Element("td").text(), breakable("[0.12345,-7]").map(p => p.text ? "|" : p).join(""));"#;
-        let Some(shown) = run("{}", program) else {
+        let program = r#"
+            const { breakable } = await import("PAGE/js/dom.js");
+            console.log(breakable("[0.12345,-7]").map(p => p.text ? "|" : p).join(""));"#;
+        let Some(shown) = run(program) else {
             takt_tests::skip("page_breaks_long_values_between_numbers", "needs node");
             return;
         };
-        assert_eq!(shown, "td() [0.12345,|-7]|");
+        assert_eq!(shown, "[0.12345,|-7]|");
+    }
+
+    #[test]
+    fn page_times_have_readable_units() {
+        let program = r#"
+            const { span, ago } = await import("PAGE/js/dom.js");
+            console.log([span("0.0015"), span(2), span(2500), span(undefined), ago(90), ago(7200)].join(" "));"#;
+        let Some(shown) = run(program) else {
+            takt_tests::skip("page_times_have_readable_units", "needs node");
+            return;
+        };
+        assert_eq!(shown, "1.50 µs 2.00 ms 2.50 s — 90 s 2 h");
     }
 }

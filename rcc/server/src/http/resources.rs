@@ -50,6 +50,7 @@ impl Handler<'_> {
         let (first, rest) = path.split_first().unwrap_or((&"", &[]));
         match (*first, rest, self.request.post) {
             ("", [], false) => Ok(self.page()),
+            ("page", path, false) => Self::page_file(path),
             ("stop", [], false) => Ok(self.stop_state()),
             ("stop", [], true) => Ok(self.stop_all()),
             ("stop", ["release"], true) => Ok(self.release_stop()),
@@ -97,7 +98,7 @@ impl Handler<'_> {
             ("devices", [device, interface], post) => self.interface(device, interface, post),
             ("eval", [], false)
             | (
-                "" | "types" | "modules" | "modulesdetails" | "status" | "metrics" | "log"
+                "" | "page" | "types" | "modules" | "modulesdetails" | "status" | "metrics" | "log"
                 | "ethercat",
                 _,
                 true,

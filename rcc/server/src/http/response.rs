@@ -101,15 +101,16 @@ impl Response {
         }
     }
 
-    /// The web page. Its policy permits no connections except to this server and to the port of the stop channel.
+    /// The web page. Its policy permits scripts and styles from this server only, none in the page itself, and no connections
+    /// except to this server and to the port of the stop channel.
     pub(super) fn page(body: &str, stop: Option<u16>) -> Self {
         let stop = stop.map_or_else(String::new, |port| format!(" http://*:{port}"));
         Self {
             kind: "text/html; charset=utf-8",
             extra: format!(
-                "Content-Security-Policy: default-src 'none'; style-src 'unsafe-inline'; \
-                 script-src 'unsafe-inline'; connect-src 'self'{stop}; img-src data:; \
-                 frame-ancestors 'none'\r\n"
+                "Content-Security-Policy: default-src 'none'; style-src 'self'; script-src 'self'; \
+                 connect-src 'self'{stop}; img-src 'self' data:; base-uri 'none'; form-action 'none'; \
+                 frame-ancestors 'none'\r\nReferrer-Policy: no-referrer\r\n"
             ),
             ..Self::text("200 OK", body)
         }

@@ -56,11 +56,6 @@ const fn exempt(
 
 const EXEMPTIONS: &[Exemption] = &[
     exempt(THIS_FILE, &[], "the table of banned words"),
-    exempt(
-        "rcc/server/README.md",
-        &["told"],
-        "an element id of the web page, which clients use",
-    ),
     exempt("tools/src/fri/report.rs", &["heard"], "a JSON key"),
     exempt("tools/src/can/scan/survey.rs", &["nobody"], "a JSON value"),
 ];

@@ -5,13 +5,18 @@ use takt_core::stop_channel::Origin;
 
 use super::super::Response;
 use super::super::element::Element;
-use super::super::page::PAGE;
-use super::Handler;
+use super::super::page;
+use super::{Handler, Outcome};
 
 impl Handler<'_> {
     /// The web page.
     pub(super) fn page(&self) -> Response {
-        Response::page(PAGE, self.site.stop.as_ref().map(|stop| stop.port))
+        page::index(self.site.stop.as_ref().map(|stop| stop.port))
+    }
+
+    /// A file that the page loads.
+    pub(super) fn page_file(path: &[&str]) -> Outcome {
+        page::file(path).ok_or_else(|| Response::not_found("the page has no such file"))
     }
 
     /// Whether everything is stopped and by whom, and port and key of the stop channel.

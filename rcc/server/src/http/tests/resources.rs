@@ -478,11 +478,37 @@ fn page_and_extensions_load_no_foreign_code() {
             "200 OK",
             "text/html",
             "Content-Security-Policy: default-src 'none'",
+            "script-src 'self'",
         ],
     );
-    for elsewhere in ["https://", "http://", "src=", "@import", "url("] {
+    assert!(!page.contains("unsafe-inline"));
+    for elsewhere in ["https://", "http://", "@import", "url("] {
         assert!(!body(&page).contains(elsewhere), "{elsewhere}");
     }
+}
+
+#[test]
+fn page_files_have_their_content_types() {
+    let controller = controller();
+    for (path, kind) in [
+        ("/page/js/main.js", "Content-Type: text/javascript"),
+        ("/page/style.css", "Content-Type: text/css"),
+    ] {
+        let parts = ["200 OK", kind, "nosniff", "Cache-Control: no-store"];
+        holds(&get(&controller, path), &parts);
+    }
+    for path in [
+        "/page/",
+        "/page/js/",
+        "/page/../page.rs",
+        "/page/js/none.js",
+    ] {
+        holds(&get(&controller, path), &["404 Not Found"]);
+    }
+    holds(
+        &post(&controller, "/page/js/main.js", ""),
+        &["405 Method Not Allowed"],
+    );
 }
 
 #[test]
