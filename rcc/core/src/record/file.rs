@@ -17,7 +17,7 @@ use crate::record::notes::{
     wrong,
 };
 use crate::record::ros2::cdr::Cdr;
-use crate::record::ros2::{Messages, Stamp, schemas};
+use crate::record::ros2::{Messages, Sink, Stamp, schemas};
 use crate::record::words::start;
 
 /// Encoding of all messages.
@@ -56,6 +56,27 @@ impl Writer {
             source,
         })?;
         Self::on(file, path)
+    }
+}
+
+impl<W: Write + Seek> Sink for Writer<W> {
+    fn channel(&mut self, topic: &str, schema: &str, text: &str) -> Result<u16, Error> {
+        let none = BTreeMap::new();
+        self.try_with(|mcap| {
+            let schema = mcap.add_schema(schema, "ros2msg", text.as_bytes())?;
+            mcap.add_channel(schema, topic, ENCODING, &none)
+        })
+    }
+
+    fn message(&mut self, channel_id: u16, data: &[u8], at: Stamp) -> Result<(), Error> {
+        self.sequence = self.sequence.wrapping_add(1);
+        let header = MessageHeader {
+            channel_id,
+            sequence: self.sequence,
+            log_time: at.0,
+            publish_time: at.0,
+        };
+        self.try_with(|mcap| mcap.write_to_known_channel(&header, data))
     }
 }
 
@@ -126,26 +147,6 @@ impl<W: Write + Seek> Writer<W> {
         Stamp(self.epoch.saturating_add(since_boot(time)))
     }
 
-    /// Adds a topic for viewers.
-    pub(super) fn channel(&mut self, topic: &str, schema: &str, text: &str) -> Result<u16, Error> {
-        let none = BTreeMap::new();
-        self.try_with(|mcap| {
-            let schema = mcap.add_schema(schema, "ros2msg", text.as_bytes())?;
-            mcap.add_channel(schema, topic, ENCODING, &none)
-        })
-    }
-
-    pub(super) fn message(&mut self, channel_id: u16, data: &[u8], at: Stamp) -> Result<(), Error> {
-        self.sequence = self.sequence.wrapping_add(1);
-        let header = MessageHeader {
-            channel_id,
-            sequence: self.sequence,
-            log_time: at.0,
-            publish_time: at.0,
-        };
-        self.try_with(|mcap| mcap.write_to_known_channel(&header, data))
-    }
-
     /// Ends the chunk and flushes the buffer to the file.
     pub(super) fn flush(&mut self) -> Result<(), Error> {
         self.try_with(mcap::Writer::flush)
@@ -188,7 +189,10 @@ impl<W: Write + Seek> Writer<W> {
                 self.toml(devices, &DeviceEvent::Came(note), at)
             }
             Note::Gone(name) => {
-                self.messages.device_gone(name);
+                self.show(|shown, file| {
+                    shown.device_gone(file, name);
+                    Ok(())
+                })?;
                 let name = name.clone();
                 self.toml(devices, &DeviceEvent::Went { name }, at)
             }

@@ -2,32 +2,28 @@
 //! events of nets, the log. They are derived from the words of each cycle after these left the net thread.
 
 pub(super) mod cdr;
+mod device;
 pub(super) mod schemas;
 mod values;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::io::{Seek, Write};
-use std::ops::Range;
 use std::sync::Arc;
 
-use takt_net::device::{Interfaces, Io, Kinematics, Layout};
 use takt_net::netcomm::{Directory, OutStatus};
-use takt_net::{Frame, Nanos};
+use takt_net::{JointState, Moment, Nanos};
 
 use crate::cell::CellFrames;
-use crate::device::{DeviceDescription, DeviceStatus, Place, parts};
+use crate::device::{DeviceDescription, Place};
 use crate::error::Error;
 use crate::ids::NetId;
-use crate::record::file::Writer;
 use crate::record::notes::LEVEL_WARN;
 use crate::record::words::{Entry, Inputs, Reader};
 use cdr::Cdr;
-use values::{fields, identifier, number, shown};
+use device::{DeviceTopics, Reported, transform};
+use values::{fields, number, shown};
 
 /// Nets whose values have a topic in one file; MCAP numbers 65,536 channels.
 const NET_TOPICS_MAX: usize = 4096;
-/// Time between two messages about a device whose state stays the same, ns.
-const DIAGNOSIS_NS: i64 = 1_000_000_000;
 
 /// Unix time of a message.
 #[derive(Clone, Copy, Debug)]
@@ -46,22 +42,51 @@ impl Stamp {
     }
 }
 
-/// A device as viewers see it.
-#[derive(Debug)]
-struct DeviceTopics {
-    name: String,
-    number: usize,
-    joints: Range<usize>,
-    joint_names: Vec<String>,
-    signals: Range<usize>,
-    own: Interfaces,
-    kinematics: Option<Arc<dyn Kinematics>>,
-    states: Option<u16>,
-    set_points: Option<u16>,
-    wrench: Option<u16>,
-    io: Option<u16>,
-    /// Status, faults and time of the last message about it.
-    shown: Option<(DeviceStatus, u64, i64)>,
+/// Where messages go: a file, or clients.
+pub(super) trait Sink {
+    /// Adds a topic with messages of that schema; returns its number.
+    fn channel(&mut self, topic: &str, schema: &str, text: &str) -> Result<u16, Error>;
+
+    /// Ends a topic, whose number may be used again.
+    fn close(&mut self, _channel: u16) {}
+
+    /// Whether messages of a topic are needed.
+    fn wants(&self, _channel: u16) -> bool {
+        true
+    }
+
+    /// Takes a message.
+    fn message(&mut self, channel: u16, data: &[u8], at: Stamp) -> Result<(), Error>;
+}
+
+/// Topics by name, and the message that is being written.
+#[derive(Debug, Default)]
+struct Topics {
+    cdr: Cdr,
+    channels: HashMap<String, u16>,
+}
+
+impl Topics {
+    /// The channel of a topic, which is added when it is first used.
+    fn channel(
+        &mut self,
+        to: &mut impl Sink,
+        topic: &str,
+        schema: &schemas::Schema,
+    ) -> Result<u16, Error> {
+        if let Some(known) = self.channels.get(topic) {
+            return Ok(*known);
+        }
+        let channel = to.channel(topic, schema.name, &schema.text())?;
+        self.channels.insert(topic.to_owned(), channel);
+        Ok(channel)
+    }
+
+    /// Ends topics.
+    fn close(&mut self, to: &mut impl Sink, ended: &[u16]) {
+        self.channels.retain(|_, channel| !ended.contains(channel));
+        ended.iter().for_each(|channel| to.close(*channel));
+    }
 }
 
 /// Values of a net as viewers see them.
@@ -74,78 +99,54 @@ struct NetTopic {
 /// The messages of a recording.
 #[derive(Debug, Default)]
 pub(super) struct Messages {
-    cdr: Cdr,
-    channels: HashMap<String, u16>,
+    topics: Topics,
     devices: BTreeMap<usize, DeviceTopics>,
     nets: HashMap<u32, NetTopic>,
     running: BTreeSet<u32>,
+    /// Memory for the joints of a device.
+    joints: Vec<JointState>,
     /// Number and begin of the cycle before.
     before: Option<(u64, Nanos)>,
     is_full: bool,
 }
 
 impl Messages {
-    /// The channel of a topic, which is added when it is first used.
-    fn channel<W: Write + Seek>(
-        &mut self,
-        to: &mut Writer<W>,
-        topic: &str,
-        schema: &schemas::Schema,
-    ) -> Result<u16, Error> {
-        if let Some(known) = self.channels.get(topic) {
-            return Ok(*known);
-        }
-        let channel = to.channel(topic, schema.name, &schema.text())?;
-        self.channels.insert(topic.to_owned(), channel);
-        Ok(channel)
-    }
-
     /// A device was added.
-    pub(super) fn device<W: Write + Seek>(
+    pub(super) fn device(
         &mut self,
-        to: &mut Writer<W>,
+        to: &mut impl Sink,
         (number, place): (usize, &Place),
         description: &DeviceDescription,
     ) -> Result<(), Error> {
-        let name = &description.name;
-        let topic = |what: &str| format!("/{}/{what}", identifier(name));
-        let joints = place.first_joint..place.first_joint + place.joints;
-        let own = parts::lay(&description.parts, place.joints, &mut Layout::default());
-        let has_joints = !joints.is_empty();
-        let mut of = |wanted: bool, what: &str, schema| {
-            wanted
-                .then(|| self.channel(to, &topic(what), schema))
-                .transpose()
-        };
-        let device = DeviceTopics {
-            joint_names: (1..=place.joints)
-                .map(|n| format!("{name}.joint_{n}"))
-                .collect(),
-            name: name.clone(),
-            number,
-            joints,
-            signals: place.signals.clone(),
-            kinematics: takt_motion::kinematics::limited(&description.model, &description.limits),
-            states: of(has_joints, "joint_states", &schemas::JOINT_STATE)?,
-            set_points: of(has_joints, "set_points", &schemas::JOINT_STATE)?,
-            wrench: of(own.wrench.is_some(), "wrench", &schemas::WRENCH_STAMPED)?,
-            io: of(own.io.is_some(), "signals", &schemas::SIGNALS)?,
-            own,
-            shown: None,
-        };
+        let device = DeviceTopics::new(&mut self.topics, to, (number, place), description)?;
         self.devices.insert(number, device);
         Ok(())
     }
 
     /// A device was removed.
-    pub(super) fn device_gone(&mut self, name: &str) {
-        self.devices.retain(|_, device| device.name != name);
+    pub(super) fn device_gone(&mut self, to: &mut impl Sink, name: &str) {
+        let (topics, mut ended) = (&mut self.topics, Vec::new());
+        self.devices.retain(|_, device| {
+            let stays = device.name != name;
+            if !stays {
+                ended.extend(device.channels());
+            }
+            stays
+        });
+        // Names that differ only in what identifiers lack share topics.
+        let in_use = |channel: &u16| {
+            self.devices
+                .values()
+                .any(|it| it.channels().any(|it| it == *channel))
+        };
+        ended.retain(|channel| !in_use(channel));
+        topics.close(to, &ended);
     }
 
     /// A net was loaded.
-    pub(super) fn net<W: Write + Seek>(
+    pub(super) fn net(
         &mut self,
-        to: &mut Writer<W>,
+        to: &mut impl Sink,
         (id, directory): (u32, &Arc<Directory>),
         at: Stamp,
     ) -> Result<(), Error> {
@@ -173,22 +174,22 @@ impl Messages {
     }
 
     /// A line was logged.
-    pub(super) fn log<W: Write + Seek>(
+    pub(super) fn log(
         &mut self,
-        to: &mut Writer<W>,
+        to: &mut impl Sink,
         (level, name, text): (u8, &str, &str),
         at: Stamp,
     ) -> Result<(), Error> {
-        let channel = self.channel(to, "/rosout", &schemas::LOG)?;
-        let cdr = at.write(self.cdr.begin()).u8(level);
+        let channel = self.topics.channel(to, "/rosout", &schemas::LOG)?;
+        let cdr = at.write(self.topics.cdr.begin()).u8(level);
         cdr.text(name).text(text).text("").text("").u32(0);
-        to.message(channel, self.cdr.bytes(), at)
+        to.message(channel, self.topics.cdr.bytes(), at)
     }
 
     /// Frames of the cell that do not move.
-    pub(super) fn frames<W: Write + Seek>(
+    pub(super) fn frames(
         &mut self,
-        to: &mut Writer<W>,
+        to: &mut impl Sink,
         frames: &CellFrames,
         at: Stamp,
     ) -> Result<(), Error> {
@@ -212,18 +213,20 @@ impl Messages {
         if all.is_empty() {
             return Ok(());
         }
-        let channel = self.channel(to, "/tf_static", &schemas::TRANSFORMS)?;
-        self.cdr.begin().count(all.len());
+        let channel = self
+            .topics
+            .channel(to, "/tf_static", &schemas::TRANSFORMS)?;
+        self.topics.cdr.begin().count(all.len());
         for (parent, child, frame) in &all {
-            transform(&mut self.cdr, at, (parent, child), frame);
+            transform(&mut self.topics.cdr, at, (parent, child), frame);
         }
-        to.message(channel, self.cdr.bytes(), at)
+        to.message(channel, self.topics.cdr.bytes(), at)
     }
 
     /// The messages of a cycle with these words.
-    pub(super) fn cycle<W: Write + Seek>(
+    pub(super) fn cycle(
         &mut self,
-        to: &mut Writer<W>,
+        to: &mut impl Sink,
         words: &[u64],
         at: Stamp,
     ) -> Result<(), Error> {
@@ -266,10 +269,12 @@ impl Messages {
                 "ended" => self.running.remove(&net),
                 _ => false,
             };
-            let channel = self.channel(to, "/takt/net_events", &schemas::NET_EVENT)?;
-            let cdr = at.write(self.cdr.begin()).u64(cycle);
+            let channel = self
+                .topics
+                .channel(to, "/takt/net_events", &schemas::NET_EVENT)?;
+            let cdr = at.write(self.topics.cdr.begin()).u64(cycle);
             cdr.text(&NetId(net).to_string()).text(event).text(&cause);
-            to.message(channel, self.cdr.bytes(), at)?;
+            to.message(channel, self.topics.cdr.bytes(), at)?;
         }
         Ok(())
     }
@@ -290,168 +295,72 @@ impl Messages {
         text.to_owned()
     }
 
-    fn inputs<W: Write + Seek>(
-        &mut self,
-        to: &mut Writer<W>,
-        inputs: &Inputs<'_>,
-        at: Stamp,
-    ) -> Result<(), Error> {
-        self.thread(to, inputs, at)?;
-        let mut devices = std::mem::take(&mut self.devices);
-        let mut all = devices.values_mut();
-        let result = all.try_for_each(|device| self.reported(to, device, inputs, at));
-        self.devices = devices;
-        result
+    fn inputs(&mut self, to: &mut impl Sink, inputs: &Inputs<'_>, at: Stamp) -> Result<(), Error> {
+        let Moment { cycle, wall, .. } = inputs.moment;
+        self.thread(to, (cycle, wall), at)?;
+        let Self {
+            topics, devices, ..
+        } = self;
+        for device in devices.values_mut() {
+            let Some((status, faults)) = inputs.device(device.number) else {
+                continue;
+            };
+            self.joints.clear();
+            self.joints.extend(inputs.joints(device.joints.clone()));
+            let reported = Reported {
+                joints: &self.joints,
+                signals: inputs.signals(&device.signals),
+                status,
+                faults,
+                wall: wall.0,
+            };
+            device.reported(topics, to, reported, at)?;
+        }
+        Ok(())
     }
 
     #[expect(clippy::cast_precision_loss, reason = "less than a day")]
-    fn thread<W: Write + Seek>(
+    fn thread(
         &mut self,
-        to: &mut Writer<W>,
-        inputs: &Inputs<'_>,
+        to: &mut impl Sink,
+        (cycle, wall): (u64, Nanos),
         at: Stamp,
     ) -> Result<(), Error> {
-        let (cycle, wall) = (inputs.moment.cycle, inputs.moment.wall);
         let before = self.before.replace((cycle, wall));
         let (interval, missed) = before.map_or((f64::NAN, 0), |(last, begin)| {
             let interval = wall.0.saturating_sub(begin.0);
             (interval as f64 * 1e-3, cycle.saturating_sub(last + 1))
         });
-        let channel = self.channel(to, "/takt/thread", &schemas::CYCLE)?;
-        let cdr = at.write(self.cdr.begin()).u64(cycle);
+        let channel = self.topics.channel(to, "/takt/thread", &schemas::CYCLE)?;
+        let cdr = at.write(self.topics.cdr.begin()).u64(cycle);
         cdr.f64(interval).u64(missed).count(self.running.len());
-        to.message(channel, self.cdr.bytes(), at)
-    }
-
-    /// What a device reported.
-    fn reported<W: Write + Seek>(
-        &mut self,
-        to: &mut Writer<W>,
-        device: &mut DeviceTopics,
-        inputs: &Inputs<'_>,
-        at: Stamp,
-    ) -> Result<(), Error> {
-        let joints = || inputs.joints(device.joints.clone());
-        let signals = inputs.signals(&device.signals);
-        if let Some(channel) = device.states {
-            let positions = joints().map(|it| or_nan(it.measured_position));
-            let velocities = joints().map(|it| or_nan(it.measured_velocity));
-            let torques = device.own.torques.as_deref().unwrap_or_default();
-            let efforts = torques.iter().map(|it| or_nan(it.measured.read(signals)));
-            let cdr = at.header(self.cdr.begin(), "").texts(&device.joint_names);
-            cdr.numbers(positions).numbers(velocities).numbers(efforts);
-            to.message(channel, self.cdr.bytes(), at)?;
-        }
-        if let (Some(channel), Some(wrench)) = (device.wrench, device.own.wrench)
-            && let Some(wrench) = wrench.read(signals)
-        {
-            let cdr = at.header(self.cdr.begin(), &format!("{}.flange", device.name));
-            for value in wrench.force.iter().chain(wrench.torque.iter()) {
-                cdr.f64(*value);
-            }
-            to.message(channel, self.cdr.bytes(), at)?;
-        }
-        if let (Some(channel), Some(io)) = (device.io, &device.own.io) {
-            io_message(at.write(self.cdr.begin()), io, signals);
-            to.message(channel, self.cdr.bytes(), at)?;
-        }
-        self.transforms(to, device, inputs, at)?;
-        self.diagnosis(to, device, inputs, at)
-    }
-
-    /// Where its flange is, or where it is itself.
-    fn transforms<W: Write + Seek>(
-        &mut self,
-        to: &mut Writer<W>,
-        device: &DeviceTopics,
-        inputs: &Inputs<'_>,
-        at: Stamp,
-    ) -> Result<(), Error> {
-        let (name, of_device) = (&device.name, |what| format!("{}.{what}", device.name));
-        let placed = if let Some(arm) = &device.kinematics {
-            let joints = inputs.joints(device.joints.clone());
-            let positions: Option<Vec<_>> = joints.map(|it| it.measured_position).collect();
-            let frame = positions.map(|joints| arm.forward(&joints));
-            frame.map(|frame| (of_device("base"), of_device("flange"), frame))
-        } else if let Some(base) = &device.own.base {
-            let pose = base.pose.read(inputs.signals(&device.signals));
-            pose.map(|frame| (of_device("odometry"), name.clone(), frame))
-        } else {
-            None
-        };
-        let Some((parent, child, frame)) = placed else {
-            return Ok(());
-        };
-        let channel = self.channel(to, "/tf", &schemas::TRANSFORMS)?;
-        self.cdr.begin().count(1);
-        transform(&mut self.cdr, at, (&parent, &child), &frame);
-        to.message(channel, self.cdr.bytes(), at)
-    }
-
-    /// Its state, when it changes and once a second.
-    fn diagnosis<W: Write + Seek>(
-        &mut self,
-        to: &mut Writer<W>,
-        device: &mut DeviceTopics,
-        inputs: &Inputs<'_>,
-        at: Stamp,
-    ) -> Result<(), Error> {
-        let Some((status, faults)) = inputs.device(device.number) else {
-            return Ok(());
-        };
-        let now = inputs.moment.wall.0;
-        let is_due = device.shown.is_none_or(|(shown, counted, since)| {
-            (shown, counted) != (status, faults) || now - since >= DIAGNOSIS_NS
-        });
-        if !is_due {
-            return Ok(());
-        }
-        device.shown = Some((status, faults, now));
-        let (level, text) = match status {
-            DeviceStatus::Operational => (0, "operational"),
-            DeviceStatus::SafeOperational => (1, "safe-operational: it follows no commands"),
-            DeviceStatus::Offline => (2, "offline: no contact"),
-        };
-        let channel = self.channel(to, "/diagnostics", &schemas::DIAGNOSTICS)?;
-        let cdr = at.header(self.cdr.begin(), "").count(1).u8(level);
-        cdr.text(&device.name).text(text).text(&device.name);
-        cdr.count(1).text("faults").text(&faults.to_string());
-        to.message(channel, self.cdr.bytes(), at)
+        to.message(channel, self.topics.cdr.bytes(), at)
     }
 
     /// What nets commanded.
-    fn set_points<W: Write + Seek>(
+    fn set_points(
         &mut self,
-        to: &mut Writer<W>,
+        to: &mut impl Sink,
         commanded: &[u64],
         at: Stamp,
     ) -> Result<(), Error> {
         for device in self.devices.values() {
-            let Some(channel) = device.set_points else {
-                continue;
-            };
             let position = |joint: usize| {
                 let mut pairs = commanded.chunks_exact(2);
                 let pair = pairs.find(|pair| pair.first() == Some(&(joint as u64)));
-                pair.and_then(|pair| pair.get(1))
-                    .map(|bits| f64::from_bits(*bits))
+                let bits = pair.and_then(|pair| pair.get(1));
+                bits.map_or(f64::NAN, |bits| f64::from_bits(*bits))
             };
-            if !device.joints.clone().any(|joint| position(joint).is_some()) {
-                continue;
-            }
-            let positions = device.joints.clone().map(|joint| or_nan(position(joint)));
-            let cdr = at.header(self.cdr.begin(), "").texts(&device.joint_names);
-            let none = || std::iter::empty::<f64>();
-            cdr.numbers(positions).numbers(none()).numbers(none());
-            to.message(channel, self.cdr.bytes(), at)?;
+            let positions = device.joints.clone().map(position);
+            device.commanded(&mut self.topics, to, positions, at)?;
         }
         Ok(())
     }
 
     /// Values of a net that changed.
-    fn values<W: Write + Seek>(
+    fn values(
         &mut self,
-        to: &mut Writer<W>,
+        to: &mut impl Sink,
         net: u32,
         words: &[u64],
         at: Stamp,
@@ -459,7 +368,7 @@ impl Messages {
         let Some(NetTopic { channel, directory }) = self.nets.get(&net) else {
             return Ok(());
         };
-        let cdr = at.write(self.cdr.begin());
+        let cdr = at.write(self.topics.cdr.begin());
         for value in shown(directory) {
             let is_known = value.status(words) == OutStatus::Current;
             let numbers = value.value(words).iter().map(|word| {
@@ -474,27 +383,10 @@ impl Messages {
                 }
             }
         }
-        to.message(*channel, self.cdr.bytes(), at)
+        to.message(*channel, self.topics.cdr.bytes(), at)
     }
 }
 
 fn or_nan(value: Option<f64>) -> f64 {
     value.unwrap_or(f64::NAN)
-}
-
-fn io_message(cdr: &mut Cdr, io: &Io, signals: &[u64]) {
-    let bit = |value: Option<bool>| or_nan(value.map(|on| f64::from(u8::from(on))));
-    cdr.numbers(io.bool_in.iter().map(|it| bit(it.read(signals))));
-    cdr.numbers(io.bool_out.iter().map(|it| bit(it.state.read(signals))));
-    cdr.numbers(io.real_in.iter().map(|it| or_nan(it.read(signals))));
-    cdr.numbers(io.real_out.iter().map(|it| or_nan(it.state.read(signals))));
-}
-
-fn transform(cdr: &mut Cdr, at: Stamp, (parent, child): (&str, &str), frame: &Frame) {
-    let cdr = at.header(cdr, parent).text(child);
-    for value in frame.translation.vector.iter() {
-        cdr.f64(*value);
-    }
-    let turn = &frame.rotation;
-    cdr.f64(turn.i).f64(turn.j).f64(turn.k).f64(turn.w);
 }

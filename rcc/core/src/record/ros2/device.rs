@@ -1,0 +1,248 @@
+//! The messages about one device: joints, set-points, force, signals, frames, state. Where its values come from is not known here.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use takt_net::device::{Interfaces, Io, Kinematics, Layout};
+use takt_net::{Frame, JointState};
+
+use crate::device::{DeviceDescription, DeviceStatus, Place, parts};
+use crate::error::Error;
+use crate::record::ros2::cdr::Cdr;
+use crate::record::ros2::values::identifier;
+use crate::record::ros2::{Sink, Stamp, Topics, or_nan, schemas};
+
+/// Time between two messages about a device whose state stays the same, ns.
+const DIAGNOSIS_NS: i64 = 1_000_000_000;
+
+/// What a device reported in a cycle.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::record) struct Reported<'a> {
+    /// By joint.
+    pub(in crate::record) joints: &'a [JointState],
+    /// Words of its interfaces.
+    pub(in crate::record) signals: &'a [u64],
+    pub(in crate::record) status: DeviceStatus,
+    /// Number of times that it stopped following commands.
+    pub(in crate::record) faults: u64,
+    /// When the cycle began, ns.
+    pub(in crate::record) wall: i64,
+}
+
+/// A device as viewers see it.
+#[derive(Debug)]
+pub(super) struct DeviceTopics {
+    pub(super) name: String,
+    pub(super) number: usize,
+    pub(super) joints: Range<usize>,
+    joint_names: Vec<String>,
+    pub(super) signals: Range<usize>,
+    own: Interfaces,
+    kinematics: Option<Arc<dyn Kinematics>>,
+    states: Option<u16>,
+    set_points: Option<u16>,
+    wrench: Option<u16>,
+    io: Option<u16>,
+    /// Status, faults and time of the last message about it.
+    shown: Option<(DeviceStatus, u64, i64)>,
+}
+
+impl DeviceTopics {
+    /// Adds the topics of a device.
+    pub(super) fn new(
+        topics: &mut Topics,
+        to: &mut impl Sink,
+        (number, place): (usize, &Place),
+        description: &DeviceDescription,
+    ) -> Result<Self, Error> {
+        let name = &description.name;
+        let topic = |what: &str| format!("/{}/{what}", identifier(name));
+        let joints = place.first_joint..place.first_joint + place.joints;
+        let own = parts::lay(&description.parts, place.joints, &mut Layout::default());
+        let has_joints = !joints.is_empty();
+        let mut of = |wanted: bool, what: &str, schema| {
+            wanted
+                .then(|| topics.channel(to, &topic(what), schema))
+                .transpose()
+        };
+        Ok(Self {
+            joint_names: (1..=place.joints)
+                .map(|n| format!("{name}.joint_{n}"))
+                .collect(),
+            name: name.clone(),
+            number,
+            joints,
+            signals: place.signals.clone(),
+            kinematics: takt_motion::kinematics::limited(&description.model, &description.limits),
+            states: of(has_joints, "joint_states", &schemas::JOINT_STATE)?,
+            set_points: of(has_joints, "set_points", &schemas::JOINT_STATE)?,
+            wrench: of(own.wrench.is_some(), "wrench", &schemas::WRENCH_STAMPED)?,
+            io: of(own.io.is_some(), "signals", &schemas::SIGNALS)?,
+            own,
+            shown: None,
+        })
+    }
+
+    /// Its own topics.
+    pub(super) fn channels(&self) -> impl Iterator<Item = u16> {
+        let all = [self.states, self.set_points, self.wrench, self.io];
+        all.into_iter().flatten()
+    }
+
+    /// What it reported.
+    pub(super) fn reported(
+        &mut self,
+        topics: &mut Topics,
+        to: &mut impl Sink,
+        reported: Reported<'_>,
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let Reported {
+            joints, signals, ..
+        } = reported;
+        let cdr = &mut topics.cdr;
+        if let Some(channel) = self.states.filter(|it| to.wants(*it)) {
+            let positions = joints.iter().map(|it| or_nan(it.measured_position));
+            let velocities = joints.iter().map(|it| or_nan(it.measured_velocity));
+            let torques = self.own.torques.as_deref().unwrap_or_default();
+            let efforts = torques.iter().map(|it| or_nan(it.measured.read(signals)));
+            at.header(cdr.begin(), "")
+                .texts(&self.joint_names)
+                .numbers(positions)
+                .numbers(velocities)
+                .numbers(efforts);
+            to.message(channel, cdr.bytes(), at)?;
+        }
+        if let (Some(channel), Some(wrench)) = (self.wrench, self.own.wrench)
+            && to.wants(channel)
+            && let Some(wrench) = wrench.read(signals)
+        {
+            let message = at.header(cdr.begin(), &format!("{}.flange", self.name));
+            for value in wrench.force.iter().chain(wrench.torque.iter()) {
+                message.f64(*value);
+            }
+            to.message(channel, cdr.bytes(), at)?;
+        }
+        if let (Some(channel), Some(io)) = (self.io, &self.own.io)
+            && to.wants(channel)
+        {
+            io_message(at.write(cdr.begin()), io, signals);
+            to.message(channel, cdr.bytes(), at)?;
+        }
+        self.transforms(topics, to, reported, at)?;
+        self.diagnosis(topics, to, reported, at)
+    }
+
+    /// What nets commanded, by joint; not a number where they commanded nothing.
+    pub(super) fn commanded(
+        &self,
+        topics: &mut Topics,
+        to: &mut impl Sink,
+        positions: impl ExactSizeIterator<Item = f64> + Clone,
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let Some(channel) = self.set_points.filter(|it| to.wants(*it)) else {
+            return Ok(());
+        };
+        if positions.clone().all(f64::is_nan) {
+            return Ok(());
+        }
+        let none = || std::iter::empty::<f64>();
+        at.header(topics.cdr.begin(), "")
+            .texts(&self.joint_names)
+            .numbers(positions)
+            .numbers(none())
+            .numbers(none());
+        to.message(channel, topics.cdr.bytes(), at)
+    }
+
+    /// Where its flange is, or where it is itself.
+    fn transforms(
+        &self,
+        topics: &mut Topics,
+        to: &mut impl Sink,
+        Reported {
+            joints, signals, ..
+        }: Reported<'_>,
+        at: Stamp,
+    ) -> Result<(), Error> {
+        if self.kinematics.is_none() && self.own.base.is_none() {
+            return Ok(());
+        }
+        let channel = topics.channel(to, "/tf", &schemas::TRANSFORMS)?;
+        if !to.wants(channel) {
+            return Ok(());
+        }
+        let (name, of_device) = (&self.name, |what| format!("{}.{what}", self.name));
+        let placed = if let Some(arm) = &self.kinematics {
+            let positions: Option<Vec<_>> = joints.iter().map(|it| it.measured_position).collect();
+            let frame = positions.map(|joints| arm.forward(&joints));
+            frame.map(|frame| (of_device("base"), of_device("flange"), frame))
+        } else if let Some(base) = &self.own.base {
+            let pose = base.pose.read(signals);
+            pose.map(|frame| (of_device("odometry"), name.clone(), frame))
+        } else {
+            None
+        };
+        let Some((parent, child, frame)) = placed else {
+            return Ok(());
+        };
+        topics.cdr.begin().count(1);
+        transform(&mut topics.cdr, at, (&parent, &child), &frame);
+        to.message(channel, topics.cdr.bytes(), at)
+    }
+
+    /// Its state, when it changes and once a second.
+    fn diagnosis(
+        &mut self,
+        topics: &mut Topics,
+        to: &mut impl Sink,
+        reported: Reported<'_>,
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let (status, faults, now) = (reported.status, reported.faults, reported.wall);
+        let is_due = self.shown.is_none_or(|(shown, counted, since)| {
+            (shown, counted) != (status, faults) || now - since >= DIAGNOSIS_NS
+        });
+        if !is_due {
+            return Ok(());
+        }
+        let channel = topics.channel(to, "/diagnostics", &schemas::DIAGNOSTICS)?;
+        self.shown = Some((status, faults, now));
+        if !to.wants(channel) {
+            return Ok(());
+        }
+        let (level, text) = match status {
+            DeviceStatus::Operational => (0, "operational"),
+            DeviceStatus::SafeOperational => (1, "safe-operational: it follows no commands"),
+            DeviceStatus::Offline => (2, "offline: no contact"),
+        };
+        at.header(topics.cdr.begin(), "")
+            .count(1)
+            .u8(level)
+            .text(&self.name)
+            .text(text)
+            .text(&self.name)
+            .count(1)
+            .text("faults")
+            .text(&faults.to_string());
+        to.message(channel, topics.cdr.bytes(), at)
+    }
+}
+
+fn io_message(cdr: &mut Cdr, io: &Io, signals: &[u64]) {
+    let bit = |value: Option<bool>| or_nan(value.map(|on| f64::from(u8::from(on))));
+    cdr.numbers(io.bool_in.iter().map(|it| bit(it.read(signals))));
+    cdr.numbers(io.bool_out.iter().map(|it| bit(it.state.read(signals))));
+    cdr.numbers(io.real_in.iter().map(|it| or_nan(it.read(signals))));
+    cdr.numbers(io.real_out.iter().map(|it| or_nan(it.state.read(signals))));
+}
+
+pub(super) fn transform(cdr: &mut Cdr, at: Stamp, (parent, child): (&str, &str), frame: &Frame) {
+    let cdr = at.header(cdr, parent).text(child);
+    for value in frame.translation.vector.iter() {
+        cdr.f64(*value);
+    }
+    let turn = &frame.rotation;
+    cdr.f64(turn.i).f64(turn.j).f64(turn.k).f64(turn.w);
+}
