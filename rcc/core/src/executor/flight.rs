@@ -1,6 +1,6 @@
 //! Flight recorder: rings of the last rows of words, written by the net thread in each cycle without allocation or lock, read by any
 //! thread at any time. A ring has one per device and one for the out values of all nets of a thread; what the words mean
-//! is up to their readers. A longer ring records longer: nothing else depends on its size.
+//! is up to their readers. A longer ring records longer: nothing else depends on its size. A reader with a cursor takes each row once.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering, fence};
@@ -19,8 +19,8 @@ const WORDS_MAX: usize = 1 << 21;
 const NET_ROWS: usize = 1 << 15;
 /// Words of out values in one row of it; longer out-boxes take several rows.
 const NET_WORDS: usize = 6;
-/// Words of a device's row before those of its joints: cycle, begin of the cycle, and status.
-pub(crate) const HEAD: usize = 3;
+/// Words of a device's row before those of its joints: cycle, begin of the cycle, status, and number of faults.
+pub(crate) const HEAD: usize = 4;
 /// Words by joint: set-point, commanded and measured position, measured velocity, error.
 pub(crate) const JOINT_WORDS: usize = 5;
 
@@ -108,7 +108,8 @@ impl FlightWriter {
         moment: Moment,
         begin: takt_rt::Nanos,
     ) {
-        let head = [moment.cycle, begin.0.cast_unsigned(), view.status as u64];
+        let begin = begin.0.cast_unsigned();
+        let head = [moment.cycle, begin, view.status as u64, view.faults];
         let joints = image
             .joints
             .iter()
@@ -153,26 +154,59 @@ impl FlightWriter {
 }
 
 impl FlightReader {
-    /// All rows that are held, oldest first.
+    /// Words of a row.
     #[must_use]
-    pub fn rows(&self) -> Vec<Vec<u64>> {
+    pub fn width(&self) -> usize {
+        self.ring.width
+    }
+
+    /// Maximum number of rows that are held.
+    #[must_use]
+    pub fn rows_max(&self) -> usize {
+        self.ring.rows
+    }
+
+    /// Number of rows that were written: the cursor of the next one.
+    #[must_use]
+    pub fn end(&self) -> u64 {
+        self.ring.written.load(Ordering::Acquire)
+    }
+
+    /// Appends the rows since `cursor` to `words`, at most `rows_max`, and moves the cursor behind them; returns the number
+    /// of rows since the cursor that were overwritten before they were read. Any number of readers have cursors of their own; a
+    /// slow one loses rows, and never delays the writer.
+    ///
+    /// A cursor is 0 for all rows from the first on, or [`Self::end`] for those of later cycles.
+    pub fn read_since(&self, cursor: &mut u64, rows_max: usize, words: &mut Vec<u64>) -> u64 {
         let ring = &*self.ring;
         let rows = ring.rows as u64;
         let end = ring.written.load(Ordering::Acquire);
-        let first = end.saturating_sub(rows);
-        let read = |number: u64| {
+        // A cursor of the future is that of another ring.
+        let since = (*cursor).min(end);
+        let first = since.max(end.saturating_sub(rows));
+        let last = end.min(first.saturating_add(rows_max as u64));
+        let before = words.len();
+        for number in first..last {
             let row = usize::try_from(number % rows).unwrap_or(0);
             let slots = &ring.words[row * ring.width..(row + 1) * ring.width];
-            let words: Vec<_> = slots.iter().map(|w| w.load(Ordering::Relaxed)).collect();
-            words
-        };
-        let mut found: Vec<_> = (first..end).map(read).collect();
+            words.extend(slots.iter().map(|word| word.load(Ordering::Relaxed)));
+        }
         fence(Ordering::Acquire);
         let begun = ring.begun.load(Ordering::Relaxed);
-        let torn = begun.saturating_sub(rows).saturating_sub(first);
-        let torn = usize::try_from(torn).unwrap_or(usize::MAX);
-        found.drain(..torn.min(found.len()));
-        found
+        // Rows that were overwritten while they were read.
+        let kept = begun.saturating_sub(rows).clamp(first, last);
+        let torn = usize::try_from(kept - first).unwrap_or(usize::MAX);
+        words.drain(before..before + torn * ring.width);
+        *cursor = last;
+        kept - since
+    }
+
+    /// All rows that are held, oldest first.
+    #[must_use]
+    pub fn rows(&self) -> Vec<Vec<u64>> {
+        let mut words = Vec::new();
+        self.read_since(&mut 0, self.ring.rows, &mut words);
+        words.chunks(self.ring.width).map(<[u64]>::to_vec).collect()
     }
 
     /// The out-boxes of a net with so many words, as they changed: the begin of the cycle, ns, and the words; oldest first.
@@ -218,6 +252,57 @@ mod tests {
             &[10, 0],
             "missing words are 0"
         );
+    }
+
+    #[test]
+    fn flight_cursor_reads_each_row_once() {
+        let (mut writer, reader) = ring(2, 4);
+        let mut write = |numbers: std::ops::Range<u64>| {
+            numbers.for_each(|n| writer.write([n, n * n].into_iter()));
+        };
+        let (mut cursor, mut words) = (reader.end(), Vec::new());
+        let mut read = |most| {
+            words.clear();
+            let lost = reader.read_since(&mut cursor, most, &mut words);
+            (lost, words.clone(), cursor)
+        };
+        assert_eq!(read(9), (0, vec![], 0), "nothing was written");
+        write(0..3);
+        assert_eq!(read(2), (0, vec![0, 0, 1, 1], 2), "bounded");
+        assert_eq!(read(9), (0, vec![2, 4], 3));
+        assert_eq!(read(9), (0, vec![], 3), "each row once");
+        write(3..10);
+        let held = vec![6, 36, 7, 49, 8, 64, 9, 81];
+        assert_eq!(read(9), (3, held, 10), "rows 3 to 5 are overwritten");
+        let mut cursor = u64::MAX;
+        assert_eq!(reader.read_since(&mut cursor, 9, &mut Vec::new()), 0);
+        assert_eq!(cursor, 10, "a cursor of another ring");
+    }
+
+    #[test]
+    fn flight_cursor_slow_reader_counts_lost_rows() {
+        let (mut writer, reader) = ring(8, 64);
+        let writing = std::thread::spawn(move || {
+            for n in 0..200_000_u64 {
+                writer.write(std::iter::repeat_n(n, 8));
+            }
+        });
+        let (mut cursor, mut next, mut words) = (0, 0, Vec::new());
+        loop {
+            let is_last = writing.is_finished();
+            words.clear();
+            next += reader.read_since(&mut cursor, 50, &mut words);
+            for row in words.chunks(8) {
+                assert_eq!(row, [next; 8], "lost rows are those between");
+                next += 1;
+            }
+            assert_eq!(cursor, next);
+            if is_last && words.is_empty() {
+                break;
+            }
+        }
+        assert_eq!(next, 200_000, "read and lost together are all");
+        writing.join().unwrap();
     }
 
     #[test]
