@@ -125,6 +125,15 @@ impl Doctor {
     }
 }
 
+/// The report on this host as one JSON object, as `takt doctor --json` prints it.
+pub(crate) fn findings() -> anyhow::Result<String> {
+    let subject = Subject {
+        interfaces: Vec::new(),
+        service: None,
+    };
+    Ok(report::json(&examine(&Host::live(subject)))?)
+}
+
 fn is_fit(rows: &[Row]) -> bool {
     !rows.iter().any(|row| row.finding.status == Status::Fail)
 }

@@ -3,6 +3,7 @@
 
 mod access;
 mod logging;
+mod page_program;
 mod reload;
 mod rest;
 mod service;
@@ -12,6 +13,7 @@ mod watchdog;
 use std::fmt;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -28,6 +30,7 @@ use takt_server::{LogBook, ServerThreads};
 
 pub(crate) use self::access::Access;
 use self::logging::Logging;
+use self::page_program::PageProgram;
 use self::service::Service;
 use crate::Verdict;
 use crate::output::{chain, complain, say};
@@ -219,6 +222,7 @@ pub(crate) fn start_server(
     log: LogBook,
     channel: Option<&StopChannel>,
 ) -> anyhow::Result<ServerThreads> {
+    let program = Arc::new(PageProgram::new(access.token()));
     let config = takt_server::ServerConfig {
         http: cell.controller.websocket,
         tcp: cell.controller.tcp,
@@ -228,14 +232,17 @@ pub(crate) fn start_server(
             let port = channel.tcp_address()?.port();
             Some(takt_server::StopPort::new(port, channel.key()))
         }),
+        program: Some(Arc::clone(&program) as _),
         ..takt_server::ServerConfig::default()
     };
-    ServerThreads::start(access.bind(config), controller).map_err(|error| {
+    let server = ServerThreads::start(access.bind(config), controller).map_err(|error| {
         if let takt_server::Error::Listen { address, source } = &error {
             return cannot_listen("cannot listen", *address, source);
         }
-        error.into()
-    })
+        anyhow::Error::from(error)
+    })?;
+    program.set_server(&server);
+    Ok(server)
 }
 
 /// Where a server listens, as text.

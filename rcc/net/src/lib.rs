@@ -12,6 +12,7 @@ pub mod fuzz;
 pub mod limits;
 mod load;
 pub mod netcomm;
+pub mod picture;
 pub mod plan;
 pub mod primitives;
 pub mod registry;

@@ -5,6 +5,7 @@ pub mod access;
 mod codec;
 mod dio;
 pub mod error;
+mod host_program;
 mod http;
 pub mod log;
 pub mod server;
@@ -14,6 +15,7 @@ mod threads;
 mod websocket;
 
 pub use error::Error;
+pub use host_program::{HostProgram, JogKind};
 #[doc(hidden)]
 pub use http::fuzz as fuzz_http;
 #[doc(hidden)]

@@ -21,6 +21,7 @@ use tokio::task::JoinSet;
 use crate::access::origin::Origins;
 use crate::access::{Gate, Peer};
 use crate::error::Error;
+use crate::host_program::HostProgram;
 use crate::http::DEBUG_STREAMS_MAX;
 use crate::log::LogBook;
 use crate::sessions::ORPHAN_TIMEOUT;
@@ -78,6 +79,8 @@ pub struct ServerConfig {
     pub log: LogBook,
     /// The port of the stop channel, for the page.
     pub stop: Option<StopPort>,
+    /// The program that runs the server, if it adds something to the page.
+    pub program: Option<Arc<dyn HostProgram>>,
 }
 
 /// A server whose listeners are bound but that does not serve yet.
@@ -91,6 +94,7 @@ pub struct Server {
     origins: Origins,
     log: LogBook,
     stop: Option<StopPort>,
+    program: Option<Arc<dyn HostProgram>>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -152,6 +156,7 @@ impl Server {
             origins,
             log,
             stop,
+            program,
         } = config;
         let guarded = token.is_some();
         let local = match local {
@@ -167,6 +172,7 @@ impl Server {
             origins: Origins { hosts, origins },
             log,
             stop,
+            program,
         })
     }
 
@@ -193,6 +199,7 @@ impl Server {
         let site = Site {
             origins: Arc::new(self.origins),
             on_loss: self.on_loss,
+            program: self.program,
             ..Site::new(controller, self.gate, self.log).with_stop(self.stop)
         };
         let (shutdown_sender, shutdown_receiver) = watch::channel(false);

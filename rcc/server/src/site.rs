@@ -10,6 +10,7 @@ use tokio::time::Instant;
 
 use crate::access::Gate;
 use crate::access::origin::Origins;
+use crate::host_program::HostProgram;
 use crate::log::{LineLimit, LogBook};
 use crate::sessions::Sessions;
 
@@ -29,6 +30,8 @@ pub(crate) struct Site {
     /// Origin of all times.
     pub(crate) begin: Instant,
     pub(crate) stop: Option<Arc<StopPort>>,
+    /// The program that runs the server, if it adds something.
+    pub(crate) program: Option<Arc<dyn HostProgram>>,
 }
 
 /// The port of the stop channel and the key that permits its use by the page, which only admitted clients get.
@@ -65,6 +68,7 @@ impl Site {
             limits: Arc::default(),
             begin: Instant::now(),
             stop: None,
+            program: None,
         }
     }
 

@@ -127,6 +127,14 @@ impl Controller {
         drivers.filter_map(|driver| driver.bus()).collect()
     }
 
+    /// The figures of a device's driver, by name: counts, states and advice, as its log lines have them. Empty without a driver.
+    #[must_use]
+    pub fn driver_figures(&self, device: &str) -> Vec<(&'static str, String)> {
+        let registry = self.inner.lock();
+        let driver = registry.devices.driver_of(device);
+        driver.map(|driver| driver.figures()).unwrap_or_default()
+    }
+
     /// The UDP addresses at which drivers wait for their robots, by device.
     #[must_use]
     pub fn waits_at(&self) -> Vec<(String, SocketAddr)> {

@@ -4,6 +4,7 @@ pub(super) mod debug;
 mod devices;
 mod ethercat;
 mod eval;
+mod host;
 mod interfaces;
 mod machines;
 mod metrics;
@@ -21,7 +22,7 @@ use super::{Request, Response};
 use crate::site::Site;
 
 /// List of the resources, sent with status 404.
-const MAP: &str = "Resources: / /status/ /metrics /stats/ /nets/ /machines/ /eval/ /sessions/ /types/ \
+const MAP: &str = "Resources: / /status/ /metrics /stats/ /host/ /nets/ /rules/ /machines/ /eval/ /sessions/ /types/ \
     /modules/ /modulesdetails/ /devices/ /ethercat/ /extensions/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
 
 /// A response, or an error response.
@@ -82,6 +83,8 @@ impl Handler<'_> {
                 self.slave_part(segment, slave, kind, rest)
             }
             ("eval", [], true) => self.evaluate(),
+            ("rules", [], false) => Ok(self.rules()),
+            ("host", [], false) => self.host_findings(),
             ("sessions", [], false) => Ok(self.sessions()),
             ("sessions", [], true) => self.open_session(),
             ("sessions", [session], false) => self.session(session),
@@ -95,11 +98,12 @@ impl Handler<'_> {
             ("devices", [], true) => self.change_devices(),
             ("devices", [device], false) => self.device(device),
             ("devices", [device, "last"], false) => self.last_of_device(device),
+            ("devices", [device, "jog"], false) => self.jog_net(device),
             ("devices", [device, interface], post) => self.interface(device, interface, post),
             ("eval", [], false)
             | (
-                "" | "page" | "types" | "modules" | "modulesdetails" | "status" | "metrics" | "log"
-                | "ethercat",
+                "" | "page" | "host" | "rules" | "types" | "modules" | "modulesdetails" | "status"
+                | "metrics" | "log" | "ethercat",
                 _,
                 true,
             ) => Err(Response::text(

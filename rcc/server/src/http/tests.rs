@@ -9,6 +9,7 @@ mod access;
 mod ethercat;
 mod machines;
 mod metrics;
+mod page;
 mod resources;
 
 /// Parses a request for a server without a token.

@@ -35,6 +35,13 @@ impl Handler<'_> {
         let details = self.controller.device_details();
         let details = details.iter().filter(|details| details.info.name == name);
         let device = device.containing(details.flat_map(details_of));
+        let figures = self.controller.driver_figures(name).into_iter();
+        let figures = figures.map(|(name, value)| {
+            Element::new("figure")
+                .with("name", name)
+                .with("value", value)
+        });
+        let device = device.containing(figures);
         Ok(self.show(&device.containing(self.reports(name))))
     }
 

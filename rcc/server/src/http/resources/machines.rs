@@ -62,11 +62,20 @@ impl Handler<'_> {
         let members = program.members().iter().zip(&view.phases).zip(&view.nets);
         let members = members.map(|((member, phase), net)| {
             let net = net.map(|net| format!("/nets/{}/", takt_core::NetId(net)));
+            let operations = member.component.operations.iter().map(|operation| {
+                let arguments = operation.arguments.iter().map(|it| it.name.as_str());
+                Element::new("operation")
+                    .with("name", &operation.name)
+                    .with("arguments", arguments.collect::<Vec<_>>().join(" "))
+            });
             Element::new("component")
                 .with("name", &member.name)
                 .with("phase", phase.word())
                 .with("net", net.unwrap_or_default())
+                .containing(operations)
         });
+        let events = program.events().iter();
+        let events = events.map(|name| Element::new("event").with("name", name));
         let variables = program.variables().iter().zip(&view.variables);
         let variables = variables.map(|(variable, value)| {
             Element::new("variable")
@@ -83,7 +92,10 @@ impl Handler<'_> {
             .with("step", ms(info.cost.step))
             .with("components", ms(info.cost.components));
         let element = summary(&info).containing(inside).containing(members);
-        let element = element.containing(variables).containing([figures]);
+        let element = element
+            .containing(variables)
+            .containing([figures])
+            .containing(events);
         Ok(self.show(&element))
     }
 

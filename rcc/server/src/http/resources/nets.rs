@@ -1,9 +1,11 @@
 //! `/nets/` and below: lists, loads, shows and controls nets.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use takt_core::controller::{LoadRequest, NetFigures, NetInfo, RejectedInfo, RuleInfo};
-use takt_core::net::{Limits, xml};
+use takt_core::net::picture::Graph;
+use takt_core::net::{Limits, text, xml};
 use takt_core::{Error, NetId, SessionId};
 
 use super::super::Response;
@@ -13,6 +15,8 @@ use crate::dio::DESCRIPTION_BYTES_MAX;
 
 /// Most faults shown per net.
 const FAULTS_MAX: usize = 20;
+/// Most primitives of a net that is drawn.
+const DRAWN_MAX: usize = 4000;
 
 impl Handler<'_> {
     pub(super) fn nets(&self) -> Response {
@@ -101,13 +105,22 @@ impl Handler<'_> {
             "xml" => xml::to_xml(&info.text, &Limits::default())
                 .map(Response::xml)
                 .map_err(|r| Response::conflict(r.lines(&info.text).join("\n"))),
+            "graph" => graph(&info.text),
             "stats" => self.stats(id),
             "debug" => self.debug(name),
             "last" => self.last_of_net(id),
             _ => Err(Response::not_found(
-                "a net has dio, xml, stats, last, debug and debugstream",
+                "a net has dio, xml, graph, stats, last, debug and debugstream",
             )),
         }
+    }
+
+    /// The rules of all nets, in the order of their numbers.
+    pub(super) fn rules(&self) -> Response {
+        let nets = self.controller.nets().into_iter();
+        let rules = nets.flat_map(|net| self.controller.rules_of(net));
+        let rules: BTreeMap<_, _> = rules.map(|info| (info.id, rule(&info))).collect();
+        self.show(&Element::new("rules").containing(rules.into_values()))
     }
 
     /// The last second of values of a net that failed, and of its devices.
@@ -284,6 +297,22 @@ fn rejected_element(rejected: &RejectedInfo) -> Element {
         Some(lasted) => element.with("lasted", ms(lasted)),
         None => element,
     }
+}
+
+/// The picture of a net.
+fn graph(text: &str) -> Outcome {
+    let mut faults = Vec::new();
+    let graph = Graph::of(&text::parse(text, &Limits::default(), &mut faults));
+    if let Some(fault) = faults.first() {
+        return Err(Response::conflict(format!("{}", fault.kind)));
+    }
+    if graph.len() > DRAWN_MAX {
+        return Err(Response::conflict(format!(
+            "the net has {} primitives; at most {DRAWN_MAX} are drawn\nhint: its text is /nets/<n>/dio",
+            graph.len()
+        )));
+    }
+    Ok(Response::of_kind("image/svg+xml", graph.svg()))
 }
 
 fn faults(info: &NetInfo) -> Vec<Element> {

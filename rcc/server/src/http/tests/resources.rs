@@ -13,7 +13,7 @@ const CANCELLABLE: &str = "{x=Cancel(),k=Core::BooleanNetcommOut(inValue=x.outCa
     i=Core::DoubleNetcommIn(Key='gain',Value='2'),\
     e=Core::DoubleNetcommOut(inValue=i.outValue,Key='echo'),outTerminate=x.outCancel}";
 
-const ARM: &str = "name=lwr1&type=kuka_lwr_sim&com={pos:{x:0.0,y:0.0,z:0.0}}&\
+pub(super) const ARM: &str = "name=lwr1&type=kuka_lwr_sim&com={pos:{x:0.0,y:0.0,z:0.0}}&\
     link_lengths=[0.0,0.3105,0.4,0.39,0.078]&min_joint=[-2.9,-2.0,-2.9,-2.0,-2.9,-2.0,-2.9]&\
     max_joint=[2.9,2.0,2.9,2.0,2.9,2.0,2.9]&home_joint=[0.0,0.5,0.0,1.5,0.0,-0.5,0.0]&\
     max_vel=[1.9,1.9,2.2,2.2,3.5,3.2,3.2]&max_acc=[7.5,7.5,9.0,9.0,14.0,13.0,13.0]&mass=0.0";

@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use takt_net::text::{Arg, ArgValue, Body, Fragment, Node, Source, SourceOf};
+use crate::text::{Arg, ArgValue, Body, Fragment, Node, Source, SourceOf};
 
 /// Ports of fragments in a row that a link is followed through.
 const DEPTH_MAX: usize = 100;
@@ -12,7 +12,7 @@ const PARAMETER_MAX: usize = 20;
 
 /// Primitives and links.
 #[derive(Debug, Default)]
-pub(super) struct Graph {
+pub struct Graph {
     /// The primitives, then the out ports of the whole net.
     pub(super) nodes: Vec<Primitive>,
     /// What feeds what.
@@ -69,7 +69,8 @@ type Numbers = HashMap<usize, usize>;
 
 impl Graph {
     /// The graph of a net.
-    pub(super) fn of(root: &Fragment<'_>) -> Self {
+    #[must_use]
+    pub fn of(root: &Fragment<'_>) -> Self {
         let (mut graph, mut numbers) = (Self::default(), Numbers::new());
         graph.add_children(root, "", &mut numbers);
         let scope = Scope {
@@ -260,8 +261,8 @@ fn follow(
 
 #[cfg(test)]
 mod tests {
-    use takt_net::Limits;
-    use takt_net::text::parse;
+    use crate::Limits;
+    use crate::text::parse;
 
     use super::{Graph, Link};
 

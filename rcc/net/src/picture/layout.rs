@@ -181,8 +181,8 @@ mod tests {
     use std::fs;
     use std::path::Path;
 
-    use takt_net::Limits;
-    use takt_net::text::parse;
+    use crate::limits::Limits;
+    use crate::text::parse;
 
     use super::super::curve;
     use super::*;
@@ -197,7 +197,7 @@ mod tests {
 
     /// All nets of the tests and examples.
     fn nets() -> Vec<String> {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let mut folders = vec![root.join("tests/nets"), root.join("examples")];
         let mut nets = Vec::new();
         while let Some(folder) = folders.pop() {
