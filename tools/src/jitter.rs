@@ -29,7 +29,7 @@ use report::{Judgement, Report};
 
 pub(crate) use histogram::Histogram;
 pub(crate) use session::Interrupt;
-pub(crate) use view::{bars, is_end_wanted};
+pub(crate) use view::bars;
 
 /// Measure how late cycles begin on this host.
 ///

@@ -23,6 +23,7 @@ mod emulate;
 #[cfg(feature = "fri")]
 mod fri;
 mod grip;
+mod http;
 mod io;
 mod irl;
 mod jitter;
@@ -40,9 +41,11 @@ mod page;
 mod quantity;
 mod record;
 mod run;
+mod screen;
 mod signal;
 mod stop;
 mod token;
+mod top;
 mod verdict;
 
 use std::process::ExitCode;
@@ -109,6 +112,7 @@ enum Command {
     #[command(subcommand)]
     Record(record::Record),
     Stop(stop::Stop),
+    Top(top::Top),
     /// Write manual pages and shell completions, for packages.
     #[command(hide = true)]
     Manual(manual::Manual),
@@ -138,12 +142,13 @@ fn main() -> ExitCode {
         Command::Page(page) => page.run(),
         Command::Record(record) => record.run(),
         Command::Stop(stop) => stop.run(),
+        Command::Top(top) => top.run(),
         Command::Manual(manual) => manual.run(),
     };
     match result {
         Ok(Verdict::Good) => ExitCode::SUCCESS,
         Ok(Verdict::Failed) => ExitCode::from(1),
-        Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) if output::is_closed_output(&error) => ExitCode::SUCCESS,
         Err(error) => {
             output::complain(&format!("takt: {}", output::chain(&error)));
             ExitCode::from(status_of(&error))

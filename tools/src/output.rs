@@ -12,11 +12,26 @@ use anyhow::Context as _;
 
 /// Writes a line to standard output.
 pub(crate) fn say(line: &str) -> anyhow::Result<()> {
-    let mut out = io::stdout().lock();
-    out.write_all(line.as_bytes())?;
-    out.write_all(b"\n")?;
-    Ok(out.flush()?)
+    print(format!("{line}\n").as_bytes())
 }
+
+/// Writes bytes to standard output.
+pub(crate) fn print(bytes: &[u8]) -> anyhow::Result<()> {
+    let mut out = io::stdout().lock();
+    let written = out.write_all(bytes).and_then(|()| out.flush());
+    written.map_err(|error| {
+        if error.kind() == io::ErrorKind::BrokenPipe {
+            ClosedOutput.into()
+        } else {
+            error.into()
+        }
+    })
+}
+
+/// The reader of standard output has closed it. A connection that breaks is another error, and none that a user wants.
+#[derive(Debug, thiserror::Error)]
+#[error("standard output is closed")]
+struct ClosedOutput;
 
 /// Writes a line to standard error; a failure of that cannot be reported.
 pub(crate) fn complain(line: &str) {
@@ -100,12 +115,9 @@ pub(crate) fn is_terminal() -> bool {
     io::stderr().is_terminal()
 }
 
-/// Whether an error is only a closed pipe.
-pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    error
-        .chain()
-        .filter_map(|cause| cause.downcast_ref::<io::Error>())
-        .any(|cause| cause.kind() == io::ErrorKind::BrokenPipe)
+/// Whether an error is only that nothing reads standard output any more.
+pub(crate) fn is_closed_output(error: &anyhow::Error) -> bool {
+    error.is::<ClosedOutput>()
 }
 
 /// An error and its causes in one line. Causes that the text contains already are not repeated.
@@ -169,6 +181,31 @@ pub(crate) fn json_of(text: &str) -> serde_json::Value {
     json.unwrap_or_else(|| text.into())
 }
 
+/// The text in lines of at most `width` less `indent` characters, broken between words. Several blanks in a row,
+/// as before a comment, stay.
+pub(crate) fn wrapped(
+    text: &str,
+    indent: usize,
+    width: usize,
+) -> impl Iterator<Item = String> + use<> {
+    let available = width.saturating_sub(indent).max(20);
+    let mut lines: Vec<String> = vec![String::new()];
+    for word in text.split(' ') {
+        if let Some(line) = lines.last_mut() {
+            let first = line.is_empty();
+            if first || line.chars().count() + 1 + word.chars().count() <= available {
+                if !first {
+                    line.push(' ');
+                }
+                line.push_str(word);
+                continue;
+            }
+        }
+        lines.push(word.to_owned());
+    }
+    lines.into_iter().map(|line| line.trim_end().to_owned())
+}
+
 /// A time in the unit that suits it, at most 8 characters: `17 us`, `1.25 ms`.
 pub(crate) fn time(ns: i64) -> String {
     #[expect(clippy::cast_precision_loss, reason = "shown with three digits")]
@@ -193,7 +230,10 @@ mod tests {
 
     use std::time::Duration;
 
-    use super::{chain, check_writable, positive_span, save, share, span_of_ms, time};
+    use super::{
+        ClosedOutput, chain, check_writable, is_closed_output, positive_span, save, share,
+        span_of_ms, time,
+    };
 
     #[test]
     fn save_replaces_existing_file() {
@@ -251,6 +291,14 @@ mod tests {
         assert_eq!(chain(&error), "a.toml: no such file");
         let error = anyhow::anyhow!("no such file").context("cannot read a.toml");
         assert_eq!(chain(&error), "cannot read a.toml: no such file");
+    }
+
+    #[test]
+    fn broken_connection_is_no_closed_output() {
+        let broken = std::io::Error::from(std::io::ErrorKind::BrokenPipe);
+        assert!(!is_closed_output(&anyhow::Error::from(broken)));
+        let closed = anyhow::Error::from(ClosedOutput).context("cannot print");
+        assert!(is_closed_output(&closed));
     }
 
     #[test]

@@ -1,11 +1,10 @@
 //! `takt page`: prints the address of a controller's page for a browser, with the token that the browser gives once and
 //! then keeps as a cookie. It connects to nothing.
 
-use std::path::PathBuf;
-
 use clap::Args;
 use takt_client::Token;
 
+use crate::http::Site;
 use crate::output::say;
 use crate::{Verdict, token};
 
@@ -14,18 +13,18 @@ use crate::{Verdict, token};
 /// Anyone who has the printed line can command the robots: keep it out of logs and chats.
 #[derive(Debug, Args)]
 pub(crate) struct Page {
-    /// Where the controller listens: `websocket` of its cell.toml.
-    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:8080")]
-    connect: String,
-    /// File with the controller's token; else TAKT_TOKEN_FILE or TAKT_TOKEN, or the file that a controller of this account made.
-    #[arg(long, value_name = "FILE")]
-    token_file: Option<PathBuf>,
+    #[command(flatten)]
+    site: Site,
 }
 
 impl Page {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
-        let token = token::of_client(self.token_file.as_deref(), Some(&self.connect))?;
-        say(&link(&self.connect, token.as_ref()))?;
+        let Site {
+            connect,
+            token_file,
+        } = self.site;
+        let token = token::of_client(token_file.as_deref(), Some(&connect))?;
+        say(&link(&connect, token.as_ref()))?;
         Ok(Verdict::Good)
     }
 }

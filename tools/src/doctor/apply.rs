@@ -4,7 +4,7 @@
 //! Remedies that need a boot or a package are left to the user.
 
 use std::fs;
-use std::io::{self, IsTerminal as _, Write as _};
+use std::io::{self, IsTerminal as _};
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -94,9 +94,7 @@ fn confirmed() -> anyhow::Result<bool> {
     if !io::stdin().is_terminal() {
         anyhow::bail!("nothing was written: standard input is no terminal\nhint: add --yes");
     }
-    let mut out = io::stdout().lock();
-    out.write_all(b"write these? [y/N] ")?;
-    out.flush()?;
+    crate::output::print(b"write these? [y/N] ")?;
     let mut answer = String::new();
     io::stdin().read_line(&mut answer)?;
     Ok(matches!(answer.trim(), "y" | "Y" | "yes"))

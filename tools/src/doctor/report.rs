@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::condition::{Remedy, Status};
 use super::examine::Row;
+use crate::output::wrapped;
 
 const WIDTH: usize = 80;
 /// Where the text under a condition begins, after two blanks, four letters of the status and two more.
@@ -95,27 +96,6 @@ fn block(text: &str, mark: &str, more: &str) -> String {
         format!("{mark:>indent$}{line}{more}\n")
     });
     lines.collect()
-}
-
-/// The text in lines of at most `width` less `indent` characters, broken between words. Several blanks in a row,
-/// as before a comment, stay.
-fn wrapped(text: &str, indent: usize, width: usize) -> impl Iterator<Item = String> {
-    let available = width.saturating_sub(indent).max(20);
-    let mut lines: Vec<String> = vec![String::new()];
-    for word in text.split(' ') {
-        if let Some(line) = lines.last_mut() {
-            let first = line.is_empty();
-            if first || line.chars().count() + 1 + word.chars().count() <= available {
-                if !first {
-                    line.push(' ');
-                }
-                line.push_str(word);
-                continue;
-            }
-        }
-        lines.push(word.to_owned());
-    }
-    lines.into_iter().map(|line| line.trim_end().to_owned())
 }
 
 fn summary(rows: &[Row]) -> String {

@@ -2,8 +2,6 @@
 //! `/ethercat/`. Nothing is sent on the segment but what that master reads.
 
 use std::fmt::Write as _;
-use std::io::{Read as _, Write as _};
-use std::net::{TcpStream, ToSocketAddrs as _};
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -11,7 +9,8 @@ use anyhow::{Context as _, bail};
 use clap::Args;
 use serde_json::Value;
 
-use crate::{Verdict, token};
+use crate::Verdict;
+use crate::http::Http;
 
 /// A running controller.
 #[derive(Clone, Debug, Args)]
@@ -25,8 +24,6 @@ pub(super) struct Remote {
     token_file: Option<PathBuf>,
 }
 
-/// Longest response, bytes.
-const RESPONSE_MAX: u64 = 16 << 20;
 /// Timeout of a connection, and of a response: longer than a slave may take.
 const TIMEOUT: Duration = Duration::from_secs(20);
 
@@ -68,39 +65,7 @@ impl Remote {
 
     fn get(&self, path: &str) -> anyhow::Result<Value> {
         let url = self.controller.as_deref().unwrap_or_default();
-        let address = url
-            .strip_prefix("http://")
-            .unwrap_or(url)
-            .trim_end_matches('/');
-        let token = token::of_client(self.token_file.as_deref(), Some(address))?;
-        let mut addresses = address
-            .to_socket_addrs()
-            .with_context(|| format!("{url} is no address\nhint: write HOST:PORT"))?;
-        let first = addresses
-            .next()
-            .with_context(|| format!("{address} is unknown"))?;
-        let hint = "no controller answers there\nhint: see `websocket` in its cell.toml";
-        let mut stream = TcpStream::connect_timeout(&first, TIMEOUT)
-            .with_context(|| format!("{address}: {hint}"))?;
-        stream.set_read_timeout(Some(TIMEOUT))?;
-        let bearer = token.map_or_else(String::new, |token| {
-            format!("Authorization: Bearer {}\r\n", token.text())
-        });
-        write!(
-            stream,
-            "GET {path} HTTP/1.1\r\nHost: {address}\r\nAccept: application/json\r\n{bearer}Connection: close\r\n\r\n"
-        )?;
-        let mut response = Vec::new();
-        stream.take(RESPONSE_MAX).read_to_end(&mut response)?;
-        let response = String::from_utf8_lossy(&response);
-        let (head, body) = response
-            .split_once("\r\n\r\n")
-            .with_context(|| format!("{address}: no HTTP response"))?;
-        let status = head.lines().next().unwrap_or_default();
-        if !status.contains(" 200 ") {
-            bail!("{}", body.trim_end());
-        }
-        serde_json::from_str(body).with_context(|| format!("{address}: no JSON"))
+        Http::new(url, self.token_file.as_deref(), TIMEOUT)?.get(path)
     }
 }
 

@@ -3,7 +3,6 @@
 
 mod decode;
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -123,9 +122,7 @@ fn show<W: Wire>(session: &mut Session<W>, slave: usize, raw: bool) -> anyhow::R
         Err(error) => return print(slave, Err(error.to_string())),
     };
     if raw {
-        let mut out = std::io::stdout().lock();
-        out.write_all(&bytes)?;
-        out.flush()?;
+        crate::output::print(&bytes)?;
     } else {
         let name = format!("{} slave {slave}", session.interface());
         say(text(&name, &bytes).trim_end())?;

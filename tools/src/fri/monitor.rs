@@ -14,10 +14,11 @@ use takt_rt::stats::Summary;
 use super::live::{Live, Seen, Watch};
 use super::recording::Recording;
 use super::report::Connection;
-use super::view::{Scene, View};
+use super::view::{Scene, draw};
 use super::watch::{Port, Watched};
 use crate::Verdict;
 use crate::output::{complain, positive_span, say};
+use crate::screen::{Screen, is_end_wanted};
 
 /// From one line to the next where there is no screen.
 const LINE_EVERY: Duration = Duration::from_secs(1);
@@ -107,10 +108,10 @@ impl Monitor {
 
     fn show(&self, watched: &mut Watched) -> anyhow::Result<()> {
         let started = Instant::now();
-        let mut view = View::open(self.plain);
+        let mut screen = Screen::open(!self.plain);
         let mut lines = Lines::new(started);
         let mut complaints: Vec<String> = Vec::new();
-        if !view.is_open() {
+        if screen.is_none() {
             complain(&format!(
                 "waiting for a controller at {}",
                 watched.live.local
@@ -118,7 +119,7 @@ impl Monitor {
         }
         loop {
             let (seen, events) = watched.look();
-            let is_end = if view.is_open() {
+            let is_end = if let Some(screen) = &mut screen {
                 complaints.extend(events);
                 if seen.status.phase != Phase::Offline
                     && seen.second.is_none()
@@ -127,7 +128,9 @@ impl Monitor {
                     complaints.clear();
                 }
                 let from = complaints.len().saturating_sub(COMPLAINTS_MAX);
-                view.show(&scene(&seen, &watched.live, &complaints[from..], started))?
+                let scene = scene(&seen, &watched.live, &complaints[from..], started);
+                screen.draw(|frame| draw(frame, &scene))?;
+                is_end_wanted()?
             } else {
                 for complaint in events {
                     complain(&complaint);

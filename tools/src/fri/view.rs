@@ -1,20 +1,19 @@
 //! A connection on the whole terminal, drawn ten times a second.
 
-use std::io::IsTerminal as _;
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Style, Stylize as _};
 use ratatui::text::Line;
 use ratatui::widgets::{Row, Table};
-use ratatui::{DefaultTerminal, Frame};
 use takt_fri::client::Version;
 use takt_fri::diagnosis::Verdict;
 use takt_rt::stats::Distribution;
 
 use super::live::Seen;
-use crate::jitter::{Histogram, bars, is_end_wanted};
+use crate::jitter::{Histogram, bars};
 use crate::output::time;
 
 /// What is shown.
@@ -30,49 +29,7 @@ pub(super) struct Scene<'a> {
     pub(super) complaints: &'a [String],
 }
 
-/// Where it is shown.
-pub(super) enum View {
-    /// Nowhere.
-    None,
-    /// On the whole terminal.
-    Screen(Box<DefaultTerminal>),
-}
-
-impl View {
-    /// The terminal, if there is one and it is wanted.
-    pub(super) fn open(is_plain: bool) -> Self {
-        if !is_plain
-            && std::io::stdout().is_terminal()
-            && let Ok(terminal) = ratatui::try_init()
-        {
-            return Self::Screen(Box::new(terminal));
-        }
-        Self::None
-    }
-
-    pub(super) fn is_open(&self) -> bool {
-        matches!(self, Self::Screen(_))
-    }
-
-    /// Shows it. True if the user wants to end.
-    pub(super) fn show(&mut self, scene: &Scene<'_>) -> anyhow::Result<bool> {
-        let Self::Screen(terminal) = self else {
-            return Ok(false);
-        };
-        terminal.draw(|frame| draw(frame, scene))?;
-        is_end_wanted()
-    }
-}
-
-impl Drop for View {
-    fn drop(&mut self) {
-        if self.is_open() {
-            ratatui::restore();
-        }
-    }
-}
-
-fn draw(frame: &mut Frame<'_>, scene: &Scene<'_>) {
+pub(super) fn draw(frame: &mut Frame<'_>, scene: &Scene<'_>) {
     let complaints = u16::try_from(scene.complaints.len()).unwrap_or(0);
     let areas = Layout::vertical([
         Constraint::Length(2),

@@ -5,9 +5,7 @@
 use std::io::IsTerminal as _;
 use std::time::Duration;
 
-use ratatui::DefaultTerminal;
 use ratatui::Frame;
-use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
 use ratatui::layout::{Constraint, Layout};
 use ratatui::style::{Style, Stylize as _};
 use ratatui::text::Line;
@@ -15,6 +13,7 @@ use ratatui::widgets::{Bar, BarChart, BarGroup, Block, Row, Table};
 
 use crate::jitter::histogram::Histogram;
 use crate::jitter::report::{ThreadReport, nanos, pooled};
+use crate::screen::{Screen, is_end_wanted};
 
 /// Lower bounds of the bars, us; the last bar has no upper one.
 const BARS_US: [u32; 16] = [
@@ -42,21 +41,17 @@ pub(crate) enum View {
     /// As a bar among the complaints.
     Bar(indicatif::ProgressBar),
     /// On the whole terminal.
-    Screen(DefaultTerminal),
+    Screen(Screen),
 }
 
 impl View {
     /// The fullest that these streams allow. `is_plain`: no screen, the output is for programs.
     pub(crate) fn open(is_quiet: bool, is_plain: bool) -> Self {
-        let (out, err) = (std::io::stdout(), std::io::stderr());
-        if is_quiet || !err.is_terminal() {
+        if is_quiet || !std::io::stderr().is_terminal() {
             return Self::None;
         }
-        if !is_plain
-            && out.is_terminal()
-            && let Ok(terminal) = ratatui::try_init()
-        {
-            return Self::Screen(terminal);
+        if let Some(screen) = Screen::open(!is_plain) {
+            return Self::Screen(screen);
         }
         let style = indicatif::ProgressStyle::with_template("{msg} {wide_bar} {percent}%");
         let bar = indicatif::ProgressBar::new(1);
@@ -89,8 +84,8 @@ impl View {
                 bar.set_message(format!("{stage}, worst {}", nanos(worst)));
                 Ok(false)
             }
-            Self::Screen(terminal) => {
-                terminal.draw(|frame| draw(frame, scene))?;
+            Self::Screen(screen) => {
+                screen.draw(|frame| draw(frame, scene))?;
                 is_end_wanted()
             }
         }
@@ -99,26 +94,10 @@ impl View {
 
 impl Drop for View {
     fn drop(&mut self) {
-        match self {
-            Self::None => {}
-            Self::Bar(bar) => bar.finish_and_clear(),
-            Self::Screen(_) => ratatui::restore(),
+        if let Self::Bar(bar) = self {
+            bar.finish_and_clear();
         }
     }
-}
-
-/// Reads keys that wait; on such a screen Ctrl-C is one, and no signal.
-pub(crate) fn is_end_wanted() -> anyhow::Result<bool> {
-    while event::poll(Duration::ZERO)? {
-        if let Event::Key(key) = event::read()? {
-            let is_interrupt =
-                key.code == KeyCode::Char('c') && key.modifiers.contains(KeyModifiers::CONTROL);
-            if is_interrupt || matches!(key.code, KeyCode::Char('q') | KeyCode::Esc) {
-                return Ok(true);
-            }
-        }
-    }
-    Ok(false)
 }
 
 fn draw(frame: &mut Frame<'_>, scene: &Scene<'_>) {

@@ -4,11 +4,11 @@
 use std::collections::BTreeMap;
 
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
-use takt_core::Error;
 use takt_core::controller::{DeviceDetails, DeviceInfo};
 use takt_core::ids::check_device_name;
 use takt_core::net::Frame;
 use takt_core::net::value::text::TextValue as _;
+use takt_core::{Error, Nanos};
 
 use super::super::Response;
 use super::super::element::{Element, NetValue};
@@ -23,7 +23,7 @@ impl Handler<'_> {
         let devices = devices.map(|d| {
             let details = details.iter().find(|other| other.info.name == d.name);
             let details = details.into_iter().flat_map(details_of);
-            describe(&d)
+            self.describe_device(&d)
                 .containing(details)
                 .containing(self.reports(&d.name))
         });
@@ -31,7 +31,7 @@ impl Handler<'_> {
     }
 
     pub(super) fn device(&self, name: &str) -> Outcome {
-        let device = describe(&self.find_device(name)?);
+        let device = self.describe_device(&self.find_device(name)?);
         let details = self.controller.device_details();
         let details = details.iter().filter(|details| details.info.name == name);
         let device = device.containing(details.flat_map(details_of));
@@ -130,6 +130,37 @@ impl Handler<'_> {
         Ok(Response::text("201 Created", format!("{name} is there\n")))
     }
 
+    /// What a device is and how it is: its state, the age of its last measurement in ms, its faults.
+    fn describe_device(&self, device: &DeviceInfo) -> Element {
+        let interfaces = device.interfaces.iter().map(|(name, parameters)| {
+            let parameters = parameters.iter().map(|(key, value)| {
+                Element::new("parameter")
+                    .with("name", key)
+                    .with("value", NetValue(value.clone()))
+            });
+            Element::new("interface")
+                .with("name", name)
+                .containing(parameters)
+        });
+        let element = Element::new("device")
+            .with("uri", uri(&device.name))
+            .with("name", &device.name)
+            .with("type", &device.kind)
+            .with("state", device.status.word());
+        let measured = self.controller.arm_state(&device.name);
+        let measured = measured.filter(|state| state.stamp > Nanos(0));
+        let element = match measured {
+            Some(state) => element.with("age", ms(takt_core::monotonic() - state.stamp)),
+            None => element,
+        };
+        let counts = self.controller.fault_counts();
+        let counts = counts.get(&device.name).copied().unwrap_or_default();
+        element
+            .with("faults", counts.faults)
+            .with("recovered", counts.recovered)
+            .containing(interfaces)
+    }
+
     pub(super) fn find_device(&self, name: &str) -> Result<DeviceInfo, Response> {
         let mut devices = all_devices(self.controller).into_iter();
         let found = devices.find(|d| d.name == name);
@@ -168,7 +199,7 @@ fn details_of(device: &DeviceDetails) -> Vec<Element> {
     let mut elements = vec![
         Element::new("model")
             .with("name", &device.model)
-            .with("period", ms(takt_core::Nanos::from(device.period))),
+            .with("period", ms(Nanos::from(device.period))),
     ];
     elements.extend(device.base.as_ref().map(|base| {
         Element::new("base")
@@ -190,23 +221,4 @@ fn details_of(device: &DeviceDetails) -> Vec<Element> {
             .with("accelerationmax", joint.acceleration_max)
     }));
     elements
-}
-
-fn describe(device: &DeviceInfo) -> Element {
-    let interfaces = device.interfaces.iter().map(|(name, parameters)| {
-        let parameters = parameters.iter().map(|(key, value)| {
-            Element::new("parameter")
-                .with("name", key)
-                .with("value", NetValue(value.clone()))
-        });
-        Element::new("interface")
-            .with("name", name)
-            .containing(parameters)
-    });
-    Element::new("device")
-        .with("uri", uri(&device.name))
-        .with("name", &device.name)
-        .with("type", &device.kind)
-        .with("state", device.status.word())
-        .containing(interfaces)
 }

@@ -25,7 +25,11 @@ impl Handler<'_> {
             .nets()
             .into_iter()
             .filter_map(|n| controller.net(n));
-        let nets = infos.map(|info| summary(&info));
+        let rejected = controller.rejected(None);
+        let nets = infos.map(|info| {
+            let own = rejected.iter().filter(|it| it.net == Some(info.id));
+            summary(&info).containing(own.map(rejected_element))
+        });
         self.show(&Element::new("nets").containing(nets))
     }
 
@@ -75,9 +79,6 @@ impl Handler<'_> {
         let (id, info) = self.find_net(name)?;
         let controller = self.controller;
         let mut net = summary(&info).with("session", info.session);
-        if let Some(end) = &info.end {
-            net = net.with("end", end);
-        }
         if controller.last_values_of_net(id).is_some() {
             net = net.with("last", format!("/nets/{id}/last"));
         }
@@ -274,10 +275,14 @@ fn error_response(error: Error) -> Response {
 }
 
 pub(super) fn summary(info: &NetInfo) -> Element {
-    Element::new("net")
+    let net = Element::new("net")
         .with("uri", format!("/nets/{}/", info.id))
         .with("status", info.state())
-        .with("desc", &info.description)
+        .with("desc", &info.description);
+    match &info.end {
+        Some(end) => net.with("end", end),
+        None => net,
+    }
 }
 
 /// Set-points that are or were rejected.
