@@ -16,6 +16,7 @@ mod figures;
 mod holders;
 mod last_values;
 mod limited;
+mod live;
 mod load;
 mod machines;
 mod monitor;

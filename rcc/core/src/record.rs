@@ -4,6 +4,7 @@
 mod file;
 mod fuzz;
 mod inspect;
+mod live;
 mod notes;
 mod read;
 mod replay;
@@ -36,7 +37,9 @@ use words::Words;
 #[doc(hidden)]
 pub use fuzz::{files, fuzz};
 pub use inspect::{Contents, Topic, contents, recover};
+pub use live::LiveStream;
 pub use replay::{Replay, replay};
+pub use ros2::{Sink, Stamp};
 
 /// Buffers between the net thread and the file; each holds one cycle.
 const BUFFERS: usize = 512;
@@ -215,6 +218,16 @@ impl Tap {
 /// Maximum number of lines of the log that wait for the file.
 const LINES_MAX: usize = 4096;
 
+/// A level as `rcl_interfaces/msg/Log` numbers it.
+fn level_number(level: tracing::Level) -> u8 {
+    match level {
+        tracing::Level::ERROR => 40,
+        tracing::Level::WARN => LEVEL_WARN,
+        tracing::Level::INFO => 20,
+        _ => 10,
+    }
+}
+
 /// Lines of the log on their way to the file.
 #[derive(Debug, Default)]
 struct Lines {
@@ -233,13 +246,7 @@ pub struct RecordedLog {
 impl RecordedLog {
     /// Records a line of that part of the program.
     pub fn line(&self, level: tracing::Level, part: &str, text: &str) {
-        // As rcl_interfaces/msg/Log numbers them.
-        let level = match level {
-            tracing::Level::ERROR => 40,
-            tracing::Level::WARN => LEVEL_WARN,
-            tracing::Level::INFO => 20,
-            _ => 10,
-        };
+        let level = level_number(level);
         if self.lines.waiting.fetch_add(1, Ordering::Relaxed) >= LINES_MAX {
             self.lines.waiting.fetch_sub(1, Ordering::Relaxed);
             self.lines.lost.fetch_add(1, Ordering::Relaxed);

@@ -20,7 +20,7 @@ use crate::ids::{NetId, SessionId};
 use retained::Retained;
 
 pub(super) use life::{Change, HandOver};
-pub(super) use net::{Counted, Net, Prepared, Values, memory};
+pub(super) use net::{Counted, LiveNet, Net, Prepared, Values, memory};
 
 pub use net::NetInfo;
 pub use retained::RetainedNet;

@@ -18,7 +18,7 @@ const WORDS_MAX: usize = 1 << 21;
 /// Rows of the ring for out values of the nets of a thread.
 const NET_ROWS: usize = 1 << 15;
 /// Words of out values in one row of it; longer out-boxes take several rows.
-const NET_WORDS: usize = 6;
+pub(crate) const NET_WORDS: usize = 6;
 /// Words of a device's row before those of its joints: cycle, begin of the cycle, status, and number of faults.
 pub(crate) const HEAD: usize = 4;
 /// Words by joint: set-point, commanded and measured position, measured velocity, error.

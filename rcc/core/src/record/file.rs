@@ -17,7 +17,7 @@ use crate::record::notes::{
     wrong,
 };
 use crate::record::ros2::cdr::Cdr;
-use crate::record::ros2::{Messages, Sink, Stamp, schemas};
+use crate::record::ros2::{Messages, ShownDevice, Sink, Stamp, schemas};
 use crate::record::words::start;
 
 /// Encoding of all messages.
@@ -39,13 +39,13 @@ pub(super) struct Writer<W: Write + Seek = File> {
 }
 
 /// Unix time at the zero of the host's monotonic clock, ns.
-fn epoch() -> u64 {
+pub(super) fn epoch() -> u64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH);
     let now = now.map_or(0, |now| u64::try_from(now.as_nanos()).unwrap_or(u64::MAX));
     now.saturating_sub(since_boot(monotonic()))
 }
 
-fn since_boot(time: takt_rt::Nanos) -> u64 {
+pub(super) fn since_boot(time: takt_rt::Nanos) -> u64 {
     u64::try_from(time.0).unwrap_or(0)
 }
 
@@ -184,7 +184,9 @@ impl<W: Write + Seek> Writer<W> {
                 place,
                 description,
             } => {
-                self.show(|shown, file| shown.device(file, (*number, place), description))?;
+                self.show(|shown, file| {
+                    shown.device(file, *number, ShownDevice::of(place, description))
+                })?;
                 let note = DeviceNote::new(*number, place, description);
                 self.toml(devices, &DeviceEvent::Came(note), at)
             }

@@ -3,6 +3,7 @@
 
 pub(super) mod cdr;
 mod device;
+mod row;
 pub(super) mod schemas;
 mod values;
 
@@ -13,21 +14,23 @@ use takt_net::netcomm::{Directory, OutStatus};
 use takt_net::{JointState, Moment, Nanos};
 
 use crate::cell::CellFrames;
-use crate::device::{DeviceDescription, Place};
 use crate::error::Error;
+use crate::executor::flight::NET_WORDS;
 use crate::ids::NetId;
 use crate::record::notes::LEVEL_WARN;
 use crate::record::words::{Entry, Inputs, Reader};
 use cdr::Cdr;
+pub(super) use device::ShownDevice;
 use device::{DeviceTopics, Reported, transform};
+pub(super) use row::FlightRow;
 use values::{fields, number, shown};
 
 /// Nets whose values have a topic in one file; MCAP numbers 65,536 channels.
 const NET_TOPICS_MAX: usize = 4096;
 
-/// Unix time of a message.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Stamp(pub(super) u64);
+/// Unix time of a message, ns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Stamp(pub u64);
 
 impl Stamp {
     fn write(self, cdr: &mut Cdr) -> &mut Cdr {
@@ -42,9 +45,12 @@ impl Stamp {
     }
 }
 
-/// Where messages go: a file, or clients.
-pub(super) trait Sink {
-    /// Adds a topic with messages of that schema; returns its number.
+/// Where messages go: a file, or clients. All are of encoding `cdr`, all schemas of encoding `ros2msg`.
+pub trait Sink {
+    /// Adds a topic with messages of the schema of that name and text; returns its number.
+    ///
+    /// # Errors
+    /// If it cannot be written, or no number is left.
     fn channel(&mut self, topic: &str, schema: &str, text: &str) -> Result<u16, Error>;
 
     /// Ends a topic, whose number may be used again.
@@ -56,6 +62,9 @@ pub(super) trait Sink {
     }
 
     /// Takes a message.
+    ///
+    /// # Errors
+    /// If it cannot be written.
     fn message(&mut self, channel: u16, data: &[u8], at: Stamp) -> Result<(), Error>;
 }
 
@@ -94,6 +103,8 @@ impl Topics {
 struct NetTopic {
     channel: u16,
     directory: Arc<Directory>,
+    /// Out values of which not all rows came yet.
+    part: Vec<u64>,
 }
 
 /// The messages of a recording.
@@ -115,10 +126,10 @@ impl Messages {
     pub(super) fn device(
         &mut self,
         to: &mut impl Sink,
-        (number, place): (usize, &Place),
-        description: &DeviceDescription,
+        number: usize,
+        device: ShownDevice<'_>,
     ) -> Result<(), Error> {
-        let device = DeviceTopics::new(&mut self.topics, to, (number, place), description)?;
+        let device = DeviceTopics::new(&mut self.topics, to, number, device)?;
         self.devices.insert(number, device);
         Ok(())
     }
@@ -169,8 +180,23 @@ impl Messages {
         let text = schemas::of_net(&fields(directory));
         let channel = to.channel(&format!("/takt/nets/{name}"), &schema, &text)?;
         let directory = Arc::clone(directory);
-        self.nets.insert(id, NetTopic { channel, directory });
+        self.nets.insert(id, {
+            NetTopic {
+                channel,
+                directory,
+                part: Vec::new(),
+            }
+        });
         Ok(())
+    }
+
+    /// A net was unloaded.
+    pub(super) fn net_gone(&mut self, to: &mut impl Sink, id: u32) {
+        self.running.remove(&id);
+        if let Some(net) = self.nets.remove(&id) {
+            to.close(net.channel);
+            self.is_full = false;
+        }
     }
 
     /// A line was logged.
@@ -181,6 +207,9 @@ impl Messages {
         at: Stamp,
     ) -> Result<(), Error> {
         let channel = self.topics.channel(to, "/rosout", &schemas::LOG)?;
+        if !to.wants(channel) {
+            return Ok(());
+        }
         let cdr = at.write(self.topics.cdr.begin()).u8(level);
         cdr.text(name).text(text).text("").text("").u32(0);
         to.message(channel, self.topics.cdr.bytes(), at)
@@ -264,19 +293,33 @@ impl Messages {
                 | Entry::Inbox(..)
                 | Entry::Stepped => continue,
             };
-            match event {
-                "started" => self.running.insert(net),
-                "ended" => self.running.remove(&net),
-                _ => false,
-            };
-            let channel = self
-                .topics
-                .channel(to, "/takt/net_events", &schemas::NET_EVENT)?;
-            let cdr = at.write(self.topics.cdr.begin()).u64(cycle);
-            cdr.text(&NetId(net).to_string()).text(event).text(&cause);
-            to.message(channel, self.topics.cdr.bytes(), at)?;
+            self.net_event(to, (cycle, net), (event, &cause), at)?;
         }
         Ok(())
+    }
+
+    /// Something happened to a net.
+    pub(super) fn net_event(
+        &mut self,
+        to: &mut impl Sink,
+        (cycle, net): (u64, u32),
+        (event, cause): (&str, &str),
+        at: Stamp,
+    ) -> Result<(), Error> {
+        match event {
+            "started" => self.running.insert(net),
+            "ended" => self.running.remove(&net),
+            _ => false,
+        };
+        let channel = self
+            .topics
+            .channel(to, "/takt/net_events", &schemas::NET_EVENT)?;
+        if !to.wants(channel) {
+            return Ok(());
+        }
+        let cdr = at.write(self.topics.cdr.begin()).u64(cycle);
+        cdr.text(&NetId(net).to_string()).text(event).text(cause);
+        to.message(channel, self.topics.cdr.bytes(), at)
     }
 
     /// Why a net ended, from the codes of its entry.
@@ -319,8 +362,34 @@ impl Messages {
         Ok(())
     }
 
+    /// A row of the flight recorder: what a device reported in a cycle, and what nets commanded to it.
+    pub(super) fn row(
+        &mut self,
+        to: &mut impl Sink,
+        number: usize,
+        row: &FlightRow<'_>,
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let Some(device) = self.devices.get_mut(&number) else {
+            return Ok(());
+        };
+        self.joints.clear();
+        self.joints.extend(row.joints().map(|joint| joint.state));
+        let reported = Reported {
+            joints: &self.joints,
+            signals: row.signals,
+            status: row.status,
+            faults: row.faults,
+            wall: row.begin.0,
+        };
+        device.reported(&mut self.topics, to, reported, at)?;
+        let set_points = row.joints().map(|joint| joint.set_point);
+        device.commanded(&mut self.topics, to, set_points, at)
+    }
+
+    /// A cycle of the net thread that began then.
     #[expect(clippy::cast_precision_loss, reason = "less than a day")]
-    fn thread(
+    pub(super) fn thread(
         &mut self,
         to: &mut impl Sink,
         (cycle, wall): (u64, Nanos),
@@ -332,6 +401,9 @@ impl Messages {
             (interval as f64 * 1e-3, cycle.saturating_sub(last + 1))
         });
         let channel = self.topics.channel(to, "/takt/thread", &schemas::CYCLE)?;
+        if !to.wants(channel) {
+            return Ok(());
+        }
         let cdr = at.write(self.topics.cdr.begin()).u64(cycle);
         cdr.f64(interval).u64(missed).count(self.running.len());
         to.message(channel, self.topics.cdr.bytes(), at)
@@ -357,17 +429,56 @@ impl Messages {
         Ok(())
     }
 
+    /// A row of the flight recorder with out values of a net: the begin of the cycle, net and part, and words.
+    pub(super) fn values_row(
+        &mut self,
+        to: &mut impl Sink,
+        net: u32,
+        row: &[u64],
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let ([_, source, words @ ..], Some(topic)) = (row, self.nets.get_mut(&net)) else {
+            return Ok(());
+        };
+        let (part, wanted) = (source & u64::from(u32::MAX), topic.directory.words());
+        let words = words.get(..NET_WORDS).unwrap_or(words);
+        if part == 0 {
+            topic.part.clear();
+        }
+        // The first rows of these values are lost.
+        if topic.part.len() as u64 != part * NET_WORDS as u64 {
+            return Ok(());
+        }
+        let left = wanted.saturating_sub(topic.part.len());
+        topic.part.extend(words.iter().take(left));
+        if topic.part.len() < wanted {
+            return Ok(());
+        }
+        let words = std::mem::take(&mut topic.part);
+        let result = self.values(to, net, &words, at);
+        if let Some(topic) = self.nets.get_mut(&net) {
+            topic.part = words;
+        }
+        result
+    }
+
     /// Values of a net that changed.
-    fn values(
+    pub(super) fn values(
         &mut self,
         to: &mut impl Sink,
         net: u32,
         words: &[u64],
         at: Stamp,
     ) -> Result<(), Error> {
-        let Some(NetTopic { channel, directory }) = self.nets.get(&net) else {
+        let Some(NetTopic {
+            channel, directory, ..
+        }) = self.nets.get(&net)
+        else {
             return Ok(());
         };
+        if !to.wants(*channel) {
+            return Ok(());
+        }
         let cdr = at.write(self.topics.cdr.begin());
         for value in shown(directory) {
             let is_known = value.status(words) == OutStatus::Current;

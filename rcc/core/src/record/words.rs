@@ -223,7 +223,7 @@ const fn status_word(status: DeviceStatus) -> u64 {
     }
 }
 
-const fn status_of(word: u64) -> DeviceStatus {
+pub(super) const fn status_of(word: u64) -> DeviceStatus {
     match word & 0xFF {
         1 => DeviceStatus::SafeOperational,
         2 => DeviceStatus::Operational,

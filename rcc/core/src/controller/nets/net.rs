@@ -37,6 +37,17 @@ pub struct NetInfo {
     pub end: Option<String>,
 }
 
+/// A net as a stream of live messages sees it.
+#[derive(Debug)]
+pub(crate) struct LiveNet {
+    pub(crate) id: NetId,
+    pub(crate) states: Vec<NetState>,
+    /// Reason of its end, unless it terminated by itself.
+    pub(crate) end: Option<String>,
+    /// Its out values, once it is ready.
+    pub(crate) values: Option<Arc<Directory>>,
+}
+
 impl NetInfo {
     /// Its present state.
     #[must_use]
@@ -377,6 +388,24 @@ impl Net {
             states: self.states.clone(),
             rejection,
             end,
+        }
+    }
+
+    /// What a stream of live messages needs of it.
+    pub(in crate::controller) fn live(&self, id: NetId) -> LiveNet {
+        let end = match &self.life {
+            Life::Terminated { why } => why.clone(),
+            Life::Loading { .. }
+            | Life::Rejected(_)
+            | Life::Waiting { .. }
+            | Life::Running
+            | Life::Cancelling => None,
+        };
+        LiveNet {
+            id,
+            states: self.states.clone(),
+            end,
+            values: self.values().map(|it| Arc::clone(&it.out_directory)),
         }
     }
 

@@ -29,6 +29,29 @@ pub(in crate::record) struct Reported<'a> {
     pub(in crate::record) wall: i64,
 }
 
+/// What is known of a device when its topics are added.
+#[derive(Debug)]
+pub(in crate::record) struct ShownDevice<'a> {
+    pub(in crate::record) name: &'a str,
+    pub(in crate::record) place: &'a Place,
+    /// Its interfaces in its own words.
+    pub(in crate::record) own: Interfaces,
+    pub(in crate::record) kinematics: Option<Arc<dyn Kinematics>>,
+}
+
+impl<'a> ShownDevice<'a> {
+    /// A device of a recording.
+    pub(in crate::record) fn of(place: &'a Place, description: &'a DeviceDescription) -> Self {
+        let (model, limits) = (&description.model, &description.limits);
+        Self {
+            name: &description.name,
+            place,
+            own: parts::lay(&description.parts, place.joints, &mut Layout::default()),
+            kinematics: takt_motion::kinematics::limited(model, limits),
+        }
+    }
+}
+
 /// A device as viewers see it.
 #[derive(Debug)]
 pub(super) struct DeviceTopics {
@@ -52,13 +75,17 @@ impl DeviceTopics {
     pub(super) fn new(
         topics: &mut Topics,
         to: &mut impl Sink,
-        (number, place): (usize, &Place),
-        description: &DeviceDescription,
+        number: usize,
+        device: ShownDevice<'_>,
     ) -> Result<Self, Error> {
-        let name = &description.name;
+        let ShownDevice {
+            name,
+            place,
+            own,
+            kinematics,
+        } = device;
         let topic = |what: &str| format!("/{}/{what}", identifier(name));
         let joints = place.first_joint..place.first_joint + place.joints;
-        let own = parts::lay(&description.parts, place.joints, &mut Layout::default());
         let has_joints = !joints.is_empty();
         let mut of = |wanted: bool, what: &str, schema| {
             wanted
@@ -69,11 +96,11 @@ impl DeviceTopics {
             joint_names: (1..=place.joints)
                 .map(|n| format!("{name}.joint_{n}"))
                 .collect(),
-            name: name.clone(),
+            name: name.to_owned(),
             number,
             joints,
             signals: place.signals.clone(),
-            kinematics: takt_motion::kinematics::limited(&description.model, &description.limits),
+            kinematics,
             states: of(has_joints, "joint_states", &schemas::JOINT_STATE)?,
             set_points: of(has_joints, "set_points", &schemas::JOINT_STATE)?,
             wrench: of(own.wrench.is_some(), "wrench", &schemas::WRENCH_STAMPED)?,
