@@ -77,7 +77,7 @@ pub use nets::{
 pub use rejections::{RejectReason, RejectedCounts, RejectedInfo};
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 pub use sessions::SESSIONS_MAX;
-pub use takt_motion::kinematics::Chain;
+pub use takt_motion::kinematics::{Axis, Chain};
 
 /// Ends a watch when dropped.
 #[derive(Debug)]

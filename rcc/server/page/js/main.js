@@ -11,6 +11,8 @@ import { connectStop, pollStop } from "./stop.js";
  * @type {{ id: string, title: string, load: () => Promise<{ view: View }> }[]} */
 const VIEWS = [
   { id: "overview", title: "Overview", load: () => import("./view_overview.js") },
+  { id: "cell", title: "Cell", load: () => import("./view_3d.js") },
+  { id: "plots", title: "Plots", load: () => import("./view_plots.js") },
 ];
 
 /** Interval of the header, ms. */

@@ -16,11 +16,28 @@ const INDEX: &str = include_str!("../../page/index.html");
 /// All that it loads. A new file needs a line here; views are listed in `js/main.js`.
 const FILES: &[(&str, &str)] = files![
     "style.css",
+    "css/cell.css",
     "js/api.js",
+    "js/camera.js",
     "js/dom.js",
+    "js/geometry.js",
+    "js/live.js",
     "js/main.js",
+    "js/math3.js",
+    "js/plot.js",
+    "js/plot_input.js",
+    "js/probe_picker.js",
+    "js/samples.js",
+    "js/scene.js",
+    "js/scope.js",
+    "js/scopes.js",
+    "js/solids.js",
     "js/stop.js",
+    "js/trigger.js",
+    "js/view_3d.js",
     "js/view_overview.js",
+    "js/view_plots.js",
+    "js/webgl.js",
 ];
 
 /// The page.
@@ -46,7 +63,7 @@ fn kind(path: &str) -> &'static str {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::path::{Path, PathBuf};
     use std::process::Command;
 
@@ -120,7 +137,7 @@ mod tests {
     "#;
 
     /// What a program prints that may import modules of the page from `PAGE`; `None` without node.
-    fn run(program: &str) -> Option<String> {
+    pub(in super::super) fn run(program: &str) -> Option<String> {
         let program = program.replace("PAGE", &format!("file://{}", folder().display()));
         let text = format!("{BROWSER}\n{program}");
         let output = Command::new("node")

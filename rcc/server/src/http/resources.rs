@@ -4,6 +4,7 @@ pub(super) mod debug;
 mod devices;
 mod ethercat;
 mod eval;
+mod geometry;
 mod host;
 mod interfaces;
 mod machines;
@@ -23,7 +24,7 @@ use crate::site::Site;
 
 /// List of the resources, sent with status 404.
 const MAP: &str = "Resources: / /status/ /metrics /stats/ /host/ /nets/ /rules/ /machines/ /eval/ /sessions/ /types/ \
-    /modules/ /modulesdetails/ /devices/ /ethercat/ /extensions/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
+    /modules/ /modulesdetails/ /devices/ /geometry/ /ethercat/ /extensions/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
 
 /// A response, or an error response.
 type Outcome = Result<Response, Response>;
@@ -82,6 +83,7 @@ impl Handler<'_> {
             ("ethercat", [segment, slave, kind, rest @ ..], false) => {
                 self.slave_part(segment, slave, kind, rest)
             }
+            ("geometry", [], false) => Ok(self.geometry()),
             ("eval", [], true) => self.evaluate(),
             ("rules", [], false) => Ok(self.rules()),
             ("host", [], false) => self.host_findings(),
@@ -103,7 +105,7 @@ impl Handler<'_> {
             ("eval", [], false)
             | (
                 "" | "page" | "host" | "rules" | "types" | "modules" | "modulesdetails" | "status"
-                | "metrics" | "log" | "ethercat",
+                | "metrics" | "log" | "ethercat" | "geometry",
                 _,
                 true,
             ) => Err(Response::text(

@@ -7,9 +7,12 @@ const KNOWN_CLIENT: &str = "GET /DirectIO/ HTTP/1.1\r\nHost: h\r\nUpgrade: webso
 
 mod access;
 mod ethercat;
+mod geometry;
 mod machines;
 mod metrics;
 mod page;
+mod page_cell;
+mod page_plots;
 mod resources;
 
 /// Parses a request for a server without a token.
