@@ -63,8 +63,14 @@ impl Http {
         &self.address
     }
 
+    /// The token that it sends.
+    #[must_use]
+    pub(crate) const fn token(&self) -> Option<&Token> {
+        self.token.as_ref()
+    }
+
     /// A connection, whose reads end after the timeout.
-    fn connect(&self) -> anyhow::Result<TcpStream> {
+    pub(crate) fn connect(&self) -> anyhow::Result<TcpStream> {
         let address = &self.address;
         let mut addresses = address
             .to_socket_addrs()
@@ -87,11 +93,13 @@ impl Http {
         let bearer = self.token.as_ref().map_or_else(String::new, |token| {
             format!("Authorization: Bearer {}\r\n", token.text())
         });
-        write!(
-            stream,
+        let request = format!(
             "GET {path} HTTP/1.1\r\nHost: {address}\r\nAccept: application/json\r\n{bearer}Connection: close\r\n\r\n"
-        )
-        .with_context(|| format!("{address}: cannot send a request"))?;
+        );
+        // At once: a peer that answers and closes before the rest is no error.
+        stream
+            .write_all(request.as_bytes())
+            .with_context(|| format!("{address}: cannot send a request"))?;
         let mut response = Vec::new();
         let silent = || {
             let span = self.timeout;

@@ -41,6 +41,7 @@ mod page;
 mod quantity;
 mod record;
 mod run;
+mod scope;
 mod screen;
 mod signal;
 mod stop;
@@ -111,6 +112,7 @@ enum Command {
     Page(page::Page),
     #[command(subcommand)]
     Record(record::Record),
+    Scope(scope::Scope),
     Stop(stop::Stop),
     Top(top::Top),
     /// Write manual pages and shell completions, for packages.
@@ -141,6 +143,7 @@ fn main() -> ExitCode {
         Command::Net(net) => net.run(),
         Command::Page(page) => page.run(),
         Command::Record(record) => record.run(),
+        Command::Scope(scope) => scope.run(),
         Command::Stop(stop) => stop.run(),
         Command::Top(top) => top.run(),
         Command::Manual(manual) => manual.run(),
