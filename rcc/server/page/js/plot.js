@@ -27,10 +27,9 @@ export function themeOf() {
 }
 
 export class Plot {
-  /** @param {Series[]} series @param {string} title */
-  constructor(series, title) {
+  /** @param {Series[]} series */
+  constructor(series) {
     this.series = series;
-    this.title = title;
     this.canvas = /** @type {HTMLCanvasElement} */ (make("canvas", undefined, "plot"));
     this.canvas.tabIndex = 0;
     this.context = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));

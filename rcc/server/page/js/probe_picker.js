@@ -1,9 +1,8 @@
-// Choosing probes: a search over their names, and presets.
+// Names of probes: a search over them, presets, what those of a plot have in common, and why some were rejected.
 
 import { make } from "./dom.js";
 
 /** @typedef {{ name: string, unit: string, thread: string, period_s: number, source: string }} Probe */
-/** @typedef {{ title: string, names: string[] }} Plots */
 
 /** Names that a search lists. */
 const LISTED_MAX = 200;
@@ -17,27 +16,51 @@ export function search(probes, text) {
   return [...found.filter(begins), ...found.filter(probe => !begins(probe))];
 }
 
-/** A plot for each first part of the names that match. @param {Probe[]} probes @param {RegExp} pattern @param {string} title
- * @returns {Plots[]} */
-function grouped(probes, pattern, title) {
+/** A plot for each first part of the names that match. @param {Probe[]} probes @param {RegExp} pattern
+ * @returns {string[][]} */
+function grouped(probes, pattern) {
   /** @type {Map<string, string[]>} */
   const plots = new Map();
   for (const { name } of probes) {
     const match = pattern.exec(name);
     if (match) plots.set(match[1], [...(plots.get(match[1]) ?? []), name]);
   }
-  return [...plots].map(([source, names]) => ({ title: `${source}: ${title}`, names }));
+  return [...plots.values()];
 }
 
-/** @type {{ id: string, title: string, plots: (probes: Probe[]) => Plots[] }[]} */
+/** @type {{ id: string, title: string, plots: (probes: Probe[]) => string[][] }[]} */
 export const PRESETS = [
-  { id: "following", title: "following error", plots: probes => grouped(probes, /^(.+)\.joint\.\d+\.following_error$/, "following error") },
-  { id: "positions", title: "joint positions", plots: probes => grouped(probes, /^(.+)\.joint\.\d+\.measured$/, "positions") },
-  { id: "velocities", title: "joint velocities", plots: probes => grouped(probes, /^(.+)\.joint\.\d+\.velocity$/, "velocities") },
-  { id: "force", title: "force and torque", plots: probes => [...grouped(probes, /^(.+)\.force\.[xyz]$/, "force"), ...grouped(probes, /^(.+)\.force\.r[xyz]$/, "torque")] },
-  { id: "latency", title: "latency of threads", plots: probes => [...grouped(probes, /^thread:(.+)\.latency$/, "latency"), ...grouped(probes, /^thread:(.+)\.execution$/, "execution"),
-    ...grouped(probes, /^thread:(.+)\.phase_error$/, "phase error")] },
+  { id: "following", title: "following error", plots: probes => grouped(probes, /^(.+)\.joint\.\d+\.following_error$/) },
+  { id: "positions", title: "joint positions", plots: probes => grouped(probes, /^(.+)\.joint\.\d+\.measured$/) },
+  { id: "velocities", title: "joint velocities", plots: probes => grouped(probes, /^(.+)\.joint\.\d+\.velocity$/) },
+  { id: "force", title: "force and torque", plots: probes => [...grouped(probes, /^(.+)\.force\.[xyz]$/), ...grouped(probes, /^(.+)\.force\.r[xyz]$/)] },
+  { id: "latency", title: "latency of threads", plots: probes => [...grouped(probes, /^thread:(.+)\.latency$/), ...grouped(probes, /^thread:(.+)\.execution$/),
+    ...grouped(probes, /^thread:(.+)\.phase_error$/)] },
 ];
+
+/** Why probes were rejected: each cause once. @param {import("./scope.js").Rejected[]} rejected */
+export function causes(rejected) {
+  const texts = [...new Set(rejected.map(({ cause, hint }) => cause + (hint ? "\nhint: " + hint : "")))];
+  return texts.map(text => {
+    const names = rejected.filter(({ cause, hint }) => cause + (hint ? "\nhint: " + hint : "") === text).map(({ probe }) => probe);
+    return (names.length > 3 ? names.length + " probes" : names.join(", ")) + ": " + text;
+  }).join("\n");
+}
+
+/** What the names of a plot have in common, with an asterisk where they differ, and what of each is left.
+ * @param {string[]} names @returns {{ common: string, rest: string[] }} */
+export function shorten(names) {
+  if (names.length < 2) return { common: "", rest: names };
+  const parts = names.map(name => name.split(/(?<=[./:])/)), most = Math.min(...parts.map(it => it.length)) - 1;
+  const same = (/** @type {(parts: string[]) => string} */ pick) => parts.every(it => pick(it) === pick(parts[0]));
+  let before = 0, after = 0;
+  while (before < most && same(it => it[before])) before++;
+  while (after < most - before && same(it => it[it.length - 1 - after])) after++;
+  if (before + after === 0) return { common: "", rest: names };
+  const rest = parts.map(it => it.slice(before, it.length - after).join("").replace(/\.$/, ""));
+  const end = after ? "." + parts[0].slice(parts[0].length - after).join("") : "";
+  return { common: parts[0].slice(0, before).join("") + "*" + end, rest };
+}
 
 /** The element with search and presets. @param {(names: string[]) => void} add plots these together @param {(preset: string) => void} choose */
 export function picker(add, choose) {

@@ -116,9 +116,16 @@ export class Scope {
     this.handlers.samples(samples);
   }
 
+  /** The whole request was refused: so was each of its probes. @param {string} cause @param {string} [hint] */
+  refuse(cause, hint) {
+    this.groups = [];
+    this.handlers.state(cause, false);
+    this.handlers.groups([], (this.query?.probes ?? []).map(probe => ({ probe, cause, hint })));
+  }
+
   /** @param {any} message */
   handle(message) {
-    const { scope, triggered, ended, lost, error } = message;
+    const { scope, triggered, ended, lost, done, error } = message;
     if (scope) {
       if (scope.version !== VERSION) throw new Error("the controller has version " + scope.version + "; this page reads " + VERSION + ": reload it");
       this.groups = scope.groups;
@@ -127,6 +134,7 @@ export class Scope {
     } else if (triggered) this.handlers.triggered?.(triggered.time_s, triggered.cause);
     else if (ended) this.handlers.ended?.(ended.probe, ended.cause);
     else if (lost) this.handlers.lost?.(lost.group, lost.samples);
-    else if (error) throw new Error(error.cause ?? JSON.stringify(error));
+    else if (done) this.handlers.state(done.cause, true);
+    else if (error) this.refuse(String(error.cause), error.hint);
   }
 }

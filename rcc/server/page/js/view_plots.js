@@ -1,7 +1,7 @@
 // Plots of chosen probes over time, like an oscilloscope: rolling or triggered, with cursors and export.
 
 import { list, make, section } from "./dom.js";
-import { PRESETS, picker } from "./probe_picker.js";
+import { PRESETS, causes, picker, shorten } from "./probe_picker.js";
 import { Plot, colour, themeOf } from "./plot.js";
 import { connectPlot } from "./plot_input.js";
 import { NUMBERS_MAX, Ring, format, toCsv } from "./samples.js";
@@ -24,7 +24,7 @@ export const PLOTS_MAX = 64, LINES_MAX = 16;
 
 /** What stays while other views are open. */
 const kept = {
-  /** Names of the probes of each plot. @type {{ title: string, names: string[] }[]} */
+  /** Names of the probes of each plot. @type {string[][]} */
   plots: [],
   window_s: 10,
   trigger: { ...DEFAULTS },
@@ -77,7 +77,7 @@ class Mounted {
       lost: (group, samples) => { this.lost += samples; this.rings[group]?.lose(this.rings[group].last, samples); },
       state: (text, isGood) => this.showState(text, isGood),
     });
-    kept.plots.forEach(({ title, names }) => this.addPlot(title, names));
+    kept.plots.forEach(names => this.addPlot(names));
     this.ask();
     const picture = (/** @type {number} */ now) => {
       if (this.isOver) return;
@@ -151,24 +151,24 @@ class Mounted {
 
   /** @param {string[]} names a plot for all of them */
   add(names) {
-    this.addPlot(names.length === 1 ? names[0] : "", names);
+    this.addPlot(names);
     this.ask();
   }
 
   /** @param {string} id */
   preset(id) {
     const plots = PRESETS.find(preset => preset.id === id)?.plots(this.probes) ?? [];
-    plots.forEach(({ title, names }) => this.addPlot(title, names));
+    plots.forEach(names => this.addPlot(names));
     this.fail(plots.length ? "" : "The controller has no such probes.\nhint: they exist while their devices and nets do");
     this.ask();
   }
 
-  /** @param {string} title @param {string[]} names */
-  addPlot(title, names) {
+  /** @param {string[]} names */
+  addPlot(names) {
     if (this.cards.length >= PLOTS_MAX) return this.fail(`${PLOTS_MAX} plots are the most\nhint: remove others`);
     if (names.length > LINES_MAX) this.fail(`${names.length} probes do not fit into one plot: the first ${LINES_MAX} are shown`);
     const series = names.slice(0, LINES_MAX).map(name => ({ name, unit: this.probes.find(probe => probe.name === name)?.unit ?? "", ring: null, column: 0 }));
-    const plot = new Plot(series, title), card = make("section", undefined, "plot-card"), legend = make("div", undefined, "legend");
+    const plot = new Plot(series), card = make("section", undefined, "plot-card"), legend = make("div", undefined, "legend");
     const head = make("div", undefined, "row"), close = make("button", "×");
     close.title = "Remove this plot";
     close.setAttribute("aria-label", "Remove this plot");
@@ -194,12 +194,13 @@ class Mounted {
 
   /** Names with their colours; a click hides a line. @param {{ plot: Plot, legend: HTMLElement }} entry */
   legend({ plot, legend }) {
-    legend.replaceChildren(...(plot.title && plot.series.length > 1 ? [make("b", plot.title)] : []), ...plot.series.map((series, number) => {
+    const { common, rest } = shorten(plot.series.map(series => series.name));
+    legend.replaceChildren(...(common ? [make("b", common)] : []), ...plot.series.map((series, number) => {
       const item = make("button", undefined, "line-name" + (series.isHidden ? " hidden-line" : "") + (series.ended ? " ended" : ""));
       const dot = make("i"), value = make("span", "", "value");
       dot.style.background = colour(number, this.theme.isDark);
-      item.append(dot, series.name + (series.ended ? " (ended)" : ""), value);
-      item.title = series.ended ?? "Hide or show this line";
+      item.append(dot, rest[number] + (series.ended ? " (ended)" : ""), value);
+      item.title = series.name + ": " + (series.ended ?? "hide or show this line");
       item.setAttribute("aria-pressed", String(!series.isHidden));
       item.onclick = () => { series.isHidden = !series.isHidden; this.legend({ plot, legend }); this.changed(); };
       return item;
@@ -208,8 +209,8 @@ class Mounted {
 
   /** Asks for what is plotted now. */
   ask() {
-    kept.plots = this.cards.map(({ plot }) => ({ title: plot.title, names: plot.series.map(series => series.name) }));
-    const names = [...new Set(kept.plots.flatMap(plot => plot.names))];
+    kept.plots = this.cards.map(({ plot }) => plot.series.map(series => series.name));
+    const names = [...new Set(kept.plots.flat())];
     this.form.offer(names);
     const { trigger, pre_s, post_s, mode } = kept.settings;
     this.axis.trigger = null;
@@ -244,7 +245,7 @@ class Mounted {
         series.unit = groups[group].probes[series.column].unit;
       }
     }
-    this.fail(rejected.map(({ probe, cause, hint }) => `${probe}: ${cause}${hint ? "\nhint: " + hint : ""}`).join("\n"));
+    this.fail(causes(rejected));
     this.cards.forEach(card => this.legend(card));
     if (kept.settings.trigger && groups.length) this.showState("armed", true);
     this.changed();

@@ -140,17 +140,17 @@ fn page_finds_probes_and_presets() {
         const probes = names.map(name => ({ name, unit: "" }));
         console.log(search(probes, "LEFT following").map(probe => probe.name).join());
         console.log(search(probes, "left out").map(probe => probe.name).join(), search(probes, "").length, search(probes, "odd").length);
-        for (const preset of PRESETS) console.log(preset.id, JSON.stringify(preset.plots(probes).map(plot => [plot.title, plot.names.length])));"#;
+        for (const preset of PRESETS) console.log(preset.id, JSON.stringify(preset.plots(probes)));"#;
     prints(
         "page_finds_probes_and_presets",
         program,
         r#"left.joint.0.following_error,left.joint.1.following_error
 net:left/swing.outValue 7 0
-following [["left: following error",2]]
-positions [["right: positions",1]]
+following [["left.joint.0.following_error","left.joint.1.following_error"]]
+positions [["right.joint.0.measured"]]
 velocities []
-force [["left: force",1],["left: torque",1]]
-latency [["nets: latency",1]]"#,
+force [["left.force.x"],["left.force.rx"]]
+latency [["thread:nets.latency"]]"#,
     );
 }
 
@@ -174,5 +174,24 @@ fn page_plot_keys_move_time_values_and_cursors() {
         "page_plot_keys_move_time_values_and_cursors",
         program,
         "1 11 true\nfalse\n3.90,4.10\n, false false\npan 5; zoom 1.10 25; all\n1 6\n1.00e-5",
+    );
+}
+
+#[test]
+fn page_plots_name_what_lines_share() {
+    let program = r#"
+        const { causes, shorten } = await import("PAGE/js/probe_picker.js");
+        const show = (...names) => { const { common, rest } = shorten(names); console.log(common, rest.join()); };
+        show("left.joint.0.measured", "left.joint.1.measured");
+        show("left.force.x", "left.force.y");
+        show("left.joint.0.measured", "right.joint.0.measured");
+        show("a.x", "a.x");
+        show("left.status"); show("left.status", "thread:nets.latency"); show();
+        console.log(causes([{ probe: "a", cause: "c", hint: "h" }, { probe: "b", cause: "d" }, ...["e", "f", "g", "i"].map(probe => ({ probe, cause: "j" }))]));"#;
+    prints(
+        "page_plots_name_what_lines_share",
+        program,
+        "left.joint.*.measured 0,1\nleft.force.* x,y\n*.joint.0.measured left,right\na.* x,x\n left.status\n \
+         left.status,thread:nets.latency\n \na: c\nhint: h\nb: d\n4 probes: j",
     );
 }
