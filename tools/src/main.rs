@@ -9,6 +9,7 @@
     )
 )]
 
+mod arm;
 #[cfg(feature = "can")]
 mod can;
 mod cell;
@@ -78,6 +79,8 @@ enum Command {
     /// Move emulated robots with nets and report; needs no hardware and no root.
     Demo(demo::Demo),
     Doctor(doctor::Doctor),
+    #[command(subcommand)]
+    Arm(arm::Arm),
     #[cfg(feature = "can")]
     /// Inspect CAN buses, send to them, set up interfaces.
     #[command(subcommand)]
@@ -126,6 +129,7 @@ fn main() -> ExitCode {
         #[cfg(feature = "demo")]
         Command::Demo(demo) => demo.run(),
         Command::Doctor(doctor) => doctor.run(),
+        Command::Arm(arm) => arm.run(),
         #[cfg(feature = "can")]
         Command::Can(can) => can.run(),
         #[cfg(feature = "ethercat")]

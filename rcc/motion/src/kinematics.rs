@@ -1,13 +1,16 @@
-//! Kinematics of the arms that Takt drives, in closed form: exact, without iteration and without
-//! allocation, so that they can run in every cycle. Not here: dynamics, tools, or arms without a
-//! closed form.
+//! Kinematics of arms, without allocation and with bounded work, so that they can run in every cycle: those that Takt
+//! knows by name in closed form, any other serial arm by the structure of its axes. Not here: dynamics or tools.
 
 mod chain;
 mod geometry;
 mod joints;
+mod numeric;
 mod opw;
+mod parallel;
 mod primitives;
+mod serial;
 mod srs;
+mod structure;
 #[cfg(test)]
 mod tests;
 mod wrist;
@@ -19,12 +22,16 @@ use takt_net::JointLimits;
 use takt_net::device::Kinematics;
 
 pub use chain::{Axis, Chain};
-use geometry::{frame, rot_y, rot_z, two_links};
+pub(crate) use geometry::rot_z;
+use geometry::{frame, rot_y, two_links};
 pub use joints::Range;
-use joints::{Nearest, checked, columns_or_nan, joints_or_nan};
+use joints::{Nearest, ON_LIMIT, checked, columns_or_nan, joints_or_nan};
 pub use opw::{Opw, OpwGeometry};
 pub(crate) use primitives::table;
+pub(crate) use serial::Fixed;
+pub use serial::{JOINTS_MAX, Joint, JointKind, Serial, SerialError};
 pub use srs::{Srs, SrsGeometry};
+pub use structure::Structure;
 pub use youbot::YouBot;
 
 /// The kinematics of an arm by the name of its model, with the joint ranges of its data sheet:

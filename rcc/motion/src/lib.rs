@@ -3,6 +3,7 @@
 
 #[cfg(test)]
 mod bench;
+pub mod dynamics;
 #[cfg(test)]
 mod fixture;
 pub mod kinematics;
@@ -10,6 +11,7 @@ mod motion;
 mod otg;
 mod pose;
 mod shape;
+pub mod urdf;
 
 use takt_net::Definition;
 

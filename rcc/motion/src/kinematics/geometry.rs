@@ -44,7 +44,7 @@ pub(super) fn rot_y(angle: f64) -> Matrix3<f64> {
     Matrix3::new(c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
 }
 
-pub(super) fn rot_z(angle: f64) -> Matrix3<f64> {
+pub(crate) fn rot_z(angle: f64) -> Matrix3<f64> {
     let (s, c) = angle.sin_cos();
     Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
 }
