@@ -72,8 +72,12 @@ impl Check {
             Err(error) => {
                 if self.json {
                     let faults = error.findings.iter();
-                    let faults = faults.map(|it| json!({ "line": it.line, "cause": it.cause, "hint": it.hint }));
-                    say(&json!({ "file": self.file, "faults": faults.collect::<Vec<_>>() }).to_string())?;
+                    let faults = faults
+                        .map(|it| json!({ "line": it.line, "cause": it.cause, "hint": it.hint }));
+                    say(
+                        &json!({ "file": self.file, "faults": faults.collect::<Vec<_>>() })
+                            .to_string(),
+                    )?;
                 } else {
                     say(&format!("{name} describes no arm that can be used"))?;
                     say(&error.to_string())?;
@@ -115,7 +119,9 @@ fn print(arm: &ArmModel, survey: &Survey) -> anyhow::Result<()> {
         } else {
             "without limits".to_owned()
         };
-        let load = load.as_ref().map_or_else(String::new, |load| load_text(load));
+        let load = load
+            .as_ref()
+            .map_or_else(String::new, |load| load_text(load));
         say(&format!(
             "  {:width$}  {range:<26}  at most {} {unit}/s{load}",
             joint.name,
@@ -167,7 +173,8 @@ fn as_json(arm: &ArmModel, survey: &Survey) -> Value {
     let singular = survey.singular.iter();
     let singular = singular.map(|(joint, at)| json!({ "joint": joint, "position": at }));
     let warnings = arm.warnings.iter();
-    let warnings = warnings.map(|it| json!({ "line": it.line, "cause": it.cause, "hint": it.hint }));
+    let warnings =
+        warnings.map(|it| json!({ "line": it.line, "cause": it.cause, "hint": it.hint }));
     json!({
         "name": arm.name, "base": arm.base, "tip": arm.tip,
         "structure": format!("{:?}", arm.serial.structure()),

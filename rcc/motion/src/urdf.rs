@@ -29,7 +29,7 @@ pub struct Finding {
     pub line: u32,
     /// What is wrong.
     pub cause: String,
-    /// What mends it; may be empty.
+    /// What repairs it; may be empty.
     pub hint: String,
 }
 

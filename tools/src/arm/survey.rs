@@ -1,4 +1,4 @@
-//! What poses all over the ranges of an arm tell of it. The same poses for the same arm.
+//! Properties of an arm by poses all over its ranges: the same poses for the same arm.
 
 use std::time::Instant;
 
@@ -51,9 +51,13 @@ impl Survey {
     pub(super) fn of(arm: &ArmModel, payload: &Body) -> Self {
         let mut random = Random::new(1);
         let serial = &arm.serial;
-        let poses: Vec<_> = (0..POSES).map(|_| random_pose(serial, &mut random)).collect();
+        let poses: Vec<_> = (0..POSES)
+            .map(|_| random_pose(serial, &mut random))
+            .collect();
         let reach = |joints: &Vec<f64>| serial.forward(joints).translation.vector.norm();
-        let (near, _) = inverses(serial, &poses, |joints, random| beside(serial, joints, random));
+        let (near, _) = inverses(serial, &poses, |joints, random| {
+            beside(serial, joints, random)
+        });
         let (far, times) = inverses(serial, &poses, |_, random| random_pose(serial, random));
         let dynamics = arm.dynamics.clone();
         let dynamics = dynamics.map(|dynamics| dynamics.with_payload(payload));
@@ -113,7 +117,9 @@ fn inverses(
 fn smallest(arm: &Serial, joints: &[f64]) -> f64 {
     let mut columns = vec![Twist::default(); joints.len()];
     arm.jacobian(joints, &mut columns);
-    let values = columns.iter().flat_map(|it| [it.vel.as_slice(), it.rot.as_slice()].concat());
+    let values = columns
+        .iter()
+        .flat_map(|it| [it.vel.as_slice(), it.rot.as_slice()].concat());
     let matrix = DMatrix::from_iterator(6, joints.len(), values);
     matrix.singular_values().min()
 }
@@ -138,7 +144,8 @@ fn singular(arm: &ArmModel, random: &mut Random) -> Vec<(String, f64)> {
         let values: Vec<_> = (0..=STEPS).map(|step| worst(at(step))).collect();
         for step in 0..=STEPS {
             let value = |step: u32| values.get(step as usize).copied().unwrap_or(f64::INFINITY);
-            let is_least = value(step) <= value(step.wrapping_sub(1)) && value(step) < value(step + 1);
+            let is_least =
+                value(step) <= value(step.wrapping_sub(1)) && value(step) < value(step + 1);
             if !is_least {
                 continue;
             }

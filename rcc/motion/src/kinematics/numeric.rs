@@ -220,7 +220,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Why there is no solution, as far as the best positions tell.
+    /// Why there is no solution, as far as the best positions show it.
     fn cause(&self) -> Unreachable {
         let mut each = self.best.0.iter().zip(self.arm.ranges());
         if each.any(|(joint, range)| *joint <= range.min || *joint >= range.max) {
