@@ -4,7 +4,7 @@
 //! `echo "0 0 0 0 0 0  0 0 0 0 0 0  0 0 0 0 0 0" | cargo run -p takt-motion --example urdf -- rcc/motion/tests/arms/tx90.urdf`
 
 use std::error::Error;
-use std::io::BufRead;
+use std::io::{BufRead, Write, stdin, stdout};
 
 use nalgebra::Vector3;
 use serde_json::json;
@@ -20,12 +20,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let model = Urdf::parse(&std::fs::read_to_string(file)?)?.arm(link(1), link(2))?;
     let names: Vec<_> = model.joints.iter().map(|joint| &joint.name).collect();
     let structure = model.serial.structure().to_string();
-    println!(
+    let mut out = stdout().lock();
+    writeln!(
+        out,
         "{}",
         json!({ "base": model.base, "tip": model.tip, "joints": names, "structure": structure })
-    );
+    )?;
     let count = names.len();
-    for line in std::io::stdin().lock().lines() {
+    for line in stdin().lock().lines() {
         let line = line?;
         let numbers: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
         let numbers = numbers?;
@@ -48,13 +50,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             torques
         });
         let rotation = flange.rotation.coords;
-        println!(
+        writeln!(
+            out,
             "{}",
             json!({
                 "position": flange.translation.vector.as_slice(), "quaternion": rotation.as_slice(),
                 "jacobian": columns, "torques": torques,
             })
-        );
+        )?;
     }
     Ok(())
 }

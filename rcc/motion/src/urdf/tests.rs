@@ -65,104 +65,105 @@ fn urdf_with_named_links_gives_part_of_arm() {
     );
 }
 
-/// Each fault of a file with what its text names: the line and the cause.
+/// Faults of a file: a text of it, the one in its place, and what the error names.
+const FAULTS: &[(&str, &str, &str)] = &[
+    (
+        "type=\"revolute\"><parent link=\"link_2\"",
+        "type=\"floating\"><parent link=\"link_2\"",
+        "line 24: joint `joint_3` of the arm moves in more than one direction",
+    ),
+    (
+        "lower=\"-2.5307\" upper=\"2.5307\" ",
+        "",
+        "line 24: joint `joint_3` has no limits",
+    ),
+    (
+        "lower=\"-2.5307\" upper=\"2.5307\"",
+        "lower=\"-145\" upper=\"145\"",
+        "line 25: joint `joint_3` may turn to 145 rad",
+    ),
+    (
+        "lower=\"-2.5307\" upper=\"2.5307\"",
+        "lower=\"1\" upper=\"-1\"",
+        "line 25: the range of joint `joint_3` is 1 to -1",
+    ),
+    (
+        "0 0.05 0.425",
+        "0 50 425",
+        "line 24: joint `joint_3` is 428 m from the one before it",
+    ),
+    (
+        "0 0.05 0.425",
+        "0 0.05 x",
+        "line 25: `xyz` of `origin` is \"0 0.05 x\", not 3 numbers",
+    ),
+    (
+        "0 0.05 0.425",
+        "0 0.05",
+        "line 25: `xyz` of `origin` is \"0 0.05\", not 3 numbers",
+    ),
+    (
+        "0 0.05 0.425",
+        "0 NaN 1",
+        "line 25: `xyz` of `origin` is \"0 NaN 1\"",
+    ),
+    (
+        "<child link=\"link_3\"/>",
+        "<child link=\"link_2\"/>",
+        "line 24: link `link_2` is behind joint `joint_3` and behind joint `joint_2` (line 22): a loop",
+    ),
+    (
+        "<parent link=\"base_link\"/>",
+        "<parent link=\"tool0\"/>",
+        "is behind itself: a loop",
+    ),
+    (
+        "<link name=\"tool0\"/>",
+        "<link name=\"tool0\"/><link name=\"floor\"/>",
+        "2 links are behind no joint: `base_link`, `floor`",
+    ),
+    (
+        "<link name=\"tool0\"/>",
+        "",
+        "names the link `tool0`, which is not there",
+    ),
+    (
+        "<link name=\"tool0\"/>",
+        "<link name=\"link_6\"/>",
+        "link `link_6` is there twice, first in line 15",
+    ),
+    (
+        "name=\"joint_2\"",
+        "name=\"joint_1\"",
+        "joint `joint_1` is there twice",
+    ),
+    (
+        "type=\"fixed\"",
+        "type=\"weld\"",
+        "joint `flange` has the type \"weld\"",
+    ),
+    (
+        "<axis xyz=\"0 0 1\"/><limit lower=\"-3.14159265\"",
+        "<axis xyz=\"0 0 0\"/><limit lower=\"-3.14159265\"",
+        "the axis of joint `joint_1` has no direction",
+    ),
+    ("<robot name", "<sdf name", "this is no XML"),
+    (
+        "effort=\"76\" velocity=\"7.5\"/>",
+        "effort=\"76\" velocity=\"7.5\"/><mimic joint=\"joint_2\"/>",
+        "joint `joint_3` of the arm follows joint `joint_2`",
+    ),
+    (
+        "0.05 0 0.478",
+        "${x} 0 0.478",
+        "line 23: this is a file of macros (xacro)\nhint: expand it first",
+    ),
+    ("<link name=\"tool0\"/>", "<xacro:arm/>", "this is no XML"),
+];
+
 #[test]
 fn urdf_with_fault_names_line_and_cause() {
-    let table = [
-        (
-            "type=\"revolute\"><parent link=\"link_2\"",
-            "type=\"floating\"><parent link=\"link_2\"",
-            "line 24: joint `joint_3` of the arm moves in more than one direction",
-        ),
-        (
-            "lower=\"-2.5307\" upper=\"2.5307\" ",
-            "",
-            "line 24: joint `joint_3` has no limits",
-        ),
-        (
-            "lower=\"-2.5307\" upper=\"2.5307\"",
-            "lower=\"-145\" upper=\"145\"",
-            "line 25: joint `joint_3` may turn to 145 rad",
-        ),
-        (
-            "lower=\"-2.5307\" upper=\"2.5307\"",
-            "lower=\"1\" upper=\"-1\"",
-            "line 25: the range of joint `joint_3` is 1 to -1",
-        ),
-        (
-            "0 0.05 0.425",
-            "0 50 425",
-            "line 24: joint `joint_3` is 428 m from the one before it",
-        ),
-        (
-            "0 0.05 0.425",
-            "0 0.05 x",
-            "line 25: `xyz` of `origin` is \"0 0.05 x\", not 3 numbers",
-        ),
-        (
-            "0 0.05 0.425",
-            "0 0.05",
-            "line 25: `xyz` of `origin` is \"0 0.05\", not 3 numbers",
-        ),
-        (
-            "0 0.05 0.425",
-            "0 NaN 1",
-            "line 25: `xyz` of `origin` is \"0 NaN 1\"",
-        ),
-        (
-            "<child link=\"link_3\"/>",
-            "<child link=\"link_2\"/>",
-            "line 24: link `link_2` is behind joint `joint_3` and behind joint `joint_2` (line 22): a loop",
-        ),
-        (
-            "<parent link=\"base_link\"/>",
-            "<parent link=\"tool0\"/>",
-            "is behind itself: a loop",
-        ),
-        (
-            "<link name=\"tool0\"/>",
-            "<link name=\"tool0\"/><link name=\"floor\"/>",
-            "2 links are behind no joint: `base_link`, `floor`",
-        ),
-        (
-            "<link name=\"tool0\"/>",
-            "",
-            "names the link `tool0`, which is not there",
-        ),
-        (
-            "<link name=\"tool0\"/>",
-            "<link name=\"link_6\"/>",
-            "link `link_6` is there twice, first in line 15",
-        ),
-        (
-            "name=\"joint_2\"",
-            "name=\"joint_1\"",
-            "joint `joint_1` is there twice",
-        ),
-        (
-            "type=\"fixed\"",
-            "type=\"weld\"",
-            "joint `flange` has the type \"weld\"",
-        ),
-        (
-            "<axis xyz=\"0 0 1\"/><limit lower=\"-3.14159265\"",
-            "<axis xyz=\"0 0 0\"/><limit lower=\"-3.14159265\"",
-            "the axis of joint `joint_1` has no direction",
-        ),
-        ("<robot name", "<sdf name", "this is no XML"),
-        (
-            "effort=\"76\" velocity=\"7.5\"/>",
-            "effort=\"76\" velocity=\"7.5\"/><mimic joint=\"joint_2\"/>",
-            "joint `joint_3` of the arm follows joint `joint_2`",
-        ),
-        (
-            "0.05 0 0.478",
-            "${x} 0 0.478",
-            "line 23: this is a file of macros (xacro)\nhint: expand it first",
-        ),
-        ("<link name=\"tool0\"/>", "<xacro:arm/>", "this is no XML"),
-    ];
-    for (from, to, wanted) in table {
+    for (from, to, wanted) in FAULTS {
         let error = refused(&with(from, to));
         assert!(error.contains(wanted), "{from} -> {to}: {error}");
     }
