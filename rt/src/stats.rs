@@ -134,6 +134,11 @@ impl StatsReader {
         &self.stalls
     }
 
+    /// Number of missed cycles. Costs one load.
+    pub fn overruns(&self) -> u64 {
+        self.totals.overruns.load(Ordering::Relaxed)
+    }
+
     /// The current statistics. Allocates; not for the real-time path.
     pub fn snapshot(&self) -> Snapshot {
         let latency = self.latency.read();

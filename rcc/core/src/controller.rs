@@ -13,6 +13,8 @@ mod eval;
 mod events;
 mod faults;
 mod figures;
+mod flight_recorder;
+mod flights;
 mod holders;
 mod last_values;
 mod limited;
@@ -66,6 +68,7 @@ pub use end::STOPPED_BY_RULE;
 pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};
 pub use faults::{DeviceFault, FaultCounts, StallCause, StallFigures};
 pub use figures::{NetFigures, ThreadInfo};
+pub use flight_recorder::{BURST, FlightInfo, FlightSettings};
 pub use holders::Holder;
 pub use last_values::LastValues;
 pub use limited::LimitedInfo;
@@ -124,6 +127,9 @@ impl Life {
 impl Drop for Life {
     fn drop(&mut self) {
         self.inner.stop.store(true, Ordering::Relaxed);
+        if let Some(flights) = self.inner.lock().flights.take() {
+            flights.stop();
+        }
         self.inner.changed.notify_all();
         let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);
         for thread in threads.drain(..) {

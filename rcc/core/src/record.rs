@@ -2,6 +2,8 @@
 //! A replay runs the same [`Executor`] on the recorded inputs and must give the same words.
 
 mod file;
+pub(crate) mod flight;
+mod flight_log;
 mod fuzz;
 mod inspect;
 mod live;
@@ -20,6 +22,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
+use takt_machine::Program;
 use takt_net::Moment;
 use takt_net::netcomm::Directory;
 use takt_rt::ring::{Consumer, Producer, ring};
@@ -31,9 +34,10 @@ use crate::executor::machines::{Hosted, MachineInput};
 use crate::executor::{End, Executor, Running};
 use crate::ids::NetId;
 use file::Writer;
-use notes::{LEVEL_WARN, Note};
+use notes::{LEVEL_WARN, Note, level_number};
 use words::Words;
 
+pub use flight_log::FlightLog;
 #[doc(hidden)]
 pub use fuzz::{files, fuzz};
 pub use inspect::{Contents, Topic, contents, recover};
@@ -246,14 +250,13 @@ pub struct RecordedLog {
 impl RecordedLog {
     /// Records a line of that part of the program.
     pub fn line(&self, level: tracing::Level, part: &str, text: &str) {
-        let level = level_number(level);
         if self.lines.waiting.fetch_add(1, Ordering::Relaxed) >= LINES_MAX {
             self.lines.waiting.fetch_sub(1, Ordering::Relaxed);
             self.lines.lost.fetch_add(1, Ordering::Relaxed);
             return;
         }
         let _ = self.notes.send(Note::Log {
-            level,
+            level: level_number(level),
             name: part.to_owned(),
             text: text.to_owned(),
         });
@@ -404,11 +407,17 @@ impl Recorder {
     }
 
     /// Records a loaded machine with the files of its components.
-    pub fn machine(&self, id: u32, text: &Arc<str>, files: &[(String, String)]) {
+    pub fn machine(
+        &self,
+        (id, program): (u32, &Arc<Program>),
+        text: &Arc<str>,
+        files: &[(String, String)],
+    ) {
         let _ = self.notes.send(Note::Machine {
             id,
             text: Arc::clone(text),
             files: files.to_vec(),
+            program: Arc::clone(program),
         });
     }
 

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use crate::controller::Controller;
+use crate::controller::flight_recorder::Trigger;
 use crate::controller::last_values::LastValues;
 use crate::controller::nets::{Change, Net};
 use crate::controller::registry::Registry;
@@ -220,7 +221,14 @@ impl Registry {
         };
         if let (true, Some(why)) = (failed, &why) {
             let table = self.keep_last_values(running).table();
-            tracing::warn!(net = %id, "net ended: {why}\nlast values, all at /nets/{id}/last:\n{table}");
+            let written = self.flights.as_ref().map(|flights| {
+                let cause = format!("net {id} ended: {why}");
+                flights
+                    .trigger(Trigger::Fault, &id.to_string(), &cause)
+                    .line()
+            });
+            let written = written.unwrap_or_default();
+            tracing::warn!(net = %id, "net ended: {why}{written}\nlast values, all at /nets/{id}/last:\n{table}");
         }
         self.nets.change(id, Change::End(why));
         self.answer_rules(id);

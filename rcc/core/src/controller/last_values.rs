@@ -11,7 +11,7 @@ use takt_net::netcomm::{Directory, OutStatus};
 use takt_net::value::{Twist, Vector};
 
 use crate::device::Device;
-use crate::executor::flight::{FlightReader, HEAD, JOINT_WORDS};
+use crate::executor::flight::{DEVICE_BEGIN, FlightReader, HEAD, JOINT_WORDS};
 use crate::ids::NetId;
 
 /// Maximum number of failed nets and of faulted devices whose last values are kept; the oldest are dropped first.
@@ -25,6 +25,14 @@ const SHOWN_NS: [i64; 6] = [
     1_000_000,
     0,
 ];
+
+/// Time that they cover, ns.
+const SPAN_NS: i64 = 1_000_000_000;
+
+/// When they begin, if they end now, ns on `CLOCK_MONOTONIC`.
+fn since() -> i64 {
+    takt_rt::monotonic().0 - SPAN_NS
+}
 
 /// The values of a device in a row.
 #[derive(Clone, Debug)]
@@ -50,8 +58,9 @@ pub struct LastValues {
 impl LastValues {
     /// The values of these devices up to now.
     pub(super) fn of_devices(devices: impl Iterator<Item = Arc<Device>>) -> Self {
+        let since = since();
         let rows = |device: Arc<Device>| {
-            let rows = device.flight.get()?.rows();
+            let rows = device.flight.get()?.rows_since(since, DEVICE_BEGIN);
             Some(DeviceRows { device, rows })
         };
         Self {
@@ -67,7 +76,7 @@ impl LastValues {
         directory: &Arc<Directory>,
         flight: &FlightReader,
     ) -> Self {
-        let rows = flight.rows_of_net(net.0, directory.words());
+        let rows = flight.rows_of_net(net.0, directory.words(), since());
         let directory = Arc::clone(directory);
         self.net = Some(NetRows { directory, rows });
         self

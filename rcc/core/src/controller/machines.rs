@@ -159,6 +159,17 @@ pub(super) struct Machines {
 }
 
 impl Machines {
+    /// Their texts, by file name.
+    pub(super) fn texts(&self) -> impl Iterator<Item = (String, Arc<str>)> {
+        let all = self.all.values();
+        all.map(|it| {
+            (
+                format!("machines/{}.machine", it.program.name()),
+                Arc::clone(&it.text),
+            )
+        })
+    }
+
     fn find(&self, name: &str) -> Result<(u32, &Loaded), Error> {
         let mut all = self.all.iter();
         let found = all.find(|(_, loaded)| loaded.program.name() == name);

@@ -10,6 +10,7 @@ use takt_rt::stats::StallReader;
 use crate::controller::device_set::DeviceSet;
 use crate::controller::driver_log::{DriverLog, DriverReports};
 use crate::controller::faults::{Faults, StallCause, StallFigures, cause};
+use crate::controller::flight_recorder::{FlightRecorder, Trigger};
 use crate::controller::last_values::Flights;
 use crate::controller::limited::MotionReports;
 use crate::controller::permission::Permission;
@@ -167,11 +168,11 @@ impl Monitor {
     /// Logs changes of devices; returns whether there were any.
     pub(super) fn poll(
         &mut self,
-        devices: &DeviceSet,
-        threads: &NetThreads,
+        (devices, threads): (&DeviceSet, &NetThreads),
         permission: &Permission,
+        recorder: Option<&FlightRecorder>,
     ) -> bool {
-        let faulted = self.poll_faults(devices, threads, takt_rt::monotonic());
+        let faulted = self.poll_faults((devices, threads), recorder, takt_rt::monotonic());
         let is_stopped = permission.is_stopped();
         let statuses = devices.statuses(is_stopped);
         let is_switched = self.stop.poll(permission.switch());
@@ -209,7 +210,12 @@ impl Monitor {
 
     /// Records new and ended faults of devices, with one log line each. Returns the devices
     /// with new faults.
-    fn poll_faults(&mut self, devices: &DeviceSet, threads: &NetThreads, at: Nanos) -> Vec<String> {
+    fn poll_faults(
+        &mut self,
+        (devices, threads): (&DeviceSet, &NetThreads),
+        recorder: Option<&FlightRecorder>,
+        at: Nanos,
+    ) -> Vec<String> {
         let Self {
             faults,
             reports,
@@ -234,10 +240,13 @@ impl Monitor {
                 let is_held = driver.is_some_and(|it| it.is_held_after_faults(&device.name));
                 let hint = if is_held { HELD } else { "" };
                 let (name, table) = (&device.name, flights.keep_device(device).table());
+                let written =
+                    recorder.map(|it| it.trigger(Trigger::Fault, name, &fault.to_string()).line());
+                let written = written.unwrap_or_default();
                 tracing::warn!(
                     device = name,
                     figures,
-                    "{fault}{hint}\nlast values, all at /devices/{name}/last:\n{table}"
+                    "{fault}{hint}{written}\nlast values, all at /devices/{name}/last:\n{table}"
                 );
                 faulted.push(device.name.clone());
             }

@@ -4,6 +4,7 @@
 mod life;
 mod links;
 mod net;
+mod past;
 mod retained;
 mod taps;
 
@@ -17,6 +18,8 @@ use takt_net::fault::{Fault, FaultKind};
 use crate::error::Error;
 use crate::executor::ResourceSet;
 use crate::ids::{NetId, SessionId};
+use crate::record::flight::FlightNet;
+use past::Past;
 use retained::Retained;
 
 pub(super) use life::{Change, HandOver};
@@ -35,6 +38,7 @@ pub(super) struct Nets {
     all: BTreeMap<NetId, Net>,
     last: Option<u32>,
     retained: Retained,
+    past: Past,
     /// Numbers of resources by name.
     resources: HashMap<String, usize>,
     /// Number of nets whose taps are recorded, as last counted.
@@ -107,6 +111,7 @@ impl Nets {
     pub(super) fn unload(&mut self, id: NetId) -> Option<Net> {
         let mut net = self.all.remove(&id)?;
         self.retained.insert(id, &mut net, NETS_MAX);
+        self.past.insert(id, &net);
         Some(net)
     }
 
@@ -135,6 +140,18 @@ impl Nets {
     /// Drops retained results that have expired.
     pub(super) fn drop_expired(&mut self) {
         self.retained.drop_expired();
+        self.past.drop_expired();
+    }
+
+    /// Keeps what flight files need of nets that are unloaded.
+    pub(super) const fn keep_past(&mut self) {
+        self.past.keep();
+    }
+
+    /// The nets that run, or ran and may be in a flight file.
+    pub(super) fn that_ran(&self) -> Vec<FlightNet> {
+        let loaded = self.all.iter().filter_map(|(id, net)| net.flight(*id));
+        loaded.chain(self.past.iter().cloned()).collect()
     }
 
     /// Bytes that all nets take or that are reserved for them.

@@ -7,6 +7,7 @@ use std::fmt;
 use crate::controller::admission::Admission;
 use crate::controller::changed::Changed;
 use crate::controller::device_set::DeviceSet;
+use crate::controller::flight_recorder::FlightRecorder;
 use crate::controller::machines::Machines;
 use crate::controller::monitor::Monitor;
 use crate::controller::nets::Nets;
@@ -57,6 +58,7 @@ pub(super) struct Registry {
     pub(super) admission: Admission,
     pub(super) permission: Permission,
     pub(super) recorder: Option<Recorder>,
+    pub(super) flights: Option<FlightRecorder>,
     pub(super) watches: Watches,
     /// Whether events were applied and watchers not yet notified.
     pub(super) unannounced: bool,
@@ -90,6 +92,7 @@ impl Registry {
             admission,
             permission,
             recorder,
+            flights: None,
             watches: Watches::default(),
             unannounced: false,
         }

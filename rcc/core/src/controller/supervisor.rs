@@ -54,9 +54,10 @@ fn watch(inner: &Shared, memory_return: &mut MemoryReturn) {
         devices,
         threads,
         permission,
+        flights,
         ..
     } = &mut *registry;
-    let mut has_changes = monitor.poll(devices, threads, permission);
+    let mut has_changes = monitor.poll((devices, threads), permission, flights.as_ref());
     let Registry {
         rejections,
         devices,

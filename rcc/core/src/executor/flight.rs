@@ -11,18 +11,28 @@ use takt_net::{Image, Moment};
 use super::{DeviceView, Running};
 use crate::device::Place;
 
-/// Time that a device's ring covers.
-const SPAN: Duration = Duration::from_secs(1);
-/// Upper bound on the words of one ring.
-const WORDS_MAX: usize = 1 << 21;
-/// Rows of the ring for out values of the nets of a thread.
-const NET_ROWS: usize = 1 << 15;
+mod since;
+
+/// Time that a flight file covers before its trigger.
+pub(crate) const BEFORE: Duration = Duration::from_secs(10);
+/// Time that a flight file covers after its trigger.
+pub(crate) const AFTER: Duration = Duration::from_secs(1);
+/// Time that a device's ring covers: that of a flight file, and a second for a disk that is slow to begin.
+const SPAN: Duration = Duration::from_secs(11);
+/// Upper bound on the words of one ring, 32 MiB; one of more words covers less time.
+const WORDS_MAX: usize = 1 << 22;
+/// Rows of the ring for out values of the nets of a thread, 8 MiB.
+const NET_ROWS: usize = 1 << 17;
 /// Words of out values in one row of it; longer out-boxes take several rows.
 pub(crate) const NET_WORDS: usize = 6;
 /// Words of a device's row before those of its joints: cycle, begin of the cycle, status, and number of faults.
 pub(crate) const HEAD: usize = 4;
 /// Words by joint: set-point, commanded and measured position, measured velocity, error.
 pub(crate) const JOINT_WORDS: usize = 5;
+/// The word of a device's row that is the begin of its cycle, ns.
+pub(crate) const DEVICE_BEGIN: usize = 1;
+/// The word of a row of out values that is the begin of its cycle, ns.
+pub(crate) const NET_BEGIN: usize = 0;
 
 /// Rows of equal width. A row that is being overwritten while it is read is discarded by its reader.
 #[derive(Debug)]
@@ -67,7 +77,7 @@ pub fn ring(width: usize, rows: usize) -> (FlightWriter, FlightReader) {
     (FlightWriter { ring, next: 0 }, reader)
 }
 
-/// The ring of a device for the last second of a thread with that period.
+/// The ring of a device for the last seconds of a thread with that period.
 #[must_use]
 pub fn of_device(place: &Place, period: Duration) -> (FlightWriter, FlightReader) {
     let width = HEAD + place.joints * JOINT_WORDS + place.signals.len();
@@ -211,9 +221,9 @@ impl FlightReader {
 
     /// The out-boxes of a net with so many words, as they changed: the begin of the cycle, ns, and the words; oldest first.
     #[must_use]
-    pub fn rows_of_net(&self, net: u32, words: usize) -> Vec<(i64, Vec<u64>)> {
+    pub fn rows_of_net(&self, net: u32, words: usize, since: i64) -> Vec<(i64, Vec<u64>)> {
         let mut found: Vec<(i64, Vec<u64>)> = Vec::new();
-        for row in self.rows() {
+        for row in self.rows_since(since, NET_BEGIN) {
             let [begin, source, ref values @ ..] = row[..] else {
                 continue;
             };
@@ -341,12 +351,13 @@ mod tests {
         net.plan.evaluate(&Image::default(), Moment::default());
         let words = net.plan.outbox().words();
         writer.write_net(&net, takt_rt::Nanos(5));
-        let rows = reader.rows_of_net(7, words);
+        let rows = reader.rows_of_net(7, words, 0);
         assert_eq!(rows.len(), 1);
         assert_eq!((rows[0].0, rows[0].1.len()), (5, words));
         assert!(words > NET_WORDS, "it takes several rows");
         let entry = net.plan.outbox().find("outx").unwrap();
         assert_eq!(entry.value(&rows[0].1), [2.5_f64.to_bits()]);
-        assert!(reader.rows_of_net(8, words).is_empty());
+        assert!(reader.rows_of_net(8, words, 0).is_empty());
+        assert!(reader.rows_of_net(7, words, 6).is_empty(), "too early");
     }
 }

@@ -3,11 +3,14 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufWriter, Seek, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use mcap::records::MessageHeader;
+use mcap::Attachment;
+use mcap::records::{MessageHeader, Metadata};
 use serde::Serialize;
 use takt_rt::monotonic;
 
@@ -23,10 +26,34 @@ use crate::record::words::start;
 /// Encoding of all messages.
 const ENCODING: &str = "cdr";
 
+/// A file that counts its bytes.
+struct Counted<W> {
+    to: W,
+    bytes: Arc<AtomicU64>,
+}
+
+impl<W: Write> Write for Counted<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.to.write(bytes)?;
+        self.bytes.fetch_add(written as u64, Ordering::Relaxed);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
+    }
+}
+
+impl<W: Seek> Seek for Counted<W> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.to.seek(to)
+    }
+}
+
 /// Writes the file in compressed chunks: after a full disk or a crash it is readable up to the last complete chunk.
 pub(super) struct Writer<W: Write + Seek = File> {
     /// `None` after an error: nothing follows half a record.
-    mcap: Option<mcap::Writer<BufWriter<W>>>,
+    mcap: Option<mcap::Writer<BufWriter<Counted<W>>>>,
     path: PathBuf,
     channels: [u16; 4],
     cdr: Cdr,
@@ -34,6 +61,8 @@ pub(super) struct Writer<W: Write + Seek = File> {
     sequence: u32,
     /// Cycles written to the file.
     written: u64,
+    /// Bytes on the disk; the last chunk follows.
+    bytes: Arc<AtomicU64>,
     /// Unix time at the zero of the host's monotonic clock, ns.
     epoch: u64,
 }
@@ -52,6 +81,15 @@ pub(super) fn since_boot(time: takt_rt::Nanos) -> u64 {
 impl Writer {
     pub(super) fn create(path: &Path) -> Result<Self, Error> {
         let file = File::create(path).map_err(|source| Error::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::on(file, path)
+    }
+
+    /// Creates a file that must not exist.
+    pub(super) fn create_new(path: &Path) -> Result<Self, Error> {
+        let file = File::create_new(path).map_err(|source| Error::File {
             path: path.to_owned(),
             source,
         })?;
@@ -84,6 +122,11 @@ impl<W: Write + Seek> Writer<W> {
     /// Begins the file.
     pub(super) fn on(to: W, path: &Path) -> Result<Self, Error> {
         let failed = |e: mcap::McapError| broken(path, 0, &e);
+        let bytes = Arc::default();
+        let counted = Counted {
+            to,
+            bytes: Arc::clone(&bytes),
+        };
         let mut mcap = mcap::WriteOptions::new()
             .compression(Some(mcap::Compression::Zstd))
             // Cycles that wait for the compression are lost: the fastest level, and no threads that compete with it.
@@ -93,7 +136,7 @@ impl<W: Write + Seek> Writer<W> {
             .disable_seeking(true)
             .profile("ros2")
             .library("takt")
-            .create(BufWriter::new(to))
+            .create(BufWriter::new(counted))
             .map_err(failed)?;
         let format = BTreeMap::from([("format".to_owned(), FORMAT.to_owned())]);
         let mut schema = |of: &schemas::Schema| {
@@ -122,6 +165,7 @@ impl<W: Write + Seek> Writer<W> {
             messages: Messages::default(),
             sequence: 0,
             written: 0,
+            bytes,
             epoch: epoch(),
         })
     }
@@ -129,7 +173,7 @@ impl<W: Write + Seek> Writer<W> {
     /// Executes an operation on the file; after an error the file is not changed.
     fn try_with<T>(
         &mut self,
-        act: impl FnOnce(&mut mcap::Writer<BufWriter<W>>) -> Result<T, mcap::McapError>,
+        act: impl FnOnce(&mut mcap::Writer<BufWriter<Counted<W>>>) -> Result<T, mcap::McapError>,
     ) -> Result<T, Error> {
         let ended = || wrong(&self.path, "the recording has ended before".to_owned());
         let mcap = self.mcap.as_mut().ok_or_else(ended)?;
@@ -143,7 +187,7 @@ impl<W: Write + Seek> Writer<W> {
     }
 
     /// Unix time of a reading of the host's monotonic clock.
-    fn stamp(&self, time: takt_rt::Nanos) -> Stamp {
+    pub(super) fn stamp(&self, time: takt_rt::Nanos) -> Stamp {
         Stamp(self.epoch.saturating_add(since_boot(time)))
     }
 
@@ -152,8 +196,37 @@ impl<W: Write + Seek> Writer<W> {
         self.try_with(mcap::Writer::flush)
     }
 
+    /// Bytes that were written to the disk.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Attaches a text.
+    pub(super) fn attach(&mut self, name: &str, text: &str) -> Result<(), Error> {
+        let at = self.stamp(monotonic()).0;
+        self.try_with(|mcap| {
+            mcap.attach(&Attachment {
+                log_time: at,
+                create_time: at,
+                name: name.to_owned(),
+                media_type: "text/plain".to_owned(),
+                data: text.as_bytes().into(),
+            })
+        })
+    }
+
+    /// Describes the file by keys and values.
+    pub(super) fn describe(&mut self, values: BTreeMap<String, String>) -> Result<(), Error> {
+        self.try_with(|mcap| {
+            mcap.write_metadata(&Metadata {
+                name: "takt".to_owned(),
+                metadata: values,
+            })
+        })
+    }
+
     /// Changes the messages for viewers, which write to this file.
-    fn show<T>(
+    pub(super) fn show<T>(
         &mut self,
         act: impl FnOnce(&mut Messages, &mut Self) -> Result<T, Error>,
     ) -> Result<T, Error> {
@@ -214,7 +287,13 @@ impl<W: Write + Seek> Writer<W> {
                 };
                 self.toml(nets, &note, at)
             }
-            Note::Machine { id, text, files } => {
+            Note::Machine {
+                id,
+                text,
+                files,
+                program,
+            } => {
+                self.messages.machine(*id, program);
                 let note = MachineNote {
                     id: *id,
                     text: text.as_ref().to_owned(),

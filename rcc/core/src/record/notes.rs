@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use takt_machine::Program;
 use takt_net::JointLimits;
 use takt_net::netcomm::Directory;
 
@@ -143,6 +144,7 @@ pub(super) enum Note {
         id: u32,
         text: Arc<str>,
         files: Vec<(String, String)>,
+        program: Arc<Program>,
     },
 }
 
@@ -155,3 +157,13 @@ pub(super) fn wrong(path: &Path, why: String) -> Error {
 
 /// Level of a warning in `rcl_interfaces/msg/Log`.
 pub(super) const LEVEL_WARN: u8 = 30;
+
+/// A level of the log as `rcl_interfaces/msg/Log` numbers it.
+pub(super) const fn level_number(level: tracing::Level) -> u8 {
+    match level {
+        tracing::Level::ERROR => 40,
+        tracing::Level::WARN => LEVEL_WARN,
+        tracing::Level::INFO => 20,
+        _ => 10,
+    }
+}

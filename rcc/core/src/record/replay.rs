@@ -258,7 +258,7 @@ impl<'r> Stage<'r> {
             | Entry::Outbox(..)
             | Entry::Ended(..)
             | Entry::Outputs(..)
-            | Entry::Stepped => {}
+            | Entry::Stepped(..) => {}
         }
         Ok(())
     }
@@ -321,7 +321,7 @@ impl<'r> Stage<'r> {
                 self.executor.machine_events(|_, _| {});
             }
             // What the thread computed, the replay computes again.
-            Entry::Outbox(..) | Entry::Ended(..) | Entry::Outputs(..) | Entry::Stepped => {}
+            Entry::Outbox(..) | Entry::Ended(..) | Entry::Outputs(..) | Entry::Stepped(..) => {}
         }
         Ok(())
     }

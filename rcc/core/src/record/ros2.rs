@@ -3,6 +3,7 @@
 
 pub(super) mod cdr;
 mod device;
+mod machines;
 mod row;
 pub(super) mod schemas;
 mod values;
@@ -23,6 +24,7 @@ use cdr::Cdr;
 pub(super) use device::ShownDevice;
 use device::{DeviceTopics, Reported, transform};
 pub(super) use row::FlightRow;
+use machines::MachineTopic;
 use values::{fields, number, shown};
 
 /// Nets whose values have a topic in one file; MCAP numbers 65,536 channels.
@@ -114,6 +116,7 @@ pub(super) struct Messages {
     devices: BTreeMap<usize, DeviceTopics>,
     nets: HashMap<u32, NetTopic>,
     running: BTreeSet<u32>,
+    machines: BTreeMap<u32, MachineTopic>,
     /// Memory for the joints of a device.
     joints: Vec<JointState>,
     /// Number and begin of the cycle before.
@@ -277,6 +280,18 @@ impl Messages {
                     self.values(to, net, words, at)?;
                     continue;
                 }
+                Entry::Stepped(machine, states) => {
+                    self.stepped(to, (cycle, machine), states, at)?;
+                    continue;
+                }
+                Entry::MachineAdded(machine) => {
+                    self.machine_event(to, (cycle, machine), "added", at)?;
+                    continue;
+                }
+                Entry::MachineRemoved(machine) => {
+                    self.machine_event(to, (cycle, machine), "removed", at)?;
+                    continue;
+                }
                 Entry::Started(net) | Entry::Seated(net, ..) => (net, "started", String::new()),
                 Entry::Succeeded(net) => (net, "started", "by a rule".to_owned()),
                 Entry::Cancelled(net) => (net, "cancel requested", String::new()),
@@ -286,12 +301,9 @@ impl Messages {
                 Entry::Aborted(_)
                 | Entry::Stopped(_)
                 | Entry::RanAway(_)
-                | Entry::MachineAdded(_)
-                | Entry::MachineRemoved(_)
                 | Entry::SeatFailed(..)
                 | Entry::MachineInput(..)
-                | Entry::Inbox(..)
-                | Entry::Stepped => continue,
+                | Entry::Inbox(..) => continue,
             };
             self.net_event(to, (cycle, net), (event, &cause), at)?;
         }
@@ -362,6 +374,25 @@ impl Messages {
         Ok(())
     }
 
+    /// A cycle of a net thread of that topic, after the one `before`: number and begin, ns.
+    #[expect(clippy::cast_precision_loss, reason = "less than a day")]
+    pub(super) fn thread_cycle(
+        &mut self,
+        to: &mut impl Sink,
+        (topic, before): (&str, Option<(u64, i64)>),
+        (cycle, begin): (u64, i64),
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let (interval, missed) = before.map_or((f64::NAN, 0), |(last, before)| {
+            let interval = begin.saturating_sub(before);
+            (interval as f64 * 1e-3, cycle.saturating_sub(last + 1))
+        });
+        let channel = self.topics.channel(to, topic, &schemas::THREAD_CYCLE)?;
+        let cdr = at.write(self.topics.cdr.begin()).u64(cycle);
+        cdr.f64(interval).u64(missed);
+        to.message(channel, self.topics.cdr.bytes(), at)
+    }
+
     /// A row of the flight recorder: what a device reported in a cycle, and what nets commanded to it.
     pub(super) fn row(
         &mut self,
@@ -417,11 +448,12 @@ impl Messages {
         at: Stamp,
     ) -> Result<(), Error> {
         for device in self.devices.values() {
+            // They are in the order of joints.
+            let (pairs, _) = commanded.as_chunks::<2>();
             let position = |joint: usize| {
-                let mut pairs = commanded.chunks_exact(2);
-                let pair = pairs.find(|pair| pair.first() == Some(&(joint as u64)));
-                let bits = pair.and_then(|pair| pair.get(1));
-                bits.map_or(f64::NAN, |bits| f64::from_bits(*bits))
+                let found = pairs.binary_search_by_key(&(joint as u64), |[joint, _]| *joint);
+                let pair = found.ok().and_then(|at| pairs.get(at));
+                pair.map_or(f64::NAN, |[_, bits]| f64::from_bits(*bits))
             };
             let positions = device.joints.clone().map(position);
             device.commanded(&mut self.topics, to, positions, at)?;
@@ -463,7 +495,7 @@ impl Messages {
     }
 
     /// Values of a net that changed.
-    pub(super) fn values(
+    fn values(
         &mut self,
         to: &mut impl Sink,
         net: u32,

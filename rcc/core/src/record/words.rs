@@ -3,6 +3,7 @@
 
 use std::ops::Range;
 
+use takt_machine::machine::Status;
 use takt_net::{JointState, Moment, Nanos};
 
 use crate::device::DeviceStatus;
@@ -215,6 +216,13 @@ impl Words {
     }
 }
 
+/// Status and state of a machine from its word in [`Entry::Stepped`].
+pub(super) fn machine_state(word: u64) -> (Status, Option<usize>) {
+    let status = Status::ALL.into_iter().find(|it| *it as u64 == word & 0xFF);
+    let state = usize::try_from(word >> 8).unwrap_or(0).checked_sub(1);
+    (status.unwrap_or_default(), state)
+}
+
 const fn status_word(status: DeviceStatus) -> u64 {
     match status {
         DeviceStatus::Offline => 0,
@@ -255,7 +263,8 @@ pub(super) enum Entry<'w> {
     Ended(u32, u64, u64),
     /// Pairs of joint and commanded position.
     Outputs(&'w [u64]),
-    Stepped,
+    /// A machine, and words of its states and then of its variables.
+    Stepped(u32, &'w [u64]),
 }
 
 /// Inputs of a cycle.
@@ -271,7 +280,7 @@ pub(super) struct Inputs<'w> {
     fresh: &'w [u64],
 }
 
-impl Inputs<'_> {
+impl<'w> Inputs<'w> {
     /// Status and faults of a device.
     pub(super) fn device(&self, number: usize) -> Option<(DeviceStatus, u64)> {
         let pair = self.devices.chunks_exact(2).nth(number)?;
@@ -292,7 +301,7 @@ impl Inputs<'_> {
     }
 
     /// What a device with that range of words reported.
-    pub(super) fn signals(&self, range: &Range<usize>) -> &[u64] {
+    pub(super) fn signals(&self, range: &Range<usize>) -> &'w [u64] {
         self.signals.get(range.clone()).unwrap_or_default()
     }
 
@@ -379,9 +388,9 @@ impl<'w> Reader<'w> {
                 Entry::MachineInput(machine, MachineInput::of_words(words)?)
             }
             kind::STEPPED => {
-                let (_, len) = (self.word()?, self.word()?);
-                self.body(len.checked_add(2)?)?;
-                Entry::Stepped
+                let (machine, len) = (self.id()?, self.word()?);
+                let (_, states) = self.body(len.checked_add(2)?)?.split_at_checked(2)?;
+                Entry::Stepped(machine, states)
             }
             kind::INBOX => {
                 let (id, len) = (self.id()?, self.word()?);

@@ -115,7 +115,7 @@ impl Controller {
         hosted.requested = registry.permission.generation();
         let text: Arc<str> = request.text.as_str().into();
         if let (Some(recorder), 0) = (&registry.recorder, thread) {
-            recorder.machine(id, &text, &request.files);
+            recorder.machine((id, program), &text, &request.files);
         }
         registry.threads.check_capacity_of(thread)?;
         registry.nets.reserve_for_machine(id, thread, total);

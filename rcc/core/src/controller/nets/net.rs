@@ -17,6 +17,7 @@ use crate::executor::figures::NetCounters;
 use crate::executor::links::OUT_READERS;
 use crate::executor::{ResourceSet, Running};
 use crate::ids::{NetId, NetState, SessionId};
+use crate::record::flight::FlightNet;
 
 /// A net as programs see it.
 #[derive(Clone, Debug)]
@@ -320,6 +321,17 @@ impl Net {
     pub(in crate::controller) fn uses(&self, device: &str) -> bool {
         let mut devices = self.known.iter().flat_map(|known| &known.devices);
         devices.any(|name| name == device)
+    }
+
+    /// What flight files need of it, if it ran.
+    pub(in crate::controller) fn flight(&self, id: NetId) -> Option<FlightNet> {
+        let ran = self.states.contains(&NetState::Running);
+        let values = self.values().filter(|_| ran)?;
+        Some(FlightNet {
+            id: id.0,
+            text: Arc::clone(&self.text),
+            directory: Arc::clone(&values.out_directory),
+        })
     }
 
     fn values(&self) -> Option<&Values> {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use takt_net::device::{Interfaces, Io, Kinematics, Layout};
 use takt_net::{Frame, JointState};
 
-use crate::device::{DeviceDescription, DeviceStatus, Place, parts};
+use crate::device::{ARM_JOINTS_MAX, DeviceDescription, DeviceStatus, Place, parts};
 use crate::error::Error;
 use crate::record::ros2::cdr::Cdr;
 use crate::record::ros2::values::identifier;
@@ -62,6 +62,9 @@ pub(super) struct DeviceTopics {
     pub(super) signals: Range<usize>,
     own: Interfaces,
     kinematics: Option<Arc<dyn Kinematics>>,
+    /// Parent and child of its transform.
+    frames: Option<(String, String)>,
+    flange: String,
     states: Option<u16>,
     set_points: Option<u16>,
     wrench: Option<u16>,
@@ -86,6 +89,11 @@ impl DeviceTopics {
         } = device;
         let topic = |what: &str| format!("/{}/{what}", identifier(name));
         let joints = place.first_joint..place.first_joint + place.joints;
+        let frames = match (&kinematics, &own.base) {
+            (Some(_), _) => Some((format!("{name}.base"), format!("{name}.flange"))),
+            (None, Some(_)) => Some((format!("{name}.odometry"), name.to_owned())),
+            (None, None) => None,
+        };
         let has_joints = !joints.is_empty();
         let mut of = |wanted: bool, what: &str, schema| {
             wanted
@@ -93,7 +101,7 @@ impl DeviceTopics {
                 .transpose()
         };
         Ok(Self {
-            joint_names: (1..=place.joints)
+            joint_names: (1..=joints.len())
                 .map(|n| format!("{name}.joint_{n}"))
                 .collect(),
             name: name.to_owned(),
@@ -101,6 +109,8 @@ impl DeviceTopics {
             joints,
             signals: place.signals.clone(),
             kinematics,
+            frames,
+            flange: format!("{name}.flange"),
             states: of(has_joints, "joint_states", &schemas::JOINT_STATE)?,
             set_points: of(has_joints, "set_points", &schemas::JOINT_STATE)?,
             wrench: of(own.wrench.is_some(), "wrench", &schemas::WRENCH_STAMPED)?,
@@ -144,7 +154,7 @@ impl DeviceTopics {
             && to.wants(channel)
             && let Some(wrench) = wrench.read(signals)
         {
-            let message = at.header(cdr.begin(), &format!("{}.flange", self.name));
+            let message = at.header(cdr.begin(), &self.flange);
             for value in wrench.force.iter().chain(wrench.torque.iter()) {
                 message.f64(*value);
             }
@@ -193,29 +203,31 @@ impl DeviceTopics {
         }: Reported<'_>,
         at: Stamp,
     ) -> Result<(), Error> {
-        if self.kinematics.is_none() && self.own.base.is_none() {
+        let Some((parent, child)) = &self.frames else {
             return Ok(());
-        }
+        };
         let channel = topics.channel(to, "/tf", &schemas::TRANSFORMS)?;
         if !to.wants(channel) {
             return Ok(());
         }
-        let (name, of_device) = (&self.name, |what| format!("{}.{what}", self.name));
         let placed = if let Some(arm) = &self.kinematics {
-            let positions: Option<Vec<_>> = joints.iter().map(|it| it.measured_position).collect();
-            let frame = positions.map(|joints| arm.forward(&joints));
-            frame.map(|frame| (of_device("base"), of_device("flange"), frame))
-        } else if let Some(base) = &self.own.base {
-            let pose = base.pose.read(signals);
-            pose.map(|frame| (of_device("odometry"), name.clone(), frame))
+            let mut positions = [0.0; ARM_JOINTS_MAX];
+            let mut known = joints.iter().zip(&mut positions);
+            let is_known = known.all(|(state, position)| {
+                *position = or_nan(state.measured_position);
+                !position.is_nan()
+            });
+            let positions = positions.get(..joints.len()).filter(|_| is_known);
+            positions.map(|joints| arm.forward(joints))
         } else {
-            None
+            let base = self.own.base.as_ref();
+            base.and_then(|base| base.pose.read(signals))
         };
-        let Some((parent, child, frame)) = placed else {
+        let Some(frame) = placed else {
             return Ok(());
         };
         topics.cdr.begin().count(1);
-        transform(&mut topics.cdr, at, (&parent, &child), &frame);
+        transform(&mut topics.cdr, at, (parent, child), &frame);
         to.message(channel, topics.cdr.bytes(), at)
     }
 

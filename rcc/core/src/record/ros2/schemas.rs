@@ -124,6 +124,20 @@ pub(in crate::record) const NET_EVENT: Schema = Schema {
     parts: &[TIME],
 };
 
+/// A change of a machine, or of one inside: its state and status from this cycle on.
+pub(in crate::record) const MACHINE_EVENT: Schema = Schema {
+    name: "takt_msgs/msg/MachineEvent",
+    fields: "builtin_interfaces/Time stamp\nuint64 cycle\nstring machine\nstring event\nstring state\nstring status\n",
+    parts: &[TIME],
+};
+
+/// A cycle of a net thread in a flight file: how long after the one before it began, and cycles missed between them.
+pub(in crate::record) const THREAD_CYCLE: Schema = Schema {
+    name: "takt_msgs/msg/ThreadCycle",
+    fields: "builtin_interfaces/Time stamp\nuint64 cycle\nfloat64 interval_us\nuint64 missed\n",
+    parts: &[TIME],
+};
+
 /// Digital and analogue inputs and outputs; not a number where a value is not known.
 pub(in crate::record) const SIGNALS: Schema = Schema {
     name: "takt_msgs/msg/Signals",
