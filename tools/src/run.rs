@@ -19,6 +19,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use clap::Args;
 use takt_client::Token;
+use takt_core::controller::FlightSettings;
 use takt_core::record::Recorder;
 use takt_core::stop_channel::{
     PRIORITY, StopChannel, StopChannelConfig, StopSwitch, default_socket,
@@ -32,8 +33,8 @@ pub(crate) use self::access::Access;
 use self::logging::Logging;
 use self::page_program::PageProgram;
 use self::service::Service;
-use crate::Verdict;
 use crate::output::{chain, complain, say};
+use crate::{Verdict, token};
 
 /// Run the controller.
 ///
@@ -72,7 +73,8 @@ impl Run {
         }
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
         if let Some((recorder, _)) = &recording {
-            logging.record(recorder.log());
+            let log = recorder.log();
+            logging.record(move |level, part, text| log.line(level, part, text));
         }
         let controller = Controller::start_under(&cell, recording, switch).map_err(judged)?;
         print_grants(&host, &controller);
@@ -90,6 +92,9 @@ impl Run {
         {
             say(&address)?;
         }
+        if let Some(line) = record_flights(&self.config, &cell, &controller, &logging) {
+            say(&line)?;
+        }
         for (name, address) in controller.waits_at() {
             say(&format!("{name} waits for its robot at udp {address}"))?;
         }
@@ -99,6 +104,44 @@ impl Run {
             say(&format!("recorded {cycles} cycles"))?;
         }
         Ok(Verdict::Good)
+    }
+}
+
+/// Starts the flight recorder of a cell, if it has one; returns a line for the start. Without it the controller runs all the
+/// same.
+fn record_flights(
+    config: &Path,
+    cell: &CellConfig,
+    controller: &Controller,
+    logging: &Logging,
+) -> Option<String> {
+    let state = || Some(token::state_directory()?.join("flights"));
+    let directory = cell.controller.flight_recorder.clone().or_else(state);
+    let Some(directory) = directory.filter(|it| !it.as_os_str().is_empty()) else {
+        return Some("flight recorder: off".to_owned());
+    };
+    let mib = cell.controller.flight_recorder_mib;
+    let settings = FlightSettings {
+        directory: directory.clone(),
+        bytes_max: u64::from(mib) << 20,
+        cell: takt_core::files::read_text(config, takt_core::files::TEXT_BYTES_MAX).ok(),
+    };
+    match controller.record_flights(settings) {
+        Ok(log) => {
+            logging.record(move |level, part, text| log.line_of(level, part, text));
+            let memory = controller.flight_memory().div_ceil(1 << 20);
+            Some(format!(
+                "flight recorder: 10 s before each fault to {}, at most {mib} MiB; {memory} MiB of memory",
+                directory.display()
+            ))
+        }
+        Err(error) => {
+            complain(&format!(
+                "warning: no flight recorder: {error}\nhint: set flight_recorder under [controller] to a directory that \
+                 this account can write, or to \"\""
+            ));
+            None
+        }
     }
 }
 

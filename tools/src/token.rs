@@ -65,16 +65,26 @@ pub(crate) fn of_client(
 /// Where a controller makes its token file: in the directory that the service manager gave it, else in that of
 /// the account's programs.
 fn made_path(environment: &dyn Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+    Some(state_directory_of(environment)?.join(MADE))
+}
+
+/// Where a controller keeps what outlives it: the directory that the service manager gave it, else that of the account's
+/// programs.
+pub(crate) fn state_directory() -> Option<PathBuf> {
+    state_directory_of(&|name: &str| std::env::var_os(name))
+}
+
+fn state_directory_of(environment: &dyn Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let named = |name| environment(name).filter(|value| !value.is_empty());
     if let Some(directory) = named("STATE_DIRECTORY") {
-        return Some(Path::new(&directory).join(MADE));
+        return Some(PathBuf::from(directory));
     }
     let state = match (named("XDG_STATE_HOME"), named("HOME")) {
         (Some(state), _) => PathBuf::from(state),
         (None, Some(home)) => Path::new(&home).join(".local/state"),
         (None, None) => return None,
     };
-    Some(state.join("takt").join(MADE))
+    Some(state.join("takt"))
 }
 
 fn find(

@@ -22,6 +22,8 @@
 //! rejected_ends_after = "5s" # a net whose set-points are rejected for so long ends; "0s": it runs on
 //! log = "info"             # or debug, warn, error; also by part: "warn,takt_core=debug"
 //! costs = "costs.toml"     # what primitives cost here, by `takt net calibrate`; beside this file
+//! flight_recorder = "/var/lib/takt/flights" # the last 10 s before each fault; in the state directory if left out, "" for none
+//! flight_recorder_mib = 512 # of all its files together; the oldest are deleted first
 //!
 //! [[controller.thread]]    # one more net thread, for nets of its period
 //! period = "4ms"
@@ -158,6 +160,11 @@ pub struct ControllerConfig {
     pub costs: Option<PathBuf>,
     /// Memory quota of all nets together, MiB, 1 to 65536; their texts may take another sixteenth.
     pub nets_memory_mib: u32,
+    /// Directory of flight files, relative to the directory of the cell file, empty for none; `None` for `flights` in the state
+    /// directory.
+    pub flight_recorder: Option<PathBuf>,
+    /// Maximum size of all flight files together, MiB, 16 to 1048576; the oldest are deleted first.
+    pub flight_recorder_mib: u32,
 }
 
 /// Default distance of the stop channel's port above that of HTTP.
@@ -205,6 +212,8 @@ impl Default for ControllerConfig {
             log: None,
             costs: None,
             nets_memory_mib: 1024,
+            flight_recorder: None,
+            flight_recorder_mib: 512,
         }
     }
 }
@@ -262,8 +271,15 @@ impl CellConfig {
             path: path.to_owned(),
             why,
         })?;
-        if let (Some(costs), Some(folder)) = (&mut cell.controller.costs, path.parent()) {
-            *costs = folder.join(&*costs);
+        let paths = [
+            &mut cell.controller.costs,
+            &mut cell.controller.flight_recorder,
+        ];
+        for relative in paths.into_iter().flatten() {
+            // An empty one means none.
+            if let Some(folder) = path.parent().filter(|_| !relative.as_os_str().is_empty()) {
+                *relative = folder.join(&*relative);
+            }
         }
         Ok(cell)
     }
@@ -369,6 +385,12 @@ impl CellConfig {
         if !(1..=65536).contains(&memory) {
             return Err(format!(
                 "controller.nets_memory_mib is {memory}; it must be 1 to 65536"
+            ));
+        }
+        let flights = self.controller.flight_recorder_mib;
+        if !(16..=1 << 20).contains(&flights) {
+            return Err(format!(
+                "controller.flight_recorder_mib is {flights}; it must be 16 to 1048576"
             ));
         }
         for (i, period) in periods.iter().enumerate() {

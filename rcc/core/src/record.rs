@@ -8,11 +8,13 @@ mod fuzz;
 mod inspect;
 mod live;
 mod notes;
+mod parts;
 mod read;
 mod replay;
 mod ros2;
 #[cfg(test)]
 mod tests;
+pub(crate) mod utc;
 mod words;
 
 use std::io::{Seek, Write};
@@ -34,7 +36,8 @@ use crate::executor::machines::{Hosted, MachineInput};
 use crate::executor::{End, Executor, Running};
 use crate::ids::NetId;
 use file::Writer;
-use notes::{LEVEL_WARN, Note, level_number};
+use notes::{LEVEL_WARN, Note};
+use parts::Parts;
 use words::Words;
 
 pub use flight_log::FlightLog;
@@ -42,6 +45,7 @@ pub use flight_log::FlightLog;
 pub use fuzz::{files, fuzz};
 pub use inspect::{Contents, Topic, contents, recover};
 pub use live::LiveStream;
+pub use parts::{PART_BYTES_MIN, Rotation};
 pub use replay::{Replay, replay};
 pub use ros2::{Sink, Stamp};
 
@@ -296,12 +300,30 @@ impl Recorder {
     /// # Errors
     /// If the file cannot be created.
     pub fn start(path: &Path) -> Result<(Self, Tap), Error> {
-        Self::begin(Writer::create(path)?, path)
+        Self::begin((Writer::create(path)?, None), path)
+    }
+
+    /// As [`Self::start`], to files of a bounded size beside that path: `run.mcap` gives `run-<time>-0001.mcap` and so on.
+    ///
+    /// # Errors
+    /// If the first file cannot be created, or the size is too small.
+    pub fn start_rotating(path: &Path, rotation: Rotation) -> Result<(Self, Tap), Error> {
+        if rotation.bytes < PART_BYTES_MIN {
+            let why = format!(
+                "files of {} bytes are too small\nhint: at least {} MiB",
+                rotation.bytes,
+                PART_BYTES_MIN >> 20
+            );
+            let path = path.to_owned();
+            return Err(Error::Recording { path, why });
+        }
+        let (parts, first) = Parts::beside(path, rotation)?;
+        Self::begin((first, Some(parts)), path)
     }
 
     /// Starts the thread that writes.
     fn begin<W: Write + Seek + Send + 'static>(
-        writer: Writer<W>,
+        (writer, parts): (Writer<W>, Option<Parts<W>>),
         path: &Path,
     ) -> Result<(Self, Tap), Error> {
         let (failed, failures) = mpsc::channel();
@@ -312,6 +334,7 @@ impl Recorder {
         let lost = Arc::new(AtomicU64::new(0));
         let mut file_thread = FileThread {
             writer,
+            parts,
             free: free_in,
             full: full_out,
             notes: notes_out,
@@ -475,6 +498,7 @@ impl Drop for Recorder {
 /// Between the net thread and the file.
 struct FileThread<W: Write + Seek> {
     writer: Writer<W>,
+    parts: Option<Parts<W>>,
     free: Producer<Vec<u64>>,
     full: Consumer<Vec<u64>>,
     notes: mpsc::Receiver<Note>,
@@ -517,6 +541,9 @@ impl<W: Write + Seek> FileThread<W> {
                 self.notes()?;
                 self.writer.cycle(&buffer)?;
                 cycles += 1;
+                if let Some(parts) = &mut self.parts {
+                    parts.rotate(&mut self.writer)?;
+                }
                 buffer.clear();
                 let _ = self.free.push(buffer);
             }

@@ -3,13 +3,12 @@
 
 use std::fmt::Write as _;
 use std::os::linux::fs::MetadataExt as _;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, PoisonError, RwLock};
 
 use anyhow::Context as _;
-use takt_core::record::RecordedLog;
 use takt_server::LogBook;
 use tracing::field::{Field, Visit};
-use tracing::{Event, Subscriber};
+use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::layer::{Context, Layer, SubscriberExt as _};
 use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, Registry, fmt, reload};
@@ -25,19 +24,34 @@ const DEFAULT: &str = "info";
 #[derive(Debug)]
 pub(super) struct Logging {
     filter: reload::Handle<EnvFilter, Registry>,
-    recording: Arc<OnceLock<RecordedLog>>,
+    recorded: Recorded,
 }
 
-/// Lines for the recording, once there is one.
-struct Recorded(Arc<OnceLock<RecordedLog>>);
+/// Takes a line of a part of the program.
+type Sink = Box<dyn Fn(Level, &str, &str) + Send + Sync>;
+
+/// Lines for the recording and the flight recorder, once these are there.
+#[derive(Clone, Default)]
+struct Recorded(Arc<RwLock<Vec<Sink>>>);
+
+impl std::fmt::Debug for Recorded {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Recorded").finish_non_exhaustive()
+    }
+}
 
 impl<S: Subscriber> Layer<S> for Recorded {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-        let Some(log) = self.0.get() else { return };
+        let sinks = self.0.read().unwrap_or_else(PoisonError::into_inner);
+        if sinks.is_empty() {
+            return;
+        }
         let mut line = Line::default();
         event.record(&mut line);
         let metadata = event.metadata();
-        log.line(*metadata.level(), metadata.target(), line.0.trim_start());
+        for sink in &*sinks {
+            sink(*metadata.level(), metadata.target(), line.0.trim_start());
+        }
     }
 }
 
@@ -61,10 +75,9 @@ impl Logging {
         let (filter, handle) = reload::Layer::new(filter(cell)?);
         let book = book.clone();
         let kept = fmt::layer().with_writer(move || book.clone());
-        let recording = Arc::default();
-        let recorded = Recorded(Arc::clone(&recording));
+        let recorded = Recorded::default();
         let log = tracing_subscriber::registry();
-        let log = log.with(filter).with(kept).with(recorded);
+        let log = log.with(filter).with(kept).with(recorded.clone());
         let journal = is_journal().then(tracing_journald::layer);
         match journal {
             Some(Ok(journal)) => {
@@ -80,14 +93,16 @@ impl Logging {
         }
         Ok(Self {
             filter: handle,
-            recording,
+            recorded,
         })
     }
 
-    /// Writes into a recording too from now on.
-    pub(super) fn record(&self, log: RecordedLog) {
-        // There is one recording in a run.
-        let _ = self.recording.set(log);
+    /// Gives lines to a recording too from now on.
+    pub(super) fn record(&self, sink: impl Fn(Level, &str, &str) + Send + Sync + 'static) {
+        let sinks = self.recorded.0.write();
+        sinks
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(Box::new(sink));
     }
 
     /// Changes what is logged.

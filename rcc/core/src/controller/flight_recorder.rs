@@ -278,9 +278,12 @@ impl FlightRecorder {
         let mut file = FlightFile::create(&capture.path, sources, since, file_max)?;
         let mut is_whole;
         loop {
-            let now = monotonic().0;
-            is_whole = file.write_until(until.min(now - SETTLED_NS))?;
-            if !is_whole || now - SETTLED_NS >= until || self.is_stopped() {
+            let is_stopped = self.is_stopped();
+            // The last cycles before the end of the controller may be out of order.
+            let settled = if is_stopped { 0 } else { SETTLED_NS };
+            let now = monotonic().0 - settled;
+            is_whole = file.write_until(until.min(now))?;
+            if !is_whole || now >= until || is_stopped {
                 break;
             }
             std::thread::sleep(WRITE_EVERY);

@@ -19,9 +19,10 @@ use crate::record::notes::{
     CYCLES, DEVICES, DeviceEvent, DeviceNote, FORMAT, MACHINES, MachineNote, NETS, NetNote, Note,
     wrong,
 };
+use crate::record::parts::{InUse, Part};
 use crate::record::ros2::cdr::Cdr;
 use crate::record::ros2::{Messages, ShownDevice, Sink, Stamp, schemas};
-use crate::record::words::start;
+use crate::record::words::{Entry, Reader, start};
 
 /// Encoding of all messages.
 const ENCODING: &str = "cdr";
@@ -63,6 +64,10 @@ pub(super) struct Writer<W: Write + Seek = File> {
     written: u64,
     /// Bytes on the disk; the last chunk follows.
     bytes: Arc<AtomicU64>,
+    /// What the next part repeats; `None` if there is none.
+    in_use: Option<InUse>,
+    /// Whether an earlier part has what is noted now.
+    is_repeating: bool,
     /// Unix time at the zero of the host's monotonic clock, ns.
     epoch: u64,
 }
@@ -85,6 +90,15 @@ impl Writer {
             source,
         })?;
         Self::on(file, path)
+    }
+
+    /// Creates the file of a part, which must not exist.
+    pub(super) fn create_part(path: &Path, part: &Part) -> Result<Self, Error> {
+        let file = File::create_new(path).map_err(|source| Error::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::part_on(file, path, Some(part))
     }
 
     /// Creates a file that must not exist.
@@ -121,6 +135,11 @@ impl<W: Write + Seek> Sink for Writer<W> {
 impl<W: Write + Seek> Writer<W> {
     /// Begins the file.
     pub(super) fn on(to: W, path: &Path) -> Result<Self, Error> {
+        Self::part_on(to, path, None)
+    }
+
+    /// Begins the file of a part of a recording.
+    pub(super) fn part_on(to: W, path: &Path, part: Option<&Part>) -> Result<Self, Error> {
         let failed = |e: mcap::McapError| broken(path, 0, &e);
         let bytes = Arc::default();
         let counted = Counted {
@@ -138,7 +157,11 @@ impl<W: Write + Seek> Writer<W> {
             .library("takt")
             .create(BufWriter::new(counted))
             .map_err(failed)?;
-        let format = BTreeMap::from([("format".to_owned(), FORMAT.to_owned())]);
+        let mut format = BTreeMap::from([("format".to_owned(), FORMAT.to_owned())]);
+        if let Some(Part { recording, number }) = part {
+            format.insert("recording".to_owned(), recording.clone());
+            format.insert("part".to_owned(), number.to_string());
+        }
         let mut schema = |of: &schemas::Schema| {
             let text = of.text();
             mcap.add_schema(of.name, "ros2msg", text.as_bytes())
@@ -166,8 +189,28 @@ impl<W: Write + Seek> Writer<W> {
             sequence: 0,
             written: 0,
             bytes,
+            in_use: None,
+            is_repeating: false,
             epoch: epoch(),
         })
+    }
+
+    /// Keeps what the next part repeats.
+    pub(super) fn repeats(&mut self) {
+        self.in_use = Some(InUse::default());
+    }
+
+    /// Goes on after another part: with its time, and all that is in use.
+    pub(super) fn after(mut self, before: &mut Self) -> Result<Self, Error> {
+        self.epoch = before.epoch;
+        self.written = before.written;
+        self.messages.continue_after(&mut before.messages);
+        self.repeats();
+        self.is_repeating = true;
+        let in_use = before.in_use.take().unwrap_or_default();
+        in_use.into_notes().try_for_each(|note| self.note(&note))?;
+        self.is_repeating = false;
+        Ok(self)
     }
 
     /// Executes an operation on the file; after an error the file is not changed.
@@ -249,6 +292,10 @@ impl<W: Write + Seek> Writer<W> {
     }
 
     pub(super) fn note(&mut self, note: &Note) -> Result<(), Error> {
+        if let Some(in_use) = &mut self.in_use {
+            in_use.note(note);
+        }
+        let is_repeated = self.is_repeating;
         let [_, devices, nets, machines] = self.channels;
         let at = self.stamp(monotonic());
         match note {
@@ -260,7 +307,8 @@ impl<W: Write + Seek> Writer<W> {
                 self.show(|shown, file| {
                     shown.device(file, *number, ShownDevice::of(place, description))
                 })?;
-                let note = DeviceNote::new(*number, place, description);
+                let mut note = DeviceNote::new(*number, place, description);
+                note.is_repeated = is_repeated;
                 self.toml(devices, &DeviceEvent::Came(note), at)
             }
             Note::Gone(name) => {
@@ -284,6 +332,7 @@ impl<W: Write + Seek> Writer<W> {
                     every: *every,
                     period_ns: u64::try_from(period.as_nanos()).unwrap_or(u64::MAX),
                     text: text.as_ref().to_owned(),
+                    is_repeated,
                 };
                 self.toml(nets, &note, at)
             }
@@ -298,6 +347,7 @@ impl<W: Write + Seek> Writer<W> {
                     id: *id,
                     text: text.as_ref().to_owned(),
                     files: files.clone(),
+                    is_repeated,
                 };
                 self.toml(machines, &note, at)
             }
@@ -318,6 +368,9 @@ impl<W: Write + Seek> Writer<W> {
         let result = self.message(cycles, bytes, at);
         self.cdr = cdr;
         result?;
+        if let Some(in_use) = &mut self.in_use {
+            ended(words, in_use);
+        }
         self.show(|shown, file| shown.cycle(file, words, at))
     }
 
@@ -330,6 +383,18 @@ impl<W: Write + Seek> Writer<W> {
             let _left = buffer.into_parts();
         }
         flushed.map_err(|error| broken(&self.path, self.written, &error.into()))
+    }
+}
+
+/// Removes what ended in a cycle from what is in use.
+fn ended(words: &[u64], in_use: &mut InUse) {
+    let mut reader = Reader(words);
+    while let Ok(Some(entry)) = reader.next() {
+        match entry {
+            Entry::Ended(net, ..) => in_use.net_ended(net),
+            Entry::MachineRemoved(machine) => in_use.machine_removed(machine),
+            _ => {}
+        }
     }
 }
 

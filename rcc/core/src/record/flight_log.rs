@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::notes::level_number;
+use super::level_number;
 
 /// Maximum number of lines that are kept.
 const LINES_MAX: usize = 4096;

@@ -10,7 +10,7 @@ use mcap::records::Record;
 
 use crate::error::Error;
 use crate::record::notes::wrong;
-use crate::record::read::{END, records};
+use crate::record::read::{END, is_ended, records};
 
 /// A topic of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -63,7 +63,7 @@ fn open(path: &Path) -> Result<(BufReader<File>, bool), Error> {
             file.read_exact(&mut end)?;
             file.rewind()?;
         }
-        Ok((BufReader::new(file), end == END))
+        Ok((BufReader::new(file), is_ended(length, &end)))
     };
     try_open().map_err(|source| Error::File {
         path: path.to_owned(),

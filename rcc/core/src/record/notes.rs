@@ -33,6 +33,9 @@ pub(super) struct DeviceNote {
     /// By joint: minimum and maximum position (rad), speed (rad/s), acceleration (rad/s²).
     limits: Vec<[f64; 4]>,
     parts: Vec<Part>,
+    /// An earlier part of the recording has it too.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) is_repeated: bool,
 }
 
 impl DeviceNote {
@@ -54,6 +57,7 @@ impl DeviceNote {
             model: device.model.as_ref().to_owned(),
             limits: limits.collect(),
             parts: device.parts.clone(),
+            is_repeated: false,
         }
     }
 
@@ -99,6 +103,9 @@ pub(super) struct NetNote {
     pub(super) every: u64,
     pub(super) period_ns: u64,
     pub(super) text: String,
+    /// An earlier part of the recording has it too.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) is_repeated: bool,
 }
 
 impl NetNote {
@@ -114,12 +121,15 @@ pub(super) struct MachineNote {
     pub(super) text: String,
     /// Component files by name.
     pub(super) files: Vec<(String, String)>,
+    /// An earlier part of the recording has it too.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) is_repeated: bool,
 }
 
 /// Version of what a replay reads, in the metadata of its channels.
 pub(super) const FORMAT: &str = "5";
 /// Notes for the file besides cycles.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) enum Note {
     Device {
         number: usize,
@@ -157,13 +167,3 @@ pub(super) fn wrong(path: &Path, why: String) -> Error {
 
 /// Level of a warning in `rcl_interfaces/msg/Log`.
 pub(super) const LEVEL_WARN: u8 = 30;
-
-/// A level of the log as `rcl_interfaces/msg/Log` numbers it.
-pub(super) const fn level_number(level: tracing::Level) -> u8 {
-    match level {
-        tracing::Level::ERROR => 40,
-        tracing::Level::WARN => LEVEL_WARN,
-        tracing::Level::INFO => 20,
-        _ => 10,
-    }
-}

@@ -13,6 +13,7 @@ use crate::files;
 use crate::record::notes::{
     CYCLES, DEVICES, DeviceEvent, FORMAT, MACHINES, MachineNote, NETS, NetNote, wrong,
 };
+use crate::record::parts::Part;
 use crate::record::ros2::cdr::{string, words};
 
 /// Last bytes of a complete file; a file without them is truncated.
@@ -20,6 +21,12 @@ pub(super) const END: [u8; 8] = *b"\x89MCAP0\r\n";
 
 /// Maximum bytes of a chunk before compression that is read; the writer's are below 1 MiB.
 const CHUNK_BYTES_MAX: usize = 64 << 20;
+
+/// Whether a file of that length with these last bytes ends as a whole one does: one that was cut off after its first bytes
+/// ends with the same.
+pub(super) fn is_ended(length: u64, last: &[u8]) -> bool {
+    length >= 2 * END.len() as u64 && last.ends_with(&END)
+}
 
 fn of_other_version(format: Option<&str>) -> String {
     let format = format.unwrap_or("4 or older");
@@ -95,6 +102,8 @@ pub(super) struct Recording {
     /// Devices and nets in order.
     pub(super) notes: Vec<RecordedNote>,
     pub(super) cycles: Vec<Vec<u64>>,
+    /// Its place in a recording of several files.
+    pub(super) part: Option<Part>,
     /// It was not finished, because of a full disk or a crash; it holds the complete records.
     pub(super) is_cut: bool,
 }
@@ -118,13 +127,25 @@ impl Recording {
     pub(super) fn parse_limited(mut bytes: &[u8], path: &Path, most: u64) -> Result<Self, Error> {
         let mut recording = Self::default();
         let mut topics = HashMap::new();
+        let mut recording_part = None;
         let mut unpacked = 0;
-        let is_ended = bytes.ends_with(&END);
+        let is_ended = is_ended(bytes.len() as u64, bytes);
         let is_whole = records((&mut bytes, is_ended), path, |record| {
             if let Record::Channel(channel) = record {
                 let format = channel.metadata.get("format").map(String::as_str);
                 if channel.topic == CYCLES && format != Some(FORMAT) {
                     return Err(wrong(path, of_other_version(format)));
+                }
+                let part = (
+                    channel.metadata.get("recording"),
+                    channel.metadata.get("part"),
+                );
+                if let (Some(recording), Some(number)) = part {
+                    let unreadable = |_| wrong(path, format!("it is part `{number}`"));
+                    recording_part = Some(Part {
+                        recording: recording.clone(),
+                        number: number.parse().map_err(unreadable)?,
+                    });
                 }
                 // The other topics are for viewers.
                 if [CYCLES, DEVICES, NETS, MACHINES].contains(&channel.topic.as_str()) {
@@ -142,8 +163,10 @@ impl Recording {
             }
             Ok(())
         })?;
-        recording.is_cut = !is_whole;
-        let why = match (recording.cycles.is_empty(), is_whole) {
+        (recording.is_cut, recording.part) = (!is_whole, recording_part);
+        // A further part may have been cut off before its first cycle.
+        let is_further = recording.part.as_ref().is_some_and(|it| it.number > 1);
+        let why = match (recording.cycles.is_empty() && !is_further, is_whole) {
             (false, _) => return Ok(recording),
             (true, false) => "cut off before its first cycle: a full disk?",
             (true, true) => "no cycles: not a recording of Takt, or an empty one",

@@ -2,7 +2,7 @@
 //! device.
 
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use takt_machine::Program;
@@ -16,7 +16,9 @@ use crate::executor::machines::{Hosted, Seat};
 use crate::executor::{Executor, Running};
 use crate::ids::NetId;
 use crate::record::WORDS_A_CYCLE;
-use crate::record::notes::{DeviceEvent, NetNote};
+use crate::record::inspect::contents;
+use crate::record::notes::{DeviceEvent, MachineNote, NetNote, wrong};
+use crate::record::parts::Part;
 use crate::record::read::{RecordedNote, Recording};
 use crate::record::words::{Entry, Reader, Words};
 
@@ -33,45 +35,121 @@ pub struct Replay {
     pub is_cut: bool,
 }
 
-/// Replays a recording.
+/// Replays a recording: a file, or a directory with all parts of one.
 ///
 /// # Errors
-/// If the file cannot be read or a net in it cannot be loaded.
+/// If a file cannot be read, a part is missing, or a net in it cannot be loaded.
 pub fn replay(path: &Path) -> Result<Replay, Error> {
-    let recording = Recording::read(path)?;
-    let mut stage = Stage::new(&recording, path)?;
+    let parts = if path.is_dir() {
+        parts_in(path)?
+    } else {
+        vec![path.to_owned()]
+    };
     let mut outcome = Replay {
         cycles: 0,
         bytes: 0,
         differs: None,
-        is_cut: recording.is_cut,
+        is_cut: false,
     };
-    for recorded in &recording.cycles {
-        let replayed = stage.cycle(recorded)?;
-        if replayed != *recorded {
-            outcome.differs = Some(outcome.cycles);
-            return Ok(outcome);
+    let mut stage = Stage::default();
+    let mut before: Option<Part> = None;
+    for (place, path) in parts.iter().enumerate() {
+        let is_last = place + 1 == parts.len();
+        let read = Recording::read(path);
+        // The last part may have been cut off before anything was in it.
+        let recording = match read {
+            Err(Error::Recording { .. }) if place > 0 && is_last && is_empty(path) => {
+                outcome.is_cut = true;
+                break;
+            }
+            read => read?,
+        };
+        check_part(
+            path,
+            before.as_ref(),
+            recording.part.as_ref(),
+            is_last || !recording.is_cut,
+        )?;
+        before = recording.part.clone();
+        stage.path.clone_from(path);
+        stage.learn(&recording)?;
+        for recorded in &recording.cycles {
+            let replayed = stage.cycle(recorded)?;
+            if replayed != *recorded {
+                outcome.differs = Some(outcome.cycles);
+                return Ok(outcome);
+            }
+            outcome.cycles += 1;
+            outcome.bytes += size_of_val(recorded.as_slice()) as u64;
         }
-        outcome.cycles += 1;
-        outcome.bytes += size_of_val(recorded.as_slice()) as u64;
+        outcome.is_cut = recording.is_cut;
     }
     Ok(outcome)
+}
+
+/// The files of a directory, in the order of parts.
+fn parts_in(directory: &Path) -> Result<Vec<PathBuf>, Error> {
+    let failed = |source| Error::File {
+        path: directory.to_owned(),
+        source,
+    };
+    let entries = std::fs::read_dir(directory).map_err(failed)?;
+    let mut parts = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(failed)?.path();
+        if path.extension().is_some_and(|it| it == "mcap") {
+            parts.push(path);
+        }
+    }
+    // Numbers beyond 9999 are longer.
+    parts.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
+    if parts.is_empty() {
+        return Err(wrong(directory, "it contains no recording".to_owned()));
+    }
+    Ok(parts)
+}
+
+/// Whether a file holds nothing but the begin of a recording.
+fn is_empty(path: &Path) -> bool {
+    contents(path).is_ok_and(|found| found.messages() == 0)
+}
+
+/// Checks that a part follows the one before it.
+fn check_part(
+    path: &Path,
+    before: Option<&Part>,
+    part: Option<&Part>,
+    is_whole: bool,
+) -> Result<(), Error> {
+    let hint = "\nhint: name a directory that contains all parts of one recording, from the first";
+    let why = match (before, part) {
+        _ if !is_whole => format!("it is cut off, but another part follows{hint}"),
+        (None, None) => return Ok(()),
+        (None, Some(Part { number: 1, .. })) => return Ok(()),
+        (None, Some(Part { number, .. })) => {
+            format!("it is part {number} of a recording; a replay begins with the first{hint}")
+        }
+        (Some(before), Some(part)) if before.recording != part.recording => {
+            format!("it is of another recording than the file before it{hint}")
+        }
+        (Some(before), Some(part)) if before.number + 1 != part.number => format!(
+            "it is part {}, but the file before it is part {}{hint}",
+            part.number, before.number
+        ),
+        (Some(_), Some(_)) => return Ok(()),
+        (Some(_), None) => format!("it is no part of the recording before it{hint}"),
+    };
+    Err(wrong(path, why))
 }
 
 /// Loads a net of the recording as it was loaded originally.
 fn prepare(
     net: &NetNote,
     registry: &Registry,
-    (devices, nets): (&DeviceTable, &HashMap<u32, Box<Running>>),
+    (devices, boxes): (&DeviceTable, &HashMap<u32, NetBoxes>),
     path: &Path,
 ) -> Result<Box<Running>, Error> {
-    let boxes = |id: NetId| {
-        let plan = &nets.get(&id.0)?.plan;
-        Some(NetBoxes {
-            inbox: plan.inbox().clone(),
-            outbox: plan.outbox().clone(),
-        })
-    };
+    let boxes = |id: NetId| boxes.get(&id.0).cloned();
     let context = LoadContext {
         registry,
         devices: &Surroundings { devices, boxes },
@@ -93,65 +171,81 @@ fn prepare(
     Ok(running)
 }
 
-struct Stage<'r> {
+struct Stage {
+    registry: Registry,
+    devices: DeviceTable,
     executor: Executor,
     nets: HashMap<u32, Box<Running>>,
+    /// Of all nets so far: others may read those that run.
+    boxes: HashMap<u32, NetBoxes>,
     machines: HashMap<u32, Arc<Program>>,
-    path: &'r Path,
+    path: PathBuf,
 }
 
-impl<'r> Stage<'r> {
-    fn new(recording: &Recording, path: &'r Path) -> Result<Self, Error> {
-        let mut devices = DeviceTable::default();
-        let registry = crate::registry();
-        let mut nets = HashMap::new();
-        let mut machines = HashMap::new();
-        let mut executor = Executor::default();
+impl Default for Stage {
+    fn default() -> Self {
+        Self {
+            registry: crate::registry(),
+            devices: DeviceTable::default(),
+            executor: Executor::default(),
+            nets: HashMap::new(),
+            boxes: HashMap::new(),
+            machines: HashMap::new(),
+            path: PathBuf::new(),
+        }
+    }
+}
+
+impl Stage {
+    /// Learns the devices, nets and machines of a file, but for those that an earlier part had.
+    fn learn(&mut self, recording: &Recording) -> Result<(), Error> {
         for note in &recording.notes {
             match note {
-                RecordedNote::Device(DeviceEvent::Came(device)) => {
+                RecordedNote::Device(DeviceEvent::Came(device)) if !device.is_repeated => {
                     let (number, place) = (device.number, device.place());
-                    executor.set_place(number, &place);
-                    devices.add_at(number, place, device.description())?;
+                    self.executor.set_place(number, &place);
+                    self.devices.add_at(number, place, device.description())?;
                 }
                 RecordedNote::Device(DeviceEvent::Went { name }) => {
-                    devices.remove(name);
+                    self.devices.remove(name);
                 }
-                RecordedNote::Net(net) => {
-                    let known = (&devices, &nets);
-                    let running = prepare(net, &registry, known, path)?;
-                    nets.insert(net.id, running);
-                }
-                RecordedNote::Machine(machine) => {
-                    let read = |name: &str| {
-                        let file = machine.files.iter().find(|(known, _)| known == name);
-                        file.map(|(_, text)| text.clone())
-                            .ok_or_else(|| format!("the recording has no file {name}"))
+                RecordedNote::Net(net) if !net.is_repeated => {
+                    let known = (&self.devices, &self.boxes);
+                    let running = prepare(net, &self.registry, known, &self.path)?;
+                    let boxes = NetBoxes {
+                        inbox: running.plan.inbox().clone(),
+                        outbox: running.plan.outbox().clone(),
                     };
-                    let compiled = Program::compile(&machine.text, &read);
-                    let (program, _) = compiled.map_err(|found| Error::Recording {
-                        path: path.to_owned(),
-                        why: format!(
-                            "its machine {} is rejected: {}",
-                            machine.id,
-                            found.render("machine", &machine.text)
-                        ),
-                    })?;
-                    machines.insert(machine.id, Arc::new(program));
+                    self.boxes.insert(net.id, boxes);
+                    self.nets.insert(net.id, running);
                 }
+                RecordedNote::Machine(machine) if !machine.is_repeated => {
+                    let program = self.compile(machine)?;
+                    self.machines.insert(machine.id, Arc::new(program));
+                }
+                RecordedNote::Device(_) | RecordedNote::Net(_) | RecordedNote::Machine(_) => {}
             }
         }
-        Ok(Self {
-            executor,
-            nets,
-            machines,
-            path,
-        })
+        Ok(())
+    }
+
+    fn compile(&self, machine: &MachineNote) -> Result<Program, Error> {
+        let read = |name: &str| {
+            let file = machine.files.iter().find(|(known, _)| known == name);
+            file.map(|(_, text)| text.clone())
+                .ok_or_else(|| format!("the recording has no file {name}"))
+        };
+        let compiled = Program::compile(&machine.text, &read);
+        let (program, _) = compiled.map_err(|found| {
+            let found = found.render("machine", &machine.text);
+            self.broken(&format!("its machine {} is rejected: {found}", machine.id))
+        })?;
+        Ok(program)
     }
 
     fn broken(&self, why: &str) -> Error {
         Error::Recording {
-            path: self.path.to_owned(),
+            path: self.path.clone(),
             why: why.to_owned(),
         }
     }

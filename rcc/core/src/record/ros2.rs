@@ -23,8 +23,8 @@ use crate::record::words::{Entry, Inputs, Reader};
 use cdr::Cdr;
 pub(super) use device::ShownDevice;
 use device::{DeviceTopics, Reported, transform};
-pub(super) use row::FlightRow;
 use machines::MachineTopic;
+pub(super) use row::FlightRow;
 use values::{fields, number, shown};
 
 /// Nets whose values have a topic in one file; MCAP numbers 65,536 channels.
@@ -125,6 +125,12 @@ pub(super) struct Messages {
 }
 
 impl Messages {
+    /// Goes on after the messages of another file with what is between cycles.
+    pub(super) fn continue_after(&mut self, before: &mut Self) {
+        self.running = std::mem::take(&mut before.running);
+        self.before = before.before;
+    }
+
     /// A device was added.
     pub(super) fn device(
         &mut self,

@@ -11,6 +11,8 @@ use super::notes::{CYCLES, FORMAT};
 use super::read::Recording;
 use super::*;
 
+mod parts;
+
 /// A disk with room for so many bytes, and what is on it.
 #[derive(Clone, Debug)]
 struct Disk {
@@ -126,7 +128,7 @@ fn moment(cycle: u64) -> Moment {
 fn full_disk_is_reported_once_when_it_happens() {
     let disk = Disk::new(100_000);
     let writer = Writer::on(disk.clone(), Path::new(PATH)).unwrap();
-    let (mut recorder, mut tap) = Recorder::begin(writer, Path::new(PATH)).unwrap();
+    let (mut recorder, mut tap) = Recorder::begin((writer, None), Path::new(PATH)).unwrap();
     let executor = Executor::default();
     let mut event = None;
     // The net thread goes on whatever becomes of the file.
@@ -167,7 +169,7 @@ fn full_disk_is_reported_once_when_it_happens() {
 #[test]
 fn lost_cycles_are_reported_once_for_each_onset() {
     let writer = Writer::on(Disk::new(usize::MAX), Path::new(PATH)).unwrap();
-    let (mut recorder, _tap) = Recorder::begin(writer, Path::new(PATH)).unwrap();
+    let (mut recorder, _tap) = Recorder::begin((writer, None), Path::new(PATH)).unwrap();
     let begin = Instant::now();
     let lost = Arc::clone(&recorder.lost);
     let mut at = |seconds: u64, more: u64| {
@@ -187,7 +189,7 @@ fn recorded_cycles_carry_unix_time_of_their_start() {
     let disk = Disk::new(usize::MAX);
     let before = unix();
     let writer = Writer::on(disk.clone(), Path::new(PATH)).unwrap();
-    let (recorder, mut tap) = Recorder::begin(writer, Path::new(PATH)).unwrap();
+    let (recorder, mut tap) = Recorder::begin((writer, None), Path::new(PATH)).unwrap();
     let executor = Executor::default();
     let start = takt_rt::monotonic().0;
     for cycle in 0..3 {
@@ -270,6 +272,7 @@ fn log_that_disk_cannot_follow_is_bounded_and_counted() {
     }
     let mut thread = FileThread {
         writer: Writer::on(disk.clone(), Path::new(PATH)).unwrap(),
+        parts: None,
         free: ring(1).0,
         full: ring(1).1,
         notes: waiting,

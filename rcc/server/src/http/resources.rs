@@ -4,6 +4,7 @@ pub(super) mod debug;
 mod devices;
 mod ethercat;
 mod eval;
+mod flights;
 mod geometry;
 mod host;
 mod interfaces;
@@ -24,7 +25,7 @@ use crate::site::Site;
 
 /// List of the resources, sent with status 404.
 const MAP: &str = "Resources: / /status/ /metrics /stats/ /host/ /nets/ /rules/ /machines/ /eval/ /sessions/ /types/ \
-    /modules/ /modulesdetails/ /devices/ /geometry/ /ethercat/ /extensions/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
+    /modules/ /modulesdetails/ /devices/ /geometry/ /ethercat/ /extensions/ /flights/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
 
 /// A response, or an error response.
 type Outcome = Result<Response, Response>;
@@ -60,6 +61,8 @@ impl Handler<'_> {
             ("metrics", [], false) => Ok(self.metrics()),
             ("stats", [], false) => Ok(self.all_stats()),
             ("log", [], false) => Ok(self.log()),
+            ("flights", [], false) => Ok(self.flights()),
+            ("flights", [], true) => self.request_flight(),
             ("extensions", [], false) => Ok(self.show(&Element::new("extensions"))),
             ("extensions", _, true) => Err(Response::text(
                 "403 Forbidden",

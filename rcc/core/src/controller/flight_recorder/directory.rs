@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, UNIX_EPOCH};
 
 use super::FlightInfo;
+use crate::record::utc;
 
 const PREFIX: &str = "flight-";
 const SUFFIX: &str = ".mcap";
@@ -22,33 +23,9 @@ pub(super) fn check(directory: &Path) -> io::Result<()> {
 
 /// The name of a file at that Unix time about a device, a net or a thread: names sort by time.
 pub(super) fn file_name(unix: Duration, subject: &str) -> String {
-    let (seconds, ms) = (unix.as_secs(), unix.subsec_millis());
-    let (days, of_day) = (seconds / 86_400, seconds % 86_400);
-    let (year, month, day) = date(days);
-    let (hour, minute, second) = (of_day / 3600, of_day / 60 % 60, of_day % 60);
     let letter = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     let subject: String = subject.chars().take(SUBJECT_MAX).map(letter).collect();
-    format!(
-        "{PREFIX}{year:04}{month:02}{day:02}T{hour:02}{minute:02}{second:02}.{ms:03}Z-{subject}{SUFFIX}"
-    )
-}
-
-/// Year, month and day of the Gregorian calendar, so many days after 1970-01-01.
-const fn date(days: u64) -> (u64, u64, u64) {
-    // Years from March on, in eras of 400 years: the leap day is the last of its year.
-    let days = days + 719_468;
-    let (era, of_era) = (days / 146_097, days % 146_097);
-    let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year + year / 4 - year / 100);
-    let shifted = (5 * of_year + 2) / 153;
-    let day = of_year - (153 * shifted + 2) / 5 + 1;
-    let month = if shifted < 10 {
-        shifted + 3
-    } else {
-        shifted - 9
-    };
-    let first = if month <= 2 { 1 } else { 0 };
-    (year + era * 400 + first, month, day)
+    format!("{PREFIX}{}-{subject}{SUFFIX}", utc::text(unix))
 }
 
 /// The flight files of a directory, oldest first.

@@ -822,3 +822,34 @@ fn posted_arm_checks_range_only_and_reports_speed() {
         &["400 Bad Request", "`no` is neither strict nor range"],
     );
 }
+
+#[test]
+fn flight_request_without_recorder_is_a_conflict() {
+    let controller = controller();
+    holds(&get(&controller, "/flights/"), &["recording=\"false\""]);
+    let refused = post(&controller, "/flights/", "");
+    holds(
+        &refused,
+        &["409 Conflict", "it is off\nhint: set flight_recorder"],
+    );
+}
+
+#[test]
+fn flight_requested_is_listed_until_complete() {
+    let controller = controller();
+    let directory = std::env::temp_dir().join(format!("takt-http-flights-{}", std::process::id()));
+    let settings = takt_core::controller::FlightSettings {
+        directory: directory.clone(),
+        bytes_max: 16 << 20,
+        cell: None,
+    };
+    controller.record_flights(settings).unwrap();
+    let answer = post(&controller, "/flights/", "");
+    holds(&answer, &["200 OK", "-request.mcap"]);
+    let until = std::time::Instant::now() + Duration::from_secs(60);
+    while !get(&controller, "/flights/").contains("complete=\"true\"") {
+        assert!(std::time::Instant::now() < until, "it is never complete");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    std::fs::remove_dir_all(directory).unwrap();
+}
