@@ -13,6 +13,7 @@ use std::io::{Read as _, Write as _};
 use std::net::SocketAddr;
 use std::path::Path;
 
+use takt_core::controller::MachineRequest;
 use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller};
 use takt_server::{Server, ServerConfig};
@@ -61,6 +62,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         ("plant", "io_sim", &BTreeMap::new()),
     ] {
         controller.add_device(device, kind, parameters)?;
+    }
+    if std::env::args_os().nth(1).is_some() {
+        let machine =
+            "machine Blink { initial state On { transition to Off; } final state Off { } }";
+        let name = controller.load_machine(&MachineRequest {
+            text: machine.to_owned(),
+            ..MachineRequest::default()
+        })?;
+        controller.start_machine(&name)?;
     }
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)

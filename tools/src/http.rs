@@ -88,13 +88,22 @@ impl Http {
 
     /// A resource as JSON.
     pub(crate) fn get(&self, path: &str) -> anyhow::Result<Value> {
+        self.request("GET", path)
+    }
+
+    /// A request without a form; its response as JSON.
+    pub(crate) fn post(&self, path: &str) -> anyhow::Result<Value> {
+        self.request("POST", path)
+    }
+
+    fn request(&self, method: &str, path: &str) -> anyhow::Result<Value> {
         let address = &self.address;
         let mut stream = self.connect()?;
         let bearer = self.token.as_ref().map_or_else(String::new, |token| {
             format!("Authorization: Bearer {}\r\n", token.text())
         });
         let request = format!(
-            "GET {path} HTTP/1.1\r\nHost: {address}\r\nAccept: application/json\r\n{bearer}Connection: close\r\n\r\n"
+            "{method} {path} HTTP/1.1\r\nHost: {address}\r\nContent-Length: 0\r\nAccept: application/json\r\n{bearer}Connection: close\r\n\r\n"
         );
         // At once: a peer that answers and closes before the rest is no error.
         stream

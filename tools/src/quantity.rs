@@ -47,6 +47,23 @@ fn read(text: &str, units: Units<'_>) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
+/// Reads a size, bytes.
+pub(crate) fn size(text: &str) -> Result<u64, String> {
+    let units = [
+        ("KiB", 1 << 10),
+        ("MiB", 1 << 20),
+        ("GiB", 1 << 30),
+        ("TiB", 1 << 40),
+    ];
+    let of = |(unit, bytes): (&str, u64)| {
+        let number: u64 = text.strip_suffix(unit)?.trim().parse().ok()?;
+        number.checked_mul(bytes)
+    };
+    units.into_iter().find_map(of).ok_or_else(|| {
+        format!("`{text}` is no size: write a number and a unit, such as 256MiB or 1GiB")
+    })
+}
+
 /// Reads an angle, rad.
 pub(crate) fn angle(text: &str) -> Result<f64, String> {
     let wrong = || {
@@ -154,5 +171,15 @@ mod tests {
         assert_eq!(format!("{:?}", pose.position()), "[1.0, 0.0, 0.0]");
         let turned = pose.isometry().rotation.angle_to(&now.isometry().rotation);
         assert!(turned < 1e-12, "{turned}");
+    }
+
+    #[test]
+    fn size_needs_unit_and_fits() {
+        assert_eq!(size("4MiB"), Ok(4 << 20));
+        assert_eq!(size("1 GiB"), Ok(1 << 30));
+        for wrong in ["", "5", "1GB", "-1MiB", "1.5GiB", "99999999999TiB"] {
+            let error = size(wrong).unwrap_err();
+            assert!(error.contains("is no size"), "{error}");
+        }
     }
 }

@@ -1,13 +1,20 @@
-//! `takt record`: what recordings contain, and whole files from those that were cut off.
+//! `takt record`: what recordings contain, whole files from those that were cut off, and flight files on request.
 
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use clap::Subcommand;
 use serde_json::json;
 use takt_core::record::{Contents, contents, recover};
 
 use crate::Verdict;
+use crate::http::Site;
 use crate::output::say;
+
+/// How long the controller may take to answer.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long a flight file may take: the second that follows, and a slow disk.
+const COMPLETE_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Inspect and repair recordings (`takt run --record`, `takt demo --record`).
 #[derive(Debug, Subcommand)]
@@ -27,6 +34,18 @@ pub(crate) enum Record {
         /// The new file, which must not exist.
         #[arg(long, short, value_name = "FILE")]
         output: PathBuf,
+    },
+    /// Write the last ten seconds of all devices of a running controller, and the second that follows, to a flight file on its
+    /// host. Prints the path; the file is complete when the command ends.
+    Flight {
+        #[command(flatten)]
+        site: Site,
+        /// List the flight files instead, oldest first.
+        #[arg(long)]
+        list: bool,
+        /// Print JSON.
+        #[arg(long)]
+        json: bool,
     },
 }
 
@@ -56,8 +75,52 @@ impl Record {
                 say(&format!("{}: {copied} messages", output.display()))?;
                 Ok(Verdict::Good)
             }
+            Self::Flight { site, list, json } => flight(&site, list, json),
         }
     }
+}
+
+/// Requests a flight file and waits until it is complete, or lists those that there are.
+fn flight(site: &Site, list: bool, json: bool) -> anyhow::Result<Verdict> {
+    let http = site.client(ANSWER_TIMEOUT)?;
+    if list {
+        let files = http.get("/flights/")?;
+        if json {
+            say(&files.to_string())?;
+            return Ok(Verdict::Good);
+        }
+        for file in files["flight"].as_array().into_iter().flatten() {
+            let kib = file["bytes"].as_u64().unwrap_or(0).div_ceil(1024);
+            let path = file["path"].as_str().unwrap_or_default();
+            let state = match file["complete"].as_bool() {
+                Some(false) => "  (is being written)",
+                _ => "",
+            };
+            say(&format!("{kib:>7} KiB  {path}{state}"))?;
+        }
+        return Ok(Verdict::Good);
+    }
+    let written = http.post("/flights/")?;
+    let path = written["path"].as_str().unwrap_or_default();
+    let is_complete = || -> anyhow::Result<bool> {
+        let files = http.get("/flights/")?;
+        let mut files = files["flight"].as_array().into_iter().flatten();
+        Ok(files.any(|file| file["path"] == path && file["complete"] == true))
+    };
+    let until = Instant::now() + COMPLETE_TIMEOUT;
+    while !is_complete()? {
+        anyhow::ensure!(
+            Instant::now() < until,
+            "{path} is not complete after {COMPLETE_TIMEOUT:?}\nhint: see the log of the controller: its disk may be full"
+        );
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    say(&if json {
+        written.to_string()
+    } else {
+        path.to_owned()
+    })?;
+    Ok(Verdict::Good)
 }
 
 fn print(found: &Contents) -> anyhow::Result<()> {

@@ -20,7 +20,7 @@ use anyhow::Context as _;
 use clap::Args;
 use takt_client::Token;
 use takt_core::controller::FlightSettings;
-use takt_core::record::Recorder;
+use takt_core::record::{Recorder, Rotation};
 use takt_core::stop_channel::{
     PRIORITY, StopChannel, StopChannelConfig, StopSwitch, default_socket,
 };
@@ -34,6 +34,7 @@ use self::logging::Logging;
 use self::page_program::PageProgram;
 use self::service::Service;
 use crate::output::{chain, complain, say};
+use crate::quantity::size;
 use crate::{Verdict, token};
 
 /// Run the controller.
@@ -49,6 +50,12 @@ pub(crate) struct Run {
     /// Record everything that enters and leaves the net thread.
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
+    /// Go on in another file when one has this size, such as 1GiB: FILE-TIME-0001.mcap and so on, each complete.
+    #[arg(long, value_name = "SIZE", value_parser = size, requires = "record")]
+    rotate: Option<u64>,
+    /// Keep this number of files, and delete the oldest.
+    #[arg(long, value_name = "FILES", value_parser = clap::value_parser!(u32).range(1..), requires = "rotate")]
+    keep: Option<u32>,
     /// End the process at the first allocation in a real-time thread.
     #[arg(long)]
     guard: bool,
@@ -71,7 +78,15 @@ impl Run {
         if let Some(shortage) = takt_core::memory::shortage(cell.controller.nets_memory_mib) {
             complain(&format!("warning: {shortage}"));
         }
-        let recording = self.record.as_deref().map(Recorder::start).transpose()?;
+        let rotation = self.rotate.map(|bytes| Rotation {
+            bytes,
+            keep: self.keep.and_then(|keep| usize::try_from(keep).ok()),
+        });
+        let recording = self.record.as_deref().map(|path| match rotation {
+            Some(rotation) => Recorder::start_rotating(path, rotation),
+            None => Recorder::start(path),
+        });
+        let recording = recording.transpose()?;
         if let Some((recorder, _)) = &recording {
             let log = recorder.log();
             logging.record(move |level, part, text| log.line(level, part, text));

@@ -187,6 +187,26 @@ fn machine_recording_replays_byte_for_byte() {
     let first = replay(&path).unwrap();
     assert_eq!((first.differs, first.cycles), (None, cycles));
     assert!(cycles > 500, "{cycles}");
+    // Viewers see each change of a state.
+    let bytes = std::fs::read(&path).unwrap();
+    let messages = mcap::MessageStream::new(&bytes).unwrap();
+    let mut states = messages
+        .map(Result::unwrap)
+        .filter(|message| message.channel.topic == "/takt/machine_events");
+    let mut has = |text: &str| {
+        let holds = |data: &[u8]| data.windows(text.len()).any(|part| part == text.as_bytes());
+        states.any(|message| holds(&message.data))
+    };
+    for text in [
+        "added",
+        "StartRobot",
+        "MoveRobot",
+        "StopRobot",
+        "removed",
+        "Restarts",
+    ] {
+        assert!(has(text), "{text}, in this order");
+    }
     assert_eq!(replay(&path).unwrap(), first);
 }
 

@@ -94,6 +94,14 @@ def test_cycles_nets_devices_and_log_are_shown(messages: dict[str, list[Any]]) -
     assert 500 < len(messages["/plant/signals"]) <= len(cycles)
 
 
+def test_machine_states_are_shown(messages: dict[str, list[Any]]) -> None:
+    events = [event for _, event in messages["/takt/machine_events"]]
+    assert {event.machine for event in events} == {"Blink"}
+    assert (events[0].event, events[0].status) == ("added", "inactive")
+    assert (events[-1].event, events[-1].state, events[-1].status) == ("changed", "Off", "finished")
+    assert all(one.cycle <= other.cycle for one, other in zip(events, events[1:]))
+
+
 def test_rosbag_reader_reads_every_message(recording: pathlib.Path, messages: dict[str, list[Any]]) -> None:
     # It takes the definitions of all messages from the file.
     with AnyReader([recording], default_typestore=get_typestore(Stores.EMPTY)) as reader:

@@ -393,7 +393,22 @@ fn ended(words: &[u64], in_use: &mut InUse) {
         match entry {
             Entry::Ended(net, ..) => in_use.net_ended(net),
             Entry::MachineRemoved(machine) => in_use.machine_removed(machine),
-            _ => {}
+            Entry::Started(_)
+            | Entry::Succeeded(_)
+            | Entry::Cancelled(_)
+            | Entry::Aborted(_)
+            | Entry::Stopped(_)
+            | Entry::RanAway(_)
+            | Entry::Takeover(..)
+            | Entry::MachineAdded(_)
+            | Entry::Seated(..)
+            | Entry::SeatFailed(..)
+            | Entry::MachineInput(..)
+            | Entry::Inbox(..)
+            | Entry::Inputs(_)
+            | Entry::Outbox(..)
+            | Entry::Outputs(_)
+            | Entry::Stepped(..) => {}
         }
     }
 }

@@ -113,7 +113,7 @@ fn path_of(path: &Path, part: &Part) -> PathBuf {
 /// Deletes the oldest parts of all recordings of that name beside a new one until it is one of `keep`. Returns them.
 fn prune(new: &Path, stem: &str, keep: usize) -> Vec<PathBuf> {
     let directory = new.parent().filter(|it| !it.as_os_str().is_empty());
-    let entries = std::fs::read_dir(directory.unwrap_or(Path::new(".")));
+    let entries = std::fs::read_dir(directory.unwrap_or_else(|| Path::new(".")));
     let names = entries.into_iter().flatten().flatten();
     let names = names.filter_map(|entry| entry.file_name().into_string().ok());
     let mut parts: Vec<_> = names.filter(|name| is_part(name, stem)).collect();

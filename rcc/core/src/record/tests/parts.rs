@@ -105,7 +105,7 @@ fn rotated_parts_are_whole_and_repeat_what_runs() {
         assert_eq!(read.part.map(|part| part.number), Some(number));
         let nets = read.notes.iter().map(|note| match note {
             RecordedNote::Net(net) => (net.id, net.is_repeated),
-            other => panic!("{other:?}"),
+            RecordedNote::Device(_) | RecordedNote::Machine(_) => panic!("{note:?}"),
         });
         let nets: Vec<_> = nets.collect();
         // Net 3 has ended, net 4 has not.
