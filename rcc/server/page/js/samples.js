@@ -42,7 +42,7 @@ export class Ring {
   push({ rows, columns, lost, data }) {
     if (!rows) return;
     if (data[0] <= this.last) this.clear();
-    if (lost) this.lose(data[0], lost);
+    if (lost) this.place(rows, columns, lost, data);
     for (let row = Math.max(0, rows - this.capacity); row < rows; row++) {
       const from = row * (columns + 1), at = this.index(this.length % this.capacity);
       this.times[at] = data[from];
@@ -50,6 +50,20 @@ export class Ring {
       if (this.length < this.capacity) this.length++;
       else this.start = this.start + 1 === this.capacity ? 0 : this.start + 1;
     }
+  }
+
+  /** Lost samples are missing before the rows, in a capture also between them, where times leap.
+   * @param {number} rows @param {number} columns @param {number} lost @param {Float64Array} data */
+  place(rows, columns, lost, data) {
+    const time = (/** @type {number} */ row) => data[row * (columns + 1)];
+    let step = Infinity, isBetween = false;
+    for (let row = 1; row < rows; row++) step = Math.min(step, time(row) - time(row - 1));
+    for (let row = 1; row < rows; row++) {
+      const missing = Math.round((time(row) - time(row - 1)) / step) - 1;
+      if (missing > 0) this.lose(time(row), missing);
+      isBetween ||= missing > 0;
+    }
+    if (!isBetween) this.lose(time(0), lost);
   }
 
   /** @param {number} time @param {number} count */
@@ -88,22 +102,42 @@ export class Ring {
  * @param {Float32Array} [out] @returns {Float32Array} */
 export function decimate(ring, column, from, to, width, out = new Float32Array(4 * width)) {
   out.fill(NaN, 0, 4 * width);
-  const scale = width / (to - from), values = ring.values[column], { times, capacity } = ring, end = ring.rowAt(to);
-  let index = ring.index(ring.rowAt(from));
-  for (let left = end - ring.rowAt(from); left > 0; left--) {
-    const value = values[index], pixel = 4 * Math.min(width - 1, Math.max(0, Math.floor((times[index] - from) * scale)));
-    if (++index === capacity) index = 0;
-    if (value !== value) {
-      // A null ends the line, unless the column has a value.
-      if (out[pixel] !== out[pixel]) out[pixel] = Infinity;
-      continue;
+  const first = ring.rowAt(from), end = ring.rowAt(to), start = ring.index(first), left = ring.capacity - start;
+  // The rows lie in one piece, or in two: up to the end of the arrays, and from their beginning.
+  const pieces = end - first <= left ? [[start, start + end - first]] : [[start, ring.capacity], [0, end - first - left]];
+  const scale = width / (to - from), values = ring.values[column], { times } = ring;
+  for (const [begin, over] of pieces) {
+    for (let index = begin; index < over;) {
+      const pixel = Math.min(width - 1, Math.max(0, Math.floor((times[index] - from) * scale)));
+      const until = pixel === width - 1 ? Infinity : from + (pixel + 1) / scale;
+      let low = Infinity, high = -Infinity, last = NaN, early = NaN;
+      do {
+        const value = values[index];
+        if (value === value) {
+          if (early !== early) early = value;
+          if (value < low) low = value;
+          if (value > high) high = value;
+          last = value;
+        }
+      } while (++index < over && times[index] < until);
+      keep(out, 4 * pixel, early, low, high, last);
     }
-    if (out[pixel] !== out[pixel] || out[pixel] === Infinity) out[pixel] = out[pixel + 1] = out[pixel + 2] = value;
-    else if (value < out[pixel + 1]) out[pixel + 1] = value;
-    else if (value > out[pixel + 2]) out[pixel + 2] = value;
-    out[pixel + 3] = value;
   }
   return out;
+}
+
+/** Adds samples to those of a column of pixels. A null ends the line, unless the column has a value.
+ * @param {Float32Array} out @param {number} at @param {number} first @param {number} low @param {number} high @param {number} last */
+function keep(out, at, first, low, high, last) {
+  const isEmpty = out[at] !== out[at] || out[at] === Infinity;
+  if (first !== first) {
+    if (isEmpty) out[at] = Infinity;
+    return;
+  }
+  out[at] = isEmpty ? first : out[at];
+  out[at + 1] = isEmpty ? low : Math.min(out[at + 1], low);
+  out[at + 2] = isEmpty ? high : Math.max(out[at + 2], high);
+  out[at + 3] = last;
 }
 
 /** The smallest and the largest of decimated values; null without any. @param {Float32Array} points @param {number} width

@@ -52,6 +52,8 @@ class Mounted {
     this.isOver = false;
     this.frames = 0;
     this.busy = 0;
+    this.calm = 0;
+    this.calmNeeded = 3;
     this.counted = { at: performance.now(), frames: 0 };
     this.dark = matchMedia("(prefers-color-scheme: dark)");
     /** @type {Renderer | null} */ this.renderer = null;
@@ -214,15 +216,25 @@ class Mounted {
     });
   }
 
+  /** Less detail if pictures take too long although there is always something new, and more if they do not for a while: longer each time.
+   * @param {number} rate_hz */
+  adapt(rate_hz) {
+    if (rate_hz < 2 || !this.renderer) return;
+    this.calm = rate_hz > RATE_MIN_HZ ? this.calm + 1 : 0;
+    if (!this.calm && this.renderer.coarsen()) this.calmNeeded *= 2;
+    else if (this.calm > this.calmNeeded) { this.renderer.refine(); this.calm = 0; }
+  }
+
   /** Positions of tools as numbers, for those who cannot see the picture too. */
   showTable() {
     const now = performance.now(), past = now - this.counted.at;
     if (past > 900) {
-      // Slower than this although there was something new to draw all the time.
-      if (this.busy > 5 && this.busy * 1000 / past < RATE_MIN_HZ) this.renderer?.coarsen();
+      this.adapt(this.busy * 1000 / past);
       this.busy = 0;
       this.rate.textContent = Math.round((this.frames - this.counted.frames) * 1000 / past) + " pictures/s";
       this.busy = 0;
+    this.calm = 0;
+    this.calmNeeded = 3;
     this.counted = { at: now, frames: this.frames };
     }
     const places = this.places();

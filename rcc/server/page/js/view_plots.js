@@ -74,7 +74,8 @@ class Mounted {
       samples: samples => this.receive(samples),
       triggered: (time, cause) => { this.axis.trigger = time; this.showState("triggered: " + cause, true); },
       ended: (probe, cause) => this.end_of(probe, cause),
-      lost: (group, samples) => { this.lost += samples; this.rings[group]?.lose(this.rings[group].last, samples); },
+      // A capture counts its own losses.
+      lost: (group, samples) => { if (kept.settings.trigger) return; this.lost += samples; this.rings[group]?.lose(this.rings[group].last, samples); },
       state: (text, isGood) => this.showState(text, isGood),
     });
     kept.plots.forEach(names => this.addPlot(names));

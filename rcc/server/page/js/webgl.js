@@ -64,6 +64,9 @@ export class Renderer {
     gl.polygonOffset(1, 2);
   }
 
+  /** Draws with more detail from now on. */
+  refine() { this.detail = Math.min(1, this.detail / DETAIL_STEP); }
+
   /** Draws with less detail from now on; whether there was any left to save. */
   coarsen() {
     const before = this.detail;

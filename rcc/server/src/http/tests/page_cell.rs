@@ -73,7 +73,7 @@ fn page_scope_survives_bad_messages_and_reconnects() {
         text({ triggered: { time_s: 2, cause: "rising" } });
         text({ ended: { probe: "a", cause: "its net ended" } });
         text({ lost: { group: 0, samples: 4 } });
-        text({ scope: { version: 9, groups: [] } });
+        text({ scope: { version: 9, groups: [] } }); text({ error: { cause: "no level", hint: "give one" } });
         sockets[0].onclose({ reason: "" });
         timers[0][0]();
         sockets[1].onclose({ reason: "full" });
@@ -100,6 +100,7 @@ fn page_scope_survives_bad_messages_and_reconnects() {
                 "triggered 2 rising",
                 "ended a its net ended",
                 "lost 0 4",
+                "-no level\ngroups 0 1",
                 "-scope: the controller has version 9; this page reads 1: reload it",
                 "-full; the next attempt follows",
                 "2 sockets, retries 500,1000",

@@ -18,12 +18,16 @@ fn page_ring_keeps_latest_samples_and_losses() {
         // An earlier time is another record.
         push(1, 2);
         console.log(ring.length, ring.first, ring.last, ring.losses.length);
+        // A capture has losses between its rows too.
+        ring.push({ group: 0, rows: 4, columns: 1, lost: 5, data: Float64Array.of(9, 0, 9.001, 0, 9.006, 0, 9.008, 0) });
+        console.log(JSON.stringify(ring.losses));
         for (let n = 0; n < 1000; n++) ring.lose(n, 1);
         console.log(ring.losses.length);"#;
     prints(
         "page_ring_keeps_latest_samples_and_losses",
         program,
-        "3 0 2 10 NaN 2 3\n5 2 6 20 60 [{\"time\":3,\"count\":2}]\n5 14 18 140\n2 1 2 0\n500",
+        "3 0 2 10 NaN 2 3\n5 2 6 20 60 [{\"time\":3,\"count\":2}]\n5 14 18 140\n2 1 2 0\n\
+         [{\"time\":9.006,\"count\":4},{\"time\":9.008,\"count\":1}]\n500",
     );
 }
 
