@@ -9,6 +9,7 @@ mod plot;
 mod recovery;
 mod report;
 mod samples;
+mod show;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -64,6 +65,9 @@ pub(crate) struct Demo {
     /// Replay a recording instead, and compare the output byte for byte.
     #[arg(long, alias = "replay", value_name = "FILE.mcap")]
     from: Option<PathBuf>,
+    /// Serve the page of its controller, open it in a browser, and move until Ctrl-C, in rounds of --duration.
+    #[arg(long, conflicts_with_all = ["json", "record", "from", "print_net"])]
+    open: bool,
     /// Print the nets and end.
     #[arg(long)]
     print_net: bool,
@@ -78,6 +82,9 @@ impl Demo {
         if self.print_net {
             nets.iter().try_for_each(|net| say(net.trim_end()))?;
             return Ok(Verdict::Good);
+        }
+        if self.open {
+            return self.show();
         }
         if let Some(recording) = &self.from {
             return replay(recording);

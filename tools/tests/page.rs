@@ -96,3 +96,34 @@ fn page_with_token_asks_once_and_hides_it() {
         .collect();
     assert_eq!(others, [""; 0]);
 }
+
+#[test]
+fn demo_open_serves_page_of_moving_robots() {
+    let _alone = alone();
+    steady(|| {
+        let Some(mut browser) = browser("demo_open_serves_page_of_moving_robots") else {
+            return;
+        };
+        let mut command = common::takt(&["demo", "--open", "--duration", "5s"]);
+        // Without a program that opens addresses, it says so and goes on.
+        command.env("PATH", "/nonexistent");
+        let mut demo = Process::spawn(command);
+        let line = demo.wait_for("http://127.0.0.1:");
+        demo.wait_for("hint: open the address above");
+        browser.open(line.rsplit(' ').next().unwrap());
+        browser.wait_for("nets", "demo: moves left and right");
+        let mut seen = BTreeSet::new();
+        while seen.len() < 3 {
+            seen.insert(browser.text("devices"));
+        }
+        assert_eq!(browser.errors, [""; 0]);
+        // A net that ended before its time is not started again by the demo.
+        browser.open("about:blank");
+        browser.open(&format!("{}#nets", line.rsplit(' ').next().unwrap()));
+        browser.wait_for("net", "RUNNING");
+        browser.click("#control");
+        browser.click("#net .actions button:nth-child(3)");
+        demo.wait_for("it rests until");
+        browser.wait_for("nets", "READY");
+    });
+}

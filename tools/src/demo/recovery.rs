@@ -14,11 +14,11 @@ use crate::client::Client;
 use crate::output::complain;
 
 /// Shortest time for arms to return to their start.
-const RETURN: Duration = Duration::from_secs(3);
+pub(super) const RETURN: Duration = Duration::from_secs(3);
 /// How fast a joint goes back on average, rad/s.
-const RETURN_SPEED: f64 = 0.3;
+pub(super) const RETURN_SPEED: f64 = 0.3;
 /// Distance below which joints have reached their start, rad.
-const HOME: f64 = 0.05;
+pub(super) const HOME: f64 = 0.05;
 /// A shorter rest of the motion is left out.
 const REST_MIN: Duration = Duration::from_secs(1);
 /// Between two attempts to start a net.
@@ -307,7 +307,7 @@ pub(super) fn load(client: &mut Client, net: &str) -> anyhow::Result<String> {
 }
 
 /// Whether all of these follow commands.
-fn follow(controller: &Controller, arms: &[Arm]) -> bool {
+pub(super) fn follow(controller: &Controller, arms: &[Arm]) -> bool {
     let devices = controller.devices();
     arms.iter().all(|arm| {
         let mut found = devices.iter().filter(|device| device.name == arm.name);
@@ -316,13 +316,13 @@ fn follow(controller: &Controller, arms: &[Arm]) -> bool {
 }
 
 /// Faults of these devices so far.
-fn faults_of(controller: &Controller, arms: &[Arm]) -> u64 {
+pub(super) fn faults_of(controller: &Controller, arms: &[Arm]) -> u64 {
     let states = arms.iter().map(|arm| controller.arm_state(arm.name));
     states.flatten().map(|state| state.faults).sum()
 }
 
 /// Where the joints of an arm are commanded to be, rad.
-fn commanded(controller: &Controller, arm: &Arm) -> Vec<f64> {
+pub(super) fn commanded(controller: &Controller, arm: &Arm) -> Vec<f64> {
     let state = controller.arm_state(arm.name).unwrap_or_default();
     let joints = state.joints.iter().take(arm.joints.len());
     joints

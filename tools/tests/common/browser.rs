@@ -1,5 +1,6 @@
 //! A Chromium without a window, by its own protocol (CDP over WebSocket), for tests of the page. It keeps what the page reports
 //! as errors.
+#![allow(dead_code, reason = "each test uses a part of it")]
 
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
@@ -8,7 +9,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
-use super::Folder;
+use super::common::Folder;
 
 /// Programs of Debian and others.
 const PROGRAMS: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "chrome"];
@@ -48,7 +49,8 @@ impl Browser {
         command.args(flags).args(quiet);
         command.arg("--remote-debugging-port=0");
         command.arg(format!("--user-data-dir={}", profile.file("profile")));
-        let child = command
+        // A group of its own: its processes can be stopped and continued together.
+        let child = std::os::unix::process::CommandExt::process_group(&mut command, 0)
             .arg("about:blank")
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -121,6 +123,73 @@ impl Browser {
         }
     }
 
+    /// Shows the page at a width and height, in light or dark colours.
+    pub(crate) fn resize(&mut self, width: u32, height: u32, is_dark: bool) {
+        let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600 });
+        self.call("Emulation.setDeviceMetricsOverride", &size);
+        let value = if is_dark { "dark" } else { "light" };
+        let feature = json!({ "name": "prefers-color-scheme", "value": value });
+        self.call(
+            "Emulation.setEmulatedMedia",
+            &json!({ "features": [feature] }),
+        );
+    }
+
+    /// Writes a picture of what is shown, for people, into the folder of pages in the target directory.
+    pub(crate) fn picture(&mut self, name: &str) {
+        let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("../page");
+        std::fs::create_dir_all(&folder).unwrap();
+        let shot = self.call("Page.captureScreenshot", &json!({ "format": "png" }));
+        let bytes = decoded(shot["data"].as_str().unwrap());
+        std::fs::write(folder.join(format!("{name}.png")), bytes).unwrap();
+    }
+
+    /// Moves the pointer into the middle of the element of a selector, which must exist, and presses or releases its button.
+    #[track_caller]
+    pub(crate) fn pointer(&mut self, kind: &str, selector: &str) {
+        let place = format!(
+            "(() => {{ const e = document.querySelector('{selector}'); e.scrollIntoView({{ block: 'center' }}); \
+             const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; }})()"
+        );
+        let place = self.value(&place);
+        assert!(place[0].is_number(), "{selector} does not exist");
+        let mut event = json!({ "type": "mouseMoved", "x": place[0], "y": place[1] });
+        self.call("Input.dispatchMouseEvent", &event);
+        event["type"] = kind.into();
+        (event["button"], event["clickCount"]) = ("left".into(), 1.into());
+        self.call("Input.dispatchMouseEvent", &event);
+    }
+
+    /// Clicks on the element of a selector.
+    #[track_caller]
+    pub(crate) fn click(&mut self, selector: &str) {
+        self.pointer("mousePressed", selector);
+        self.pointer("mouseReleased", selector);
+    }
+
+    /// Presses (`rawKeyDown`) or releases (`keyUp`) a key, such as `Tab`.
+    pub(crate) fn key(&mut self, kind: &str, key: &str) {
+        let code = match key {
+            "Tab" => 9,
+            "Enter" => 13,
+            _ => 32,
+        };
+        let event = json!({ "type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code });
+        self.call("Input.dispatchKeyEvent", &event);
+    }
+
+    /// Runs a program in every page before its own scripts.
+    pub(crate) fn before_pages(&mut self, program: &str) {
+        let source = json!({ "source": program });
+        self.call("Page.addScriptToEvaluateOnNewDocument", &source);
+    }
+
+    /// Sends a signal to all of its processes: SIGSTOP lets them stall, SIGCONT go on.
+    pub(crate) fn signal(&self, signal: nix::sys::signal::Signal) {
+        let group = i32::try_from(self.child.id()).unwrap();
+        nix::sys::signal::killpg(nix::unistd::Pid::from_raw(group), signal).unwrap();
+    }
+
     /// Calls a method and returns its result; events until then are looked at.
     fn call(&mut self, method: &str, params: &Value) -> Value {
         self.id += 1;
@@ -142,6 +211,28 @@ impl Browser {
             self.errors.extend(error(&message));
         }
     }
+}
+
+/// The bytes of a text in base 64.
+fn decoded(text: &str) -> Vec<u8> {
+    let digit = |c: u8| match c {
+        b'A'..=b'Z' => Some(c - b'A'),
+        b'a'..=b'z' => Some(c - b'a' + 26),
+        b'0'..=b'9' => Some(c - b'0' + 52),
+        b'+' => Some(62),
+        b'/' => Some(63),
+        _ => None,
+    };
+    let digits: Vec<u8> = text.bytes().filter_map(digit).collect();
+    let group = |four: &[u8]| {
+        let bits = four
+            .iter()
+            .fold(0_u32, |bits, digit| bits << 6 | u32::from(*digit));
+        let bits = bits << (6 * (4 - four.len()));
+        let [_, bytes @ ..] = bits.to_be_bytes();
+        bytes[..four.len() - 1].to_vec()
+    };
+    digits.chunks(4).flat_map(group).collect()
 }
 
 /// The error that an event reports.

@@ -9,6 +9,7 @@ mod deb;
 mod environments;
 mod fuzz;
 mod metadata;
+mod page;
 mod parts;
 mod python;
 mod shell;

@@ -13,6 +13,7 @@ use anyhow::Context;
 use crate::binaries::Built;
 use crate::cargo::{self, Cargo, note, say};
 use crate::environments;
+use crate::page;
 use crate::parts::{self, Part};
 use crate::python;
 use crate::vm;
@@ -87,6 +88,9 @@ pub(crate) fn count(root: &Path, parts: &[String], golden: Golden) -> anyhow::Re
         }
         if is_wanted(&parts, "python") {
             tally.add(python::test(root)?);
+        }
+        if is_wanted(&parts, "server") {
+            tally.add(page::test(root)?);
         }
     }
     if fs::remove_file(&skips).is_err() {

@@ -34,9 +34,9 @@ export function section(title, kind = "", ...children) {
   return box;
 }
 
-const GOOD = ["RUNNING", "op", "READY", "ACTIVE", "FIRED", "running", "ready", "info", "ok"];
+const GOOD = ["RUNNING", "op", "READY", "ACTIVE", "FIRED", "running", "ready", "active", "info", "ok"];
 const WARN = ["CANCELLING", "SCHEDULED", "LOADING", "safeop", "loading", "stopping", "warning", "warn"];
-const QUIET = ["TERMINATED", "INACTIVE", "ended", "stopped"];
+const QUIET = ["TERMINATED", "INACTIVE", "inactive", "ended", "stopped"];
 
 /** A state as a pill. @param {string} word */
 export function state(word) {
@@ -49,7 +49,7 @@ export function table(heads, rows, empty) {
   if (!rows.length) return make("p", empty, "dim");
   const table = /** @type {HTMLTableElement} */ (make("table"));
   const head = table.createTHead().insertRow(), body = table.createTBody();
-  for (const name of heads) head.append(make("th", name, /count|errors|ms|rad|%/.test(name) ? "number" : ""));
+  for (const name of heads) head.append(make("th", name, /count|ms|rad|%|°/.test(name) ? "number" : ""));
   for (const { cells, pick, isPicked } of rows) {
     const row = body.insertRow();
     if (pick) {
@@ -148,4 +148,18 @@ export function button(text, press, kind) {
     try { await press(); } finally { element.disabled = false; }
   };
   return element;
+}
+
+/** What can have the keyboard in a box. @param {Element} box */
+const focusable = box => /** @type {HTMLElement[]} */ ([...box.querySelectorAll("a, button, input, select, summary, [tabindex]")]);
+
+/** Replaces the children of a box, unless the new ones look the same: what a pointer is about to press stays, and the keyboard stays
+ * where it is. @param {Element} box @param {...(Node | string)} children */
+export function swap(box, ...children) {
+  const next = /** @type {Element} */ (box.cloneNode(false));
+  next.append(...children);
+  if (next.isEqualNode(box)) return;
+  const at = box.contains(document.activeElement) ? focusable(box).indexOf(/** @type {HTMLElement} */ (document.activeElement)) : -1;
+  box.replaceChildren(...next.childNodes);
+  if (at >= 0) focusable(box)[at]?.focus({ preventScroll: true });
 }

@@ -13,16 +13,27 @@ const VIEWS = [
   { id: "overview", title: "Overview", load: () => import("./view_overview.js") },
   { id: "cell", title: "Cell", load: () => import("./view_3d.js") },
   { id: "plots", title: "Plots", load: () => import("./view_plots.js") },
+  { id: "nets", title: "Nets", load: () => import("./view_nets.js") },
+  { id: "machines", title: "Machines", load: () => import("./view_machines.js") },
+  { id: "devices", title: "Devices", load: () => import("./view_devices.js") },
+  { id: "jog", title: "Jog", load: () => import("./view_jog.js") },
+  { id: "buses", title: "Buses", load: () => import("./view_buses.js") },
+  { id: "threads", title: "Threads", load: () => import("./view_threads.js") },
+  { id: "log", title: "Log", load: () => import("./view_log.js") },
 ];
 
 /** Interval of the header, ms. */
 const PERIOD_MS = 1000;
+/** A view waits for so long while a button of the pointer is down, ms. */
+const PRESSED_MS = 60;
 /** How long an error is shown, ms. */
 const NOTICE_MS = 12000;
 
 /** @type {View | null} */
 let mounted = null;
 let isControlled = false;
+/** Whether a button of the pointer is down. */
+let isPressed = false;
 /** @type {import("./dom.js").Json} */
 let status = {};
 /** Ends what the mounted view started. @type {(() => void)[]} */
@@ -53,6 +64,8 @@ function every(period_ms, work) {
   let isOver = false;
   const round = async () => {
     if (isOver) return;
+    // What a pointer is about to press stays where it is.
+    if (isPressed) { setTimeout(round, PRESSED_MS); return; }
     try { if (!document.hidden) await work(); }
     catch (error) { if (!isOver) showLive(words(error), "bad"); }
     if (!isOver) setTimeout(round, period_ms);
@@ -137,5 +150,7 @@ byId("control").onchange = event => setControl(/** @type {HTMLInputElement} */ (
 setControl(false);
 connectStop();
 addEventListener("hashchange", openView);
+addEventListener("pointerdown", () => { isPressed = true; }, true);
+for (const end of ["pointerup", "pointercancel", "blur"]) addEventListener(end, () => { isPressed = false; }, true);
 poll();
 openView();

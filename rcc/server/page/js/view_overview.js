@@ -1,6 +1,6 @@
 // The whole controller at a glance: usage, threads, devices, machines, nets, sessions.
 
-import { figure, figures, list, make, note, section, span, state, table } from "./dom.js";
+import { figure, figures, list, make, note, section, span, state, swap, table } from "./dom.js";
 
 /** @typedef {import("./dom.js").Json} Json @typedef {import("./api.js").App} App */
 
@@ -62,7 +62,7 @@ function mount(element, app) {
   for (const [id, box] of Object.entries(boxes)) box.id = id;
   element.append(...Object.values(boxes));
   /** @param {HTMLElement} box @param {...Node} children */
-  const fill = (box, ...children) => box.replaceChildren(/** @type {Node} */ (box.firstChild), ...children);
+  const fill = (box, ...children) => swap(box, /** @type {Node} */ (box.firstChild).cloneNode(true), ...children);
   app.every(1000, async () => {
     const [status, devices, nets, machines, sessions] =
       await Promise.all(["/status/", "/devices/", "/nets/", "/machines/", "/sessions/"].map(app.get));

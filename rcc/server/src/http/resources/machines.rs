@@ -51,8 +51,9 @@ impl Handler<'_> {
         let inside = program.machines().zip(&view.machines).enumerate();
         let inside = inside.map(|(number, (name, state))| {
             let place = state.state.and_then(|it| program.states(number).nth(it));
-            let element = Element::new("state")
-                .with("machine", name)
+            // Not called `state`, as is the attribute of the whole machine: JSON has one of a name.
+            let element = Element::new("machine")
+                .with("name", name)
                 .with("status", state.status.word())
                 .with("mode", state.mode.word())
                 .with("paused", state.is_paused.to_string())

@@ -1,0 +1,251 @@
+//! The views of the page in a real browser: each loads without errors and shows what the controller has; nothing acts without the
+//! control switch; the keyboard reaches everything; it is legible at 1280 and at 390 px. Pictures of all views, light and dark,
+//! are in `page` of the target directory.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+#[path = "common/browser.rs"]
+mod browser;
+mod common;
+
+use std::time::{Duration, Instant};
+
+use browser::Browser;
+use common::{Cell, Folder, Process, alone, expect_status, run};
+use takt_tests::steady;
+
+const VIEWS: [&str; 8] = [
+    "overview", "nets", "machines", "devices", "jog", "buses", "threads", "log",
+];
+
+const NET: &str = "{a=Core::Clock(),g=Core::DoubleNetcommIn(Key='gain',Value='2'),\
+    p=Core::DoubleMultiply(inFirst=a.outValue,inSecond=g.outValue),\
+    o=Core::DoubleNetcommOut(inValue=p.outValue,Key='product'),x=Cancel(),outTerminate=x.outCancel}";
+
+const COMPONENT: &str = "component Counter {
+  out count: int;
+  operation clear(to: int range 0 .. 100);
+}
+{ calls=Core::IntNetcommIn(Key='clear'), to=Core::IntNetcommIn(Key='clear_to'),
+  sum=Core::IntAdd(inFirst=calls.outValue, inSecond=to.outValue),
+  count=Core::IntNetcommOut(inValue=sum.outValue, Key='count'),
+  cancel=Cancel(), outTerminate=cancel.outCancel }
+";
+
+const MACHINE: &str = "machine M {
+  component c from \"c.component\" started;
+  event go;
+  initial state A { transition on go to B; transition if false to Z; }
+  state B { transition on go to A; transition if false to Z; }
+  final state Z { entry { stop c; } }
+}
+";
+
+/// A browser; notes the skip of `test` without one.
+fn browser(test: &str) -> Option<Browser> {
+    Browser::start()
+        .map_err(|why| takt_tests::skip(test, &why))
+        .ok()
+}
+
+/// A controller with an arm, a running net and a running machine.
+struct Bench {
+    cell: Cell,
+    net: String,
+    _arm: Process,
+    _folder: Folder,
+}
+
+impl Bench {
+    fn start() -> Self {
+        let mut cell = Cell::start();
+        let arm = cell.arm();
+        let net = cell.load(NET);
+        expect_status(&cell.net(&["start", &net]), 0);
+        let folder = Folder::new();
+        folder.write("c.component", COMPONENT);
+        let file = folder.write("m.machine", MACHINE);
+        let load = ["machine", "load", &file, "--start", "--connect", &cell.tcp];
+        expect_status(&run(&load), 0);
+        Self {
+            cell,
+            net,
+            _arm: arm,
+            _folder: folder,
+        }
+    }
+
+    fn open(&self, browser: &mut Browser, view: &str) {
+        browser.open("about:blank");
+        browser.open(&format!("http://{}/#{view}", self.cell.http));
+        browser.wait_for("live", "live");
+    }
+}
+
+#[test]
+fn page_views_show_contents_without_errors() {
+    let _alone = alone();
+    steady(|| {
+        let Some(mut browser) = browser("page_views_show_contents_without_errors") else {
+            return;
+        };
+        let bench = Bench::start();
+        let net = format!("nets/{}", bench.net);
+        let shown = [
+            (net.as_str(), "net", "product"),
+            ("machines", "machine", "transitions"),
+            ("devices", "device", "measured rad"),
+            ("jog", "jog-joints", "J6"),
+            ("buses", "drivers", "quality"),
+            ("threads", "threads", "Latency"),
+            ("threads", "host", " skip"),
+            ("log", "log", "operational"),
+        ];
+        for (view, id, part) in shown {
+            bench.open(&mut browser, view);
+            browser.wait_for(id, part);
+        }
+        bench.open(&mut browser, &net);
+        browser.wait_for("net", "RUNNING");
+        let boxes = "document.querySelectorAll('#net g.primitive').length";
+        let until = Instant::now() + Duration::from_secs(30);
+        // Five primitives and the output of the net.
+        while browser.value(boxes) != 6 {
+            assert!(Instant::now() < until, "{}", browser.value(boxes));
+        }
+        bench.open(&mut browser, "machines");
+        browser.wait_for("machine", "transitions");
+        let current = "document.querySelector('#machine svg [fill=\"#fdf1dc\"]')?.nextElementSibling?.textContent";
+        assert_eq!(browser.value(current), "A");
+        let errors = browser.errors.iter();
+        let errors: Vec<_> = errors.filter(|error| !is_of_scope(error)).collect();
+        assert_eq!(errors, [""; 0]);
+    });
+}
+
+/// Whether an error is about live values, which are tested with the scope.
+fn is_of_scope(error: &str) -> bool {
+    error.contains("/scope")
+}
+
+#[test]
+fn page_is_legible_at_both_sizes_and_colours() {
+    let _alone = alone();
+    let Some(mut browser) = browser("page_is_legible_at_both_sizes_and_colours") else {
+        return;
+    };
+    let bench = Bench::start();
+    for (width, height) in [(1280, 800), (390, 844)] {
+        for (colours, is_dark) in [("light", false), ("dark", true)] {
+            browser.resize(width, height, is_dark);
+            for view in VIEWS {
+                bench.open(&mut browser, view);
+                std::thread::sleep(Duration::from_millis(700));
+                let overflow = browser.value("document.documentElement.scrollWidth - innerWidth");
+                assert!(
+                    overflow.as_i64().unwrap() <= 0,
+                    "{view} at {width}: {overflow} px too wide"
+                );
+                let stop = "(() => { const r = document.getElementById('stop').getBoundingClientRect(); \
+                    return r.left >= 0 && r.right <= innerWidth && r.top >= 0 && r.bottom <= innerHeight; })()";
+                assert_eq!(
+                    browser.value(stop),
+                    true,
+                    "STOP of {view} at {width} is in reach"
+                );
+                let back = browser.value("getComputedStyle(document.body).backgroundColor");
+                let first = back
+                    .as_str()
+                    .unwrap()
+                    .trim_start_matches("rgb(")
+                    .split(',')
+                    .next();
+                let is_shown_dark = first.unwrap().parse::<u32>().unwrap() < 128;
+                assert_eq!(is_shown_dark, is_dark, "{back}");
+                browser.picture(&format!("{view}-{width}-{colours}"));
+            }
+        }
+    }
+}
+
+#[test]
+fn page_without_control_switch_only_reads() {
+    let _alone = alone();
+    let Some(mut browser) = browser("page_without_control_switch_only_reads") else {
+        return;
+    };
+    let bench = Bench::start();
+    let net = &bench.net;
+    bench.open(&mut browser, &format!("nets/{net}"));
+    browser.wait_for("net", "RUNNING");
+    let enabled = "[...document.querySelectorAll('#view button, #view input')].filter(e => !e.disabled && !e.closest('.row')?.querySelector('select')).length";
+    assert_eq!(browser.value(enabled), 0, "no action is enabled");
+    browser.value("document.querySelectorAll('#net .actions button')[1].click()");
+    std::thread::sleep(Duration::from_millis(300));
+    assert!(browser.text("net").contains("RUNNING"));
+    // A value, then the end of the net.
+    browser.click("#control");
+    browser.value("document.querySelector('#net form input').value = '7.5'");
+    browser.click("#net form button");
+    browser.wait_for("net", "7.5");
+    browser.click("#net .actions button:nth-child(2)");
+    browser.wait_for("net", "TERMINATED");
+    browser.click("#net .actions button:nth-child(4)");
+    browser.wait_for("net", "not loaded any more");
+}
+
+#[test]
+fn page_machine_events_are_raised_by_buttons() {
+    let _alone = alone();
+    let Some(mut browser) = browser("page_machine_events_are_raised_by_buttons") else {
+        return;
+    };
+    let bench = Bench::start();
+    bench.open(&mut browser, "machines/M");
+    let state = "document.querySelector('#machine tbody b')?.textContent";
+    browser.wait_for("machine", "go");
+    assert_eq!(browser.value(state), "A");
+    browser.click("#control");
+    let go = "[...document.querySelectorAll('#machine button')].find(b => b.textContent === 'go').id = 'go'";
+    browser.value(go);
+    browser.click("#go");
+    let until = Instant::now() + Duration::from_secs(30);
+    while browser.value(state) != "B" {
+        assert!(Instant::now() < until, "the machine stays in A");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    // What the controller rejects is shown with its cause.
+    browser.value("document.querySelector('#machine form input').value = 'nonsense'");
+    browser.click("#machine form button");
+    browser.wait_for("notice", "nonsense");
+}
+
+#[test]
+fn page_is_reachable_by_keyboard() {
+    let _alone = alone();
+    let Some(mut browser) = browser("page_is_reachable_by_keyboard") else {
+        return;
+    };
+    let bench = Bench::start();
+    bench.open(&mut browser, "nets");
+    browser.wait_for("net", "RUNNING");
+    let mut reached = Vec::new();
+    for _ in 0..30 {
+        browser.key("rawKeyDown", "Tab");
+        browser.key("keyUp", "Tab");
+        let now = "document.activeElement.id || document.activeElement.className || document.activeElement.textContent";
+        reached.push(browser.value(now).as_str().unwrap_or_default().to_owned());
+    }
+    for wanted in ["control", "stop", "Machines", "pick picked"] {
+        assert!(
+            reached.iter().any(|it| it == wanted),
+            "{wanted}: {reached:?}"
+        );
+    }
+    // Views open by Enter.
+    browser.value("document.querySelector('#views a[href=\"#log\"]').focus()");
+    browser.key("rawKeyDown", "Enter");
+    let press = "document.activeElement.click()";
+    browser.value(press);
+    browser.wait_for("log", "operational");
+    assert_eq!(browser.value("document.title"), "Log · Takt");
+}
