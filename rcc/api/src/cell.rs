@@ -46,7 +46,7 @@ impl Cell {
     pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, Error> {
         let client = Client::connect_with(address, token);
         let client = client.map_err(|error| {
-            if let takt_client::Error::Refused { command, text } = &error
+            if let takt_client::Error::Refused { command, text, .. } = &error
                 && command == "ver"
             {
                 let (address, reason) = (address.to_owned(), text.clone());

@@ -305,7 +305,7 @@ impl ErrorKind {
         // The kind of the refusal precedes its reason.
         let resource = resource.rsplit(": ").next().unwrap_or(resource);
         let is_known = holder != "another net";
-        Self::conflict(resource, is_known.then(|| holder.replace('`', "")))
+        Self::conflict(resource, is_known.then(|| holder.to_owned()))
     }
 
     /// Another net holds a resource, such as `left_Joint_3` or `platform_Base`.
@@ -324,7 +324,7 @@ impl ErrorKind {
         Self::Conflict {
             device: device.to_owned(),
             joint: part,
-            holder,
+            holder: holder.map(|holder| holder.replace('`', "")),
         }
     }
 }
@@ -333,8 +333,10 @@ impl From<takt_client::Error> for ErrorKind {
     fn from(error: takt_client::Error) -> Self {
         use takt_client::Error as Client;
         let text = error.to_string();
-        if let Client::Refused { text, .. } = error {
-            return Self::refused(&text);
+        if let Client::Refused { text, conflict, .. } = error {
+            let of = |it: takt_client::Conflict| Self::conflict(&it.resource, it.holder);
+            // Controllers of older versions have it in the text only.
+            return conflict.map_or_else(|| Self::refused(&text), of);
         }
         let is_lost = matches!(
             error,
@@ -392,6 +394,31 @@ mod tests {
             ErrorKind::refused(other),
             ErrorKind::Refused(other.to_owned())
         );
+        // The fields of the controller are preferred to its text.
+        for (resource, text) in [
+            ("left_Joint_2", held),
+            ("left_Joint_2", "what a later version says"),
+        ] {
+            let refused = takt_client::Error::Refused {
+                command: "nesc".to_owned(),
+                text: text.to_owned(),
+                conflict: Some(takt_client::Conflict {
+                    resource: resource.to_owned(),
+                    holder: Some("net rpinet3 of session s1 (`jog.py, process 7`)".to_owned()),
+                }),
+            };
+            assert_eq!(
+                ErrorKind::from(refused),
+                ErrorKind::refused(fired),
+                "{text}"
+            );
+        }
+        let without = takt_client::Error::Refused {
+            command: "nesc".to_owned(),
+            text: held.to_owned(),
+            conflict: None,
+        };
+        assert_eq!(ErrorKind::from(without), ErrorKind::refused(fired));
         let unknown = ErrorKind::refused("another net holds platform_Base");
         assert!(
             matches!(&unknown, ErrorKind::Conflict { holder: None, device, .. } if device == "platform"),

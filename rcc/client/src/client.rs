@@ -12,7 +12,7 @@ use std::os::unix::net::UnixStream;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::error::Error;
+use crate::error::{Conflict, Error};
 use crate::token::Token;
 use crate::wire::lines::LineReader;
 use crate::wire::{Message, Value};
@@ -407,7 +407,17 @@ fn command_error(command: &str, reply: &Message) -> Error {
     Error::Refused {
         command: command.to_owned(),
         text: texts.join(": "),
+        conflict: reply.args.iter().find_map(conflict),
     }
+}
+
+/// The conflict of a reply; controllers of older versions send none.
+fn conflict(value: &Value) -> Option<Conflict> {
+    let text = |key: &str| Some(value.as_map()?.get(key)?.as_str()?.to_owned());
+    Some(Conflict {
+        resource: text("resource")?,
+        holder: text("holder"),
+    })
 }
 
 #[cfg(test)]

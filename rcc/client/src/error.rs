@@ -34,7 +34,11 @@ pub enum Error {
     NoReply { command: String, waited: Duration },
     /// The controller replied with an error.
     #[error("{text} (`{command}`)")]
-    Refused { command: String, text: String },
+    Refused {
+        command: String,
+        text: String,
+        conflict: Option<Conflict>,
+    },
     /// The received line is not a message.
     #[error("received an invalid message: {0}")]
     Decode(#[from] DecodeError),
@@ -47,4 +51,13 @@ pub enum Error {
         hint: receive pushes while commands are called"
     )]
     Unread { address: String, bound: usize },
+}
+
+/// What another net holds, for which a command was refused.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Conflict {
+    /// The resource, such as `left_Joint_2` or `platform_Base`.
+    pub resource: String,
+    /// The net that holds it, with its session and program; `None` if the controller does not know it.
+    pub holder: Option<String>,
 }

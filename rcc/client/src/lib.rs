@@ -8,6 +8,6 @@ pub mod token;
 pub mod wire;
 
 pub use client::{Client, Reply};
-pub use error::Error;
+pub use error::{Conflict, Error};
 pub use token::{Token, TokenError};
 pub use wire::{Message, Value};

@@ -193,3 +193,26 @@ pub enum Error {
     #[error("{path}: {why}")]
     Recording { path: PathBuf, why: String },
 }
+
+impl Error {
+    /// The resource of a conflict, such as `left_Joint_3`, and the net that holds it, as far as it is known; `None` for all
+    /// other errors.
+    #[must_use]
+    pub fn conflict(&self) -> Option<(&str, Option<&str>)> {
+        let (Self::ResourceInUse {
+            resource, holder, ..
+        }
+        | Self::ResourceKept {
+            resource, holder, ..
+        }
+        | Self::NotSchedulable { resource, holder }) = self
+        else {
+            return None;
+        };
+        let is_known = holder != UNKNOWN_HOLDER;
+        Some((resource, is_known.then_some(holder.as_str())))
+    }
+}
+
+/// What an error calls a net that holds a resource and is not known.
+pub(crate) const UNKNOWN_HOLDER: &str = "another net";

@@ -110,10 +110,12 @@ fn lola_graph_marks_its_state() {
     let program: &Program = bench.machine.program();
     let graph: Graph = program.graph(0, Some(3)).unwrap();
     assert!(graph.nodes[0].is_initial && graph.nodes[4].is_final && graph.nodes[3].is_current);
-    assert_eq!(graph.edges.len(), 15);
+    // 15 transitions; those between the same two states are one edge with a label each.
+    let labels: Vec<usize> = graph.edges.iter().map(|edge| edge.labels.len()).collect();
+    assert_eq!((labels.len(), labels.iter().sum::<usize>()), (10, 15));
     let dot = graph.dot();
     assert!(
-        dot.contains("s3 -> s4 [label=\"trajectory.finished\"]"),
+        dot.contains("s3 -> s4 [label=\"on abort\\non error\\ntrajectory.finished\"]"),
         "{dot}"
     );
     assert!(
@@ -122,6 +124,7 @@ fn lola_graph_marks_its_state() {
     );
     let svg = graph.svg();
     assert_eq!(svg.matches("#fdf1dc").count(), 1);
-    assert_eq!(svg.matches("marker-end").count(), 15);
+    assert_eq!(svg.matches("marker-end").count(), 10);
+    assert_eq!(svg.matches("font-size=\"10\"").count(), 15);
     assert_eq!(program.graph(1, None), None);
 }

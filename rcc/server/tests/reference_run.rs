@@ -162,7 +162,7 @@ fn rules_are_those_of_the_original() {
              c >> b=nene(\"{m=RobotArm::JointMonitor(Robot='lwr1',Axis='0'),j=RobotArm::JointPosition(inPosition=m.outCommandedPosition,\
              Robot='lwr1',Axis='0'),f=Core::BooleanValue(),outTerminate=f.outValue}\")\nc << b=ok(\"rpinet1\")\n\
              c >> d=nest(\"rpinet0\")\nc << d=ok()\n\
-             c >> e=nest(\"rpinet1\")\nc << e=err(\"net start failed\",\"<text>\")\n"
+             c >> e=nest(\"rpinet1\")\nc << e=err(\"net start failed\",\"<text>\",{holder:\"net rpinet0 of session s0\",resource:\"lwr1_Joint_0\"})\n"
             ),
         ),
     ]);

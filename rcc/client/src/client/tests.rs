@@ -181,3 +181,38 @@ fn last_clone_dropped_closes_the_connection() {
     drop(client);
     assert_eq!(closed.recv_timeout(Duration::from_secs(5)), Ok(0));
 }
+
+#[test]
+fn refusal_conflict_has_fields_beside_its_text() {
+    let client = peer(|mut lines, mut stream| {
+        for values in [
+            r#""net start failed","why",{resource:"left_Joint_2",holder:"net rpinet3"}"#,
+            r#""net start failed","why",{resource:"left_Base"}"#,
+            // A controller of an older version, and fields of another kind.
+            r#""net start failed","why""#,
+            r#""net start failed","why",{resource:1}"#,
+        ] {
+            let tag = command(&mut lines).tag;
+            let reply = format!("{tag}=err({values})\n");
+            stream.write_all(reply.as_bytes()).unwrap();
+        }
+        let _ = lines.read_line(&mut String::new());
+    });
+    let refused = || match client.call("nest", ["rpinet1"]) {
+        Err(Error::Refused { text, conflict, .. }) => {
+            assert_eq!(text, "net start failed: why");
+            conflict
+        }
+        other => panic!("{other:?}"),
+    };
+    let conflict = |resource: &str, holder: Option<&str>| {
+        Some(Conflict {
+            resource: resource.to_owned(),
+            holder: holder.map(str::to_owned),
+        })
+    };
+    assert_eq!(refused(), conflict("left_Joint_2", Some("net rpinet3")));
+    assert_eq!(refused(), conflict("left_Base", None));
+    assert_eq!(refused(), None);
+    assert_eq!(refused(), None);
+}

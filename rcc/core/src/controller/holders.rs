@@ -4,6 +4,7 @@ use std::fmt;
 
 use crate::controller::Controller;
 use crate::controller::nets::{Net, Nets};
+use crate::error::UNKNOWN_HOLDER;
 use crate::ids::{NetId, NetState, SessionId};
 
 /// A net that holds a resource, or for which it is reserved.
@@ -59,7 +60,7 @@ impl Nets {
     /// Names the net that holds a resource, or for which it is reserved, other than `own`.
     pub(super) fn holder_text(&self, number: usize, own: &[NetId]) -> String {
         let holder = self.holder_of(number, |id, _| !own.contains(&id));
-        holder.map_or_else(|| "another net".to_owned(), |holder| holder.to_string())
+        holder.map_or_else(|| UNKNOWN_HOLDER.to_owned(), |holder| holder.to_string())
     }
 
     /// The net that holds a resource, of those that `is_meant` accepts: one that runs, else one that a rule is to start.

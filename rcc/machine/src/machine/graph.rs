@@ -11,7 +11,7 @@ pub struct Graph {
     pub name: String,
     /// Its states, in the order of the text.
     pub nodes: Vec<Node>,
-    /// Its transitions, in the order of the text.
+    /// Its transitions, in the order of the text: one edge for all those between the same two states.
     pub edges: Vec<Edge>,
 }
 
@@ -28,15 +28,15 @@ pub struct Node {
     pub is_current: bool,
 }
 
-/// A transition.
+/// The transitions from one state to another.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Edge {
     /// Number of the state that it leaves.
     pub from: usize,
     /// Number of the state that it enters.
     pub to: usize,
-    /// Event and condition; empty if it has none.
-    pub label: String,
+    /// Event and condition of each transition, in the order of the text; empty if it has none.
+    pub labels: Vec<String>,
 }
 
 impl Program {
@@ -54,25 +54,35 @@ impl Program {
                 is_final: index == machine.last,
                 is_current: current == Some(index),
             });
-        let edges = machine.states.iter().enumerate().flat_map(|(from, state)| {
-            state.transitions.iter().map(move |transition| Edge {
-                from,
-                to: transition.target,
-                label: transition.label.clone(),
-            })
-        });
+        let mut edges: Vec<Edge> = Vec::new();
+        for (from, state) in machine.states.iter().enumerate() {
+            for transition in &state.transitions {
+                let (to, label) = (transition.target, transition.label.clone());
+                let same = edges.iter_mut().find(|it| (it.from, it.to) == (from, to));
+                match same {
+                    Some(edge) => edge.labels.push(label),
+                    None => edges.push(Edge {
+                        from,
+                        to,
+                        labels: vec![label],
+                    }),
+                }
+            }
+        }
         Some(Graph {
             name: machine.name.clone(),
             nodes: nodes.collect(),
-            edges: edges.collect(),
+            edges,
         })
     }
 }
 
-/// Size of a state and distance of two, pixels.
+/// Size of a state, and least distance from it to the next one, pixels.
 const WIDTH: i32 = 180;
 const HEIGHT: i32 = 40;
-const PITCH: i32 = 90;
+const GAP: i32 = 50;
+/// Height of a label's line, pixels.
+const LINE: i32 = 12;
 /// Longest label, characters.
 const LABEL_MAX: usize = 48;
 
@@ -98,7 +108,9 @@ impl Graph {
             let _ = writeln!(out, "  s{index} [label=\"{}\"{more}];", node.name);
         }
         for edge in &self.edges {
-            let label = edge.label.replace('\\', "\\\\").replace('"', "\\\"");
+            let labels = edge.labels.iter();
+            let labels = labels.map(|it| it.replace('\\', "\\\\").replace('"', "\\\""));
+            let label = labels.collect::<Vec<_>>().join("\\n");
             let _ = writeln!(out, "  s{} -> s{} [label=\"{label}\"];", edge.from, edge.to);
         }
         out.push_str("}\n");
@@ -112,16 +124,14 @@ impl Graph {
         let pixels = |count: usize| i32::try_from(count).unwrap_or(i32::MAX / 1000);
         let lanes = pixels(self.edges.len());
         let left = 40 + 14 * lanes;
-        let (width, height) = (
-            left + WIDTH + 14 * lanes + 360,
-            PITCH * pixels(self.nodes.len()) + 40,
-        );
+        let (tops, end) = self.tops();
+        let (width, height) = (left + WIDTH + 14 * lanes + 360, end + 20);
         let mut out = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" font-family=\"sans-serif\" font-size=\"12\">\n\
              <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
              <defs><marker id=\"a\" markerWidth=\"8\" markerHeight=\"8\" refX=\"7\" refY=\"4\" orient=\"auto\"><path d=\"M0,0 L8,4 L0,8 z\" fill=\"#0072b2\"/></marker></defs>\n"
         );
-        let top = |index: usize| 20 + PITCH * pixels(index);
+        let top = |index: usize| tops.get(index).copied().unwrap_or(end);
         for (lane, edge) in self.edges.iter().enumerate() {
             let (from, to, offset) = (top(edge.from), top(edge.to), 14 * (pixels(lane) + 1));
             // Ends of links spread over the side of a state.
@@ -131,7 +141,7 @@ impl Graph {
                 (
                     format!("M{x},{} L{x},{to}", from + HEIGHT),
                     x + 6,
-                    from + HEIGHT + (PITCH - HEIGHT) / 2,
+                    (from + HEIGHT + to) / 2 - LINE * (pixels(edge.labels.len()) - 1) / 2,
                     "start",
                 )
             } else if edge.to > edge.from {
@@ -157,17 +167,35 @@ impl Graph {
                 out,
                 "<path d=\"{path}\" fill=\"none\" stroke=\"#0072b2\" marker-end=\"url(#a)\"/>"
             );
-            let _ = writeln!(
-                out,
-                "<text x=\"{x}\" y=\"{y}\" text-anchor=\"{anchor}\" font-size=\"10\" fill=\"#444\">{}</text>",
-                escaped(&edge.label)
-            );
+            for (line, label) in edge.labels.iter().enumerate() {
+                let (y, label) = (y + LINE * pixels(line), escaped(label));
+                let _ = writeln!(
+                    out,
+                    "<text x=\"{x}\" y=\"{y}\" text-anchor=\"{anchor}\" font-size=\"10\" fill=\"#444\">{label}</text>"
+                );
+            }
         }
         for (index, node) in self.nodes.iter().enumerate() {
             node.draw((left, top(index)), &mut out);
         }
         out.push_str("</svg>\n");
         out
+    }
+}
+
+impl Graph {
+    /// Upper ends of the states, and the lower end of all: below a state is room for the labels of its transitions.
+    fn tops(&self) -> (Vec<i32>, i32) {
+        let mut y = 20;
+        let tops = (0..self.nodes.len()).map(|index| {
+            let own = self.edges.iter().filter(|edge| edge.from == index);
+            let lines = own.map(|edge| edge.labels.len()).max().unwrap_or(0);
+            let lines = i32::try_from(lines).unwrap_or(i32::MAX / 1000);
+            let top = y;
+            y += HEIGHT + GAP.max(LINE * lines + 26);
+            top
+        });
+        (tops.collect(), y)
     }
 }
 

@@ -223,13 +223,11 @@ impl Connection {
 
     fn start(&self, args: Args<'_>) -> Outcome {
         let started = self.controller.start_net(self.net(args)?);
-        started.map(|()| Vec::new()).map_err(|error| {
-            let unloaded = matches!(error, Error::NoSuchNet(_));
-            let reason = error.to_string();
-            if unloaded {
+        started.map(|()| Vec::new()).map_err(|source| {
+            if matches!(source, Error::NoSuchNet(_)) {
                 CommandError::InvalidNet
             } else {
-                CommandError::StartFailed { reason }
+                CommandError::StartFailed { source }
             }
         })
     }
@@ -311,13 +309,11 @@ impl Connection {
                 .unwrap_or_default()
                 .to_owned(),
         };
-        let rule = self.controller.schedule(request).map_err(|error| {
-            let unloaded = matches!(error, Error::NoSuchNet(_));
-            let reason = error.to_string();
-            if unloaded {
+        let rule = self.controller.schedule(request).map_err(|source| {
+            if matches!(source, Error::NoSuchNet(_)) {
                 CommandError::InvalidRuleNet
             } else {
-                CommandError::SchedulingNotPossible { reason }
+                CommandError::SchedulingNotPossible { source }
             }
         })?;
         if subscribes {

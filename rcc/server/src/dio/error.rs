@@ -1,7 +1,7 @@
 //! Errors of commands. Clients compare the texts, so they never change; a reason, where there is one, follows as a
 //! second value. No command is executed here.
 
-use takt_client::wire::Message;
+use takt_client::wire::{Message, Value};
 
 use super::limits::{DESCRIPTION_BYTES_MAX, SESSIONS_PER_CONNECTION, SUBSCRIPTIONS_MAX};
 use crate::access::{WRONG_MAX, WRONG_WINDOW};
@@ -48,13 +48,13 @@ pub(super) enum CommandError {
     InvalidDevice,
     /// The net could not be started.
     #[error("net start failed")]
-    StartFailed { reason: String },
+    StartFailed { source: takt_core::Error },
     /// No such net; text of `nesc`.
     #[error("invalid netname")]
     InvalidRuleNet,
     /// The rule could not be installed.
     #[error("scheduling not possible")]
-    SchedulingNotPossible { reason: String },
+    SchedulingNotPossible { source: takt_core::Error },
     /// The net is loading or was rejected.
     #[error("the net is not ready and records nothing")]
     NotReady,
@@ -107,10 +107,16 @@ impl CommandError {
     pub(super) fn reply(&self, tag: &str) -> Message {
         let reply = Message::new(tag, "err").with(self.to_string());
         match self {
-            Self::NetSyntax { reason }
-            | Self::NetRejected { reason }
-            | Self::StartFailed { reason }
-            | Self::SchedulingNotPossible { reason } => reply.with(reason.as_str()),
+            Self::NetSyntax { reason } | Self::NetRejected { reason } => {
+                reply.with(reason.as_str())
+            }
+            Self::StartFailed { source } | Self::SchedulingNotPossible { source } => {
+                let reply = reply.with(source.to_string());
+                match source.conflict() {
+                    Some((resource, holder)) => reply.with(conflict(resource, holder)),
+                    None => reply,
+                }
+            }
             Self::InvalidSyntax
             | Self::InvalidDevice
             | Self::InvalidMachine
@@ -136,4 +142,10 @@ impl CommandError {
             | Self::Controller(_) => reply,
         }
     }
+}
+
+/// The fields of a conflict. A map, since clients that do not know it show all texts.
+fn conflict(resource: &str, holder: Option<&str>) -> Value {
+    let holder = holder.map(|holder| ("holder", holder));
+    Value::map_of([("resource", resource)].into_iter().chain(holder))
 }
