@@ -121,6 +121,12 @@ fn three(socket: &mut Socket, request: &Value) {
         values.extend(std::iter::repeat_n(value, columns));
     }
     send(socket, 0, 0, columns, &values);
+    if request["trigger"].is_object() {
+        say(
+            socket,
+            &json!({ "done": { "cause": "mode single has its capture" } }),
+        );
+    }
     while socket.read().is_ok() {}
 }
 

@@ -46,8 +46,11 @@ impl Figures {
             .collect();
     }
 
+    /// Takes samples. What a capture lost is also reported beside it.
     pub(super) fn add(&mut self, frame: &Frame) {
-        self.lost = self.lost.saturating_add(frame.lost);
+        if self.captures == 0 {
+            self.lost = self.lost.saturating_add(frame.lost);
+        }
         let Some(columns) = self.groups.get_mut(frame.group) else {
             return;
         };

@@ -54,7 +54,7 @@ impl Store {
             Event::Ended(ended) => self.note = Some(format!("{}: {}", ended.probe, ended.cause)),
             Event::Lost { samples, .. } => self.lost = self.lost.saturating_add(*samples),
             Event::Frame(frame) => self.add(frame),
-            Event::Refused(_) | Event::Closed(_) => {}
+            Event::Done | Event::Refused(_) | Event::Closed(_) => {}
         }
     }
 
@@ -85,7 +85,10 @@ impl Store {
     }
 
     fn add(&mut self, frame: &Frame) {
-        self.lost = self.lost.saturating_add(frame.lost);
+        // What a capture lost is also reported beside it.
+        if self.trigger.is_none() {
+            self.lost = self.lost.saturating_add(frame.lost);
+        }
         let Some(rows) = self.groups.get_mut(frame.group) else {
             return;
         };

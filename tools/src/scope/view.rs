@@ -137,7 +137,11 @@ impl View {
             Event::Setup(_) => (self.is_connected, self.trouble) = (true, None),
             // A capture is shown as a whole: the one that is looked at stays.
             Event::Triggered(_) if self.paused_at.is_some() => self.waiting.clear(),
-            Event::Triggered(_) | Event::Ended(_) | Event::Lost { .. } | Event::Frame(_) => {}
+            Event::Triggered(_)
+            | Event::Ended(_)
+            | Event::Lost { .. }
+            | Event::Done
+            | Event::Frame(_) => {}
         }
         let waits = self.paused_at.is_some() && self.store.trigger.is_some();
         if waits && matches!(event, Event::Triggered(_) | Event::Frame(_)) {

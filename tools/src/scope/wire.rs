@@ -45,6 +45,8 @@ pub(super) enum Event {
         group: usize,
         samples: u64,
     },
+    /// Nothing follows: a single capture is complete.
+    Done,
     /// It refuses the request.
     Refused(String),
     Frame(Frame),
@@ -147,6 +149,7 @@ pub(super) fn decode_text(text: &str) -> Result<Option<Event>, WireError> {
         triggered: Option<Triggered>,
         ended: Option<Ended>,
         lost: Option<Lost>,
+        done: Option<serde_json::Value>,
         error: Option<serde_json::Value>,
     }
     let wrong = |why: serde_json::Error| WireError::Text(why.to_string());
@@ -165,8 +168,13 @@ pub(super) fn decode_text(text: &str) -> Result<Option<Event>, WireError> {
             samples: lost.samples,
         })
     };
+    let done = || message.done.map(|_| Event::Done);
     let refused = || message.error.map(|error| Event::Refused(refusal(&error)));
-    Ok(triggered.or_else(ended).or_else(lost).or_else(refused))
+    Ok(triggered
+        .or_else(ended)
+        .or_else(lost)
+        .or_else(done)
+        .or_else(refused))
 }
 
 /// Cause and hint of a refusal.
@@ -285,6 +293,8 @@ mod tests {
         );
         let refused = decode_text(r#"{"error":"no"}"#).unwrap();
         assert_eq!(refused, Some(Event::Refused("no".to_owned())));
+        let done = decode_text(r#"{"done":{"cause":"mode single has its capture"}}"#);
+        assert_eq!(done, Ok(Some(Event::Done)));
         // Later kinds of messages are no errors.
         assert_eq!(decode_text(r#"{"note":1}"#), Ok(None));
         assert_eq!(

@@ -22,7 +22,7 @@ use crate::signal::Stop;
 /// How often the end is looked for while nothing comes.
 const TICK: Duration = Duration::from_millis(100);
 
-/// After the post-trigger time of a single capture its frames come within this time.
+/// After the post-trigger time of a single capture it is complete within this time.
 const CAPTURE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The files.
@@ -99,9 +99,6 @@ struct Run {
     figures: Figures,
     store: Store,
     files: Option<Files>,
-    /// Groups whose frame of the capture has not come.
-    missing: usize,
-    groups: usize,
 }
 
 /// Why a run is over.
@@ -141,9 +138,6 @@ pub(super) fn write(
         if let Some(end) = run.handle(scope, &http, event)? {
             break end;
         }
-        if is_single && capture_until.is_some() && run.missing == 0 {
-            break End::Done;
-        }
     };
     drop(source);
     run.report(scope, address, end)
@@ -161,12 +155,10 @@ impl Run {
                     return Ok(Some(End::Refused(String::new())));
                 }
                 self.figures.begin(setup);
-                self.groups = setup.groups.len();
                 self.files = Some(Files::open(scope, setup)?);
             }
             Event::Triggered(triggered) => {
                 self.figures.captures += 1;
-                self.missing = self.groups;
                 let time = triggered.time_s;
                 complain(&format!("triggered at {time:.6} s: {}", triggered.cause));
             }
@@ -174,12 +166,10 @@ impl Run {
             Event::Lost { samples, .. } => {
                 self.figures.lost = self.figures.lost.saturating_add(*samples);
             }
+            Event::Done => return Ok(Some(End::Done)),
             Event::Refused(why) => return Ok(Some(End::Refused(why.clone()))),
             Event::Closed(why) => return Ok(Some(End::Closed(why.clone()))),
-            Event::Frame(frame) => {
-                self.figures.add(frame);
-                self.missing = self.missing.saturating_sub(1);
-            }
+            Event::Frame(frame) => self.figures.add(frame),
         }
         if scope.svg.is_some() {
             self.store.handle(&event);

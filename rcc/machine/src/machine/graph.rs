@@ -132,7 +132,20 @@ impl Graph {
              <defs><marker id=\"a\" markerWidth=\"8\" markerHeight=\"8\" refX=\"7\" refY=\"4\" orient=\"auto\"><path d=\"M0,0 L8,4 L0,8 z\" fill=\"#0072b2\"/></marker></defs>\n"
         );
         let top = |index: usize| tops.get(index).copied().unwrap_or(end);
+        // Lines of labels beside each state, on the right and on the left.
+        let mut beside = vec![[0; 2]; self.nodes.len()];
         for (lane, edge) in self.edges.iter().enumerate() {
+            let mut line = |side: usize| {
+                let lines = beside
+                    .get_mut(edge.from)
+                    .and_then(|sides| sides.get_mut(side));
+                let lines = lines.map(|lines| {
+                    let before = *lines;
+                    *lines += pixels(edge.labels.len());
+                    before
+                });
+                LINE * lines.unwrap_or(0)
+            };
             let (from, to, offset) = (top(edge.from), top(edge.to), 14 * (pixels(lane) + 1));
             // Ends of links spread over the side of a state.
             let shift = 6 + (pixels(lane) * 5) % (HEIGHT - 12);
@@ -150,7 +163,7 @@ impl Graph {
                 (
                     format!("M{x},{a} L{right},{a} L{right},{b} L{x},{b}"),
                     right + 4,
-                    a + 14,
+                    from + 18 + line(0),
                     "start",
                 )
             } else {
@@ -159,7 +172,7 @@ impl Graph {
                 (
                     format!("M{x},{a} L{out},{a} L{out},{b} L{x},{b}"),
                     out + 4,
-                    a + 12,
+                    from + 18 + line(1),
                     "start",
                 )
             };
@@ -188,11 +201,16 @@ impl Graph {
     fn tops(&self) -> (Vec<i32>, i32) {
         let mut y = 20;
         let tops = (0..self.nodes.len()).map(|index| {
-            let own = self.edges.iter().filter(|edge| edge.from == index);
-            let lines = own.map(|edge| edge.labels.len()).max().unwrap_or(0);
-            let lines = i32::try_from(lines).unwrap_or(i32::MAX / 1000);
+            let own = || self.edges.iter().filter(|edge| edge.from == index);
+            let lines = |is: fn(&Edge) -> bool| {
+                let lines = own().filter(|edge| is(edge)).map(|edge| edge.labels.len());
+                LINE * i32::try_from(lines.sum::<usize>()).unwrap_or(i32::MAX / 1000)
+            };
+            let below = lines(|edge| edge.to == edge.from + 1) + 26;
+            let right = lines(|edge| edge.to > edge.from + 1);
+            let left = lines(|edge| edge.to <= edge.from);
             let top = y;
-            y += HEIGHT + GAP.max(LINE * lines + 26);
+            y += HEIGHT + GAP.max(below).max(right.max(left) + 18 - HEIGHT);
             top
         });
         (tops.collect(), y)
