@@ -1,7 +1,7 @@
 //! A controller with the simulated arms `left` and `right`, a KUKA youBot (`platform`, `hand`), a Schunk WSG (`gripper`,
 //! with a part of 0.05 m) and inputs and outputs (`plant`), for programs in other languages: it prints the address of its
-//! line protocol, and ends with its standard input. It accepts connections of this host only, and records to a file if one
-//! is given.
+//! line protocol, then those of HTTP and of the Foxglove WebSocket, and ends with its standard input. It accepts connections of this
+//! host only, and records to a file if one is given.
 //!
 //! ```console
 //! $ cargo run -p takt-tests --example controller -- [RECORDING]
@@ -16,7 +16,7 @@ use std::path::Path;
 use takt_core::controller::MachineRequest;
 use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller};
-use takt_server::{Server, ServerConfig};
+use takt_server::{LiveConfig, Server, ServerConfig};
 
 /// Where things are in a recording.
 const PLACED: &str = "[[base]]
@@ -76,14 +76,24 @@ fn main() -> Result<(), Box<dyn Error>> {
         .worker_threads(1)
         .enable_all()
         .build()?;
+    let any = Some(SocketAddr::from(([127, 0, 0, 1], 0)));
     let config = ServerConfig {
-        tcp: Some(SocketAddr::from(([127, 0, 0, 1], 0))),
+        tcp: any,
+        http: any,
+        live: LiveConfig {
+            foxglove: any,
+            services: true,
+            ..LiveConfig::default()
+        },
         ..ServerConfig::default()
     };
     let server = runtime.block_on(Server::bind(config))?;
     let address = server.tcp_address().ok_or("the server has no address")?;
     let mut out = std::io::stdout();
     writeln!(out, "{address}")?;
+    for address in [server.http_address(), server.foxglove_address()] {
+        writeln!(out, "{}", address.ok_or("the server has no address")?)?;
+    }
     out.flush()?;
     let (stop, stopped) = tokio::sync::oneshot::channel();
     std::thread::spawn(move || {

@@ -19,6 +19,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use clap::Args;
 use takt_client::Token;
+use takt_core::cell::LiveSettings;
 use takt_core::controller::FlightSettings;
 use takt_core::record::{Recorder, Rotation};
 use takt_core::stop_channel::{
@@ -27,7 +28,7 @@ use takt_core::stop_channel::{
 use takt_core::{CellConfig, Controller};
 use takt_link::linux::host::{Transport, bind_error};
 use takt_rt::host::{HostConfig, prepare};
-use takt_server::{LogBook, ServerThreads};
+use takt_server::{LiveConfig, LogBook, ServerThreads};
 
 pub(crate) use self::access::Access;
 use self::logging::Logging;
@@ -284,6 +285,7 @@ pub(crate) fn start_server(
     let config = takt_server::ServerConfig {
         http: cell.controller.websocket,
         tcp: cell.controller.tcp,
+        live: live_config(&cell.live),
         on_loss: cell.controller.on_loss,
         log,
         stop: channel.and_then(|channel| {
@@ -303,6 +305,15 @@ pub(crate) fn start_server(
     Ok(server)
 }
 
+fn live_config(live: &LiveSettings) -> LiveConfig {
+    LiveConfig {
+        foxglove: live.foxglove,
+        services: live.services,
+        origins: live.origins.clone(),
+        every: live.every,
+    }
+}
+
 /// Where a server listens, as text.
 fn addresses(server: &ServerThreads) -> Vec<String> {
     let http = server
@@ -313,7 +324,14 @@ fn addresses(server: &ServerThreads) -> Vec<String> {
         .map(|at| format!("DirectIO lines at tcp {at}"));
     let local = server.local_path();
     let local = local.map(|path| format!("DirectIO lines at unix {}", path.display()));
-    http.into_iter().chain(tcp).chain(local).collect()
+    let foxglove = server.foxglove_address();
+    let foxglove = foxglove
+        .map(|at| format!("live data at ws://{at}, for Foxglove, Lichtblick and PlotJuggler"));
+    http.into_iter()
+        .chain(tcp)
+        .chain(local)
+        .chain(foxglove)
+        .collect()
 }
 
 /// Ends a server and all of its connections.

@@ -31,6 +31,12 @@
 //! cpus = [1]
 //! phase = "500us"          # leave out for that of the controller
 //!
+//! [live]                   # data for other tools; leave out for none
+//! foxglove = "127.0.0.1:8765" # for Foxglove, Lichtblick and PlotJuggler
+//! services = false         # true: they may start, cancel and abort nets and stop the controller
+//! origins = ["https://app.foxglove.dev"] # web pages that may connect; "file://" for desktop programs
+//! every = 1                # only each n-th cycle is sent
+//!
 //! [[device]]
 //! name = "left"
 //! type = "kuka_lwr_fri"
@@ -46,6 +52,7 @@
 mod access;
 mod drivers;
 mod frames;
+mod live;
 mod location;
 
 use std::net::SocketAddr;
@@ -66,6 +73,7 @@ pub use drivers::{DriverKind, Section};
 pub use frames::{
     BaseConfig, CellFrames, FRAMES_MAX, FrameConfig, HomeConfig, Placement, ToolConfig, WORLD,
 };
+pub use live::LiveSettings;
 use location::located;
 
 /// Net threads that a controller may have.
@@ -80,6 +88,8 @@ pub const PERIOD_MAX: Duration = Duration::from_millis(100);
 pub struct CellConfig {
     /// The controller itself.
     pub controller: ControllerConfig,
+    /// What is sent to other tools while it runs.
+    pub live: LiveSettings,
     /// Its devices with drivers of their own.
     pub devices: Vec<Arc<dyn DriverConfig>>,
     /// Its buses, each with devices of its own.
@@ -93,6 +103,8 @@ pub struct CellConfig {
 struct Rest {
     #[serde(default)]
     controller: ControllerConfig,
+    #[serde(default)]
+    live: LiveSettings,
     #[serde(default)]
     frame: Vec<FrameConfig>,
     #[serde(default)]
@@ -307,6 +319,7 @@ impl CellConfig {
         let rest = Rest::deserialize(toml::Deserializer::from(table))?;
         Ok(Self {
             controller: rest.controller,
+            live: rest.live,
             devices,
             buses,
             frames: CellFrames {
@@ -423,6 +436,7 @@ impl CellConfig {
     /// Checks the configuration; returns the first fault.
     pub(crate) fn check(&self) -> Result<(), String> {
         access::check(&self.controller)?;
+        self.live.check()?;
         self.check_threads()?;
         self.check_clock()?;
         self.drivers().try_for_each(|config| config.check())?;

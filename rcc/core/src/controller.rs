@@ -74,6 +74,7 @@ pub use last_values::LastValues;
 pub use limited::LimitedInfo;
 pub use load::LoadRequest;
 pub use machines::{MachineCost, MachineInfo, MachineRequest};
+pub(crate) use nets::LiveNet;
 pub use nets::{
     NETS_MAX, NetInfo, RECORDED_NETS_MAX, RetainedNet, TAPS_RECORDED_FOR, TapRecord, Taps,
 };

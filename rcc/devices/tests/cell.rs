@@ -95,8 +95,9 @@ fn driver_table_has_each_section_once() {
 }
 
 /// Sections of docs/cell.md, with a cell in which the program meets an unknown key there.
-const SECTIONS: [(&str, &str); 29] = [
+const SECTIONS: [(&str, &str); 30] = [
     ("[controller]", "[controller]\nzz = 1"),
+    ("[live]", "[live]\nzz = 1"),
     ("[[controller.thread]]", "[[controller.thread]]\nzz = 1"),
     ("[[frame]]", "[[frame]]\nzz = 1"),
     ("[[base]]", "[[base]]\nzz = 1"),
@@ -203,8 +204,9 @@ fn cell_reference_lists_every_key() {
 }
 
 /// Sections of docs/cell.md that state defaults, with a cell that is accepted with any one of these at the `@`.
-const CELLS: [(&str, &str); 28] = [
+const CELLS: [(&str, &str); 29] = [
     ("[controller]", "[controller]\n@"),
+    ("[live]", "[live]\nfoxglove = '127.0.0.1:1'\n@"),
     (
         "[[controller.thread]]",
         "[[controller.thread]]\nperiod = '2ms'\n@",

@@ -58,6 +58,7 @@ impl Codec {
             Self::Plain(reader) => reader.poll_message()?.map(Received::Line),
             Self::WebSocket(reader) => reader.poll_event()?.map(|event| match event {
                 Event::Message(line) => Received::Line(line),
+                Event::Bytes(line) => Received::Line(String::from_utf8_lossy(&line).into_owned()),
                 Event::Ping(bytes) => Received::Reply(control(Control::Pong, &bytes)),
                 Event::Close(bytes) => Received::Close(control(Control::Close, &bytes)),
             }),

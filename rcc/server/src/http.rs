@@ -20,6 +20,7 @@ use std::net::IpAddr;
 
 use crate::access::origin::{Origins, Sender};
 use crate::access::{Admission, Credential, WRONG_MAX, WRONG_WINDOW};
+use crate::live::wire::SUBPROTOCOLS;
 use crate::site::Site;
 pub(crate) use resources::debug::{DEBUG_STREAMS_MAX, DebugStream};
 pub(crate) use resources::respond;
@@ -146,6 +147,59 @@ pub(crate) fn parse(
     }
 }
 
+/// Parses the handshake of a client of live data, of any path; `None` while it is incomplete.
+pub(crate) fn parse_live(
+    received: &[u8],
+    policy: AccessPolicy<'_>,
+) -> Option<(usize, Result<Upgrade, Response>)> {
+    let mut headers = [EMPTY_HEADER; HEADERS_MAX];
+    let mut head = httparse::Request::new(&mut headers);
+    let bounded = received.get(..HEAD_BYTES_MAX).unwrap_or(received);
+    match head.parse(bounded) {
+        Ok(Status::Complete(length)) => Some((length, live_upgrade(&head, policy))),
+        Ok(Status::Partial) if received.len() <= HEAD_BYTES_MAX => None,
+        Ok(Status::Partial) => {
+            let text = format!("The head of a request has at most {HEAD_BYTES_MAX} bytes.\n");
+            let response = Response::text("431 Request Header Fields Too Large", text);
+            Some((received.len(), Err(response)))
+        }
+        Err(e) => Some((received.len(), Err(Response::bad_request(e)))),
+    }
+}
+
+fn live_upgrade(
+    request: &httparse::Request<'_, '_>,
+    policy: AccessPolicy<'_>,
+) -> Result<Upgrade, Response> {
+    let head = Head::admitted(request, policy)?;
+    let offered = || {
+        headers(request, "Sec-WebSocket-Protocol")
+            .flat_map(|line| line.split(','))
+            .map(str::trim)
+    };
+    let spoken = SUBPROTOCOLS
+        .into_iter()
+        .find(|it| offered().any(|offer| offer == *it));
+    let Some(spoken) = spoken else {
+        let text = format!(
+            "This port is a WebSocket with the subprotocol {}.\nhint: open ws://HOST:PORT in Foxglove, Lichtblick or \
+             PlotJuggler's Foxglove bridge; the page of this controller has a port of its own.\n",
+            SUBPROTOCOLS.join(" or ")
+        );
+        return Err(Response::bad_request(text.trim_end()));
+    };
+    match head.upgrade() {
+        Action::Upgrade(mut upgrade) => {
+            let line = format!("\r\nSec-WebSocket-Protocol: {spoken}\r\n\r\n");
+            upgrade.response.truncate(upgrade.response.trim_end().len());
+            upgrade.response.push_str(&line);
+            Ok(upgrade)
+        }
+        Action::Reject(response) => Err(response),
+        Action::ReadBody { .. } | Action::Serve(_) => Err(Response::upgrade_required()),
+    }
+}
+
 /// The response to a request without the right token.
 fn denied(admission: Admission) -> Option<Response> {
     let why = match admission {
@@ -199,8 +253,11 @@ impl Head {
         }
         let sender = sender(request);
         if !policy.origins.admit_page(&sender) {
-            let text = "Web pages of other origins are rejected, so that none can command a robot through your browser.\n\
-                hint: list the page's origin as origins under [controller] of cell.toml.\n";
+            let text = format!(
+                "Web pages of other origins are rejected, so that none can command a robot through your browser.\n\
+                 hint: list the page's origin as origins under {} of cell.toml.\n",
+                policy.origins.section
+            );
             return Err(Response::text("403 Forbidden", text));
         }
         let target = request.path.unwrap_or_default();
@@ -227,9 +284,8 @@ impl Head {
                 cell.toml.\n";
             return Err(Response::text("421 Misdirected Request", text));
         }
-        if let (Credential::Token, Some(token), true) =
-            (credential, &query_token, head.path.is_empty())
-        {
+        let is_page = head.path.is_empty() && head.websocket.is_none();
+        if let (Credential::Token, Some(token), true) = (credential, &query_token, is_page) {
             return Err(Response::with_cookie(COOKIE, token));
         }
         Ok(head)

@@ -7,6 +7,7 @@ mod dio;
 pub mod error;
 mod host_program;
 mod http;
+mod live;
 pub mod log;
 pub mod server;
 mod sessions;
@@ -20,6 +21,7 @@ pub use host_program::{HostProgram, JogKind};
 pub use http::fuzz as fuzz_http;
 #[doc(hidden)]
 pub use http::fuzz_head as fuzz_http_head;
+pub use live::LiveConfig;
 pub use log::LogBook;
 pub use server::local::{self, LocalSocket};
 pub use server::{Loopback, OnLoss, Server, ServerConfig};

@@ -23,6 +23,7 @@ use crate::access::{Gate, Peer};
 use crate::error::Error;
 use crate::host_program::HostProgram;
 use crate::http::DEBUG_STREAMS_MAX;
+use crate::live::{Actions, Drain, Hub, LiveConfig};
 use crate::log::LogBook;
 use crate::sessions::ORPHAN_TIMEOUT;
 use crate::site::{Counters, Limits, Site, StopPort};
@@ -79,6 +80,8 @@ pub struct ServerConfig {
     pub log: LogBook,
     /// The port of the stop channel, for the page.
     pub stop: Option<StopPort>,
+    /// What is sent to other tools.
+    pub live: LiveConfig,
     /// The program that runs the server, if it adds something to the page.
     pub program: Option<Arc<dyn HostProgram>>,
 }
@@ -88,6 +91,8 @@ pub struct ServerConfig {
 pub struct Server {
     http: Option<TcpListener>,
     tcp: Option<TcpListener>,
+    live: Option<TcpListener>,
+    live_config: LiveConfig,
     local: Option<Local>,
     on_loss: Option<OnLoss>,
     gate: Gate,
@@ -100,6 +105,7 @@ pub struct Server {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Http,
+    Live,
     Lines,
 }
 
@@ -114,6 +120,10 @@ struct ConnectionContext {
     slot: Slot,
     streams: Arc<Semaphore>,
     evaluations: Arc<Semaphore>,
+    /// What clients of live data can request; `None` without such clients.
+    live: Option<Actions>,
+    /// Page origins of those clients.
+    live_origins: Arc<Origins>,
     /// True once the server shuts down.
     shutdown: watch::Receiver<bool>,
 }
@@ -157,6 +167,7 @@ impl Server {
             log,
             stop,
             program,
+            live,
         } = config;
         let guarded = token.is_some();
         let local = match local {
@@ -166,10 +177,16 @@ impl Server {
         Ok(Self {
             http: listen(http, guarded).await?,
             tcp: listen(tcp, guarded).await?,
+            live: listen(live.foxglove, guarded).await?,
+            live_config: live,
             local,
             on_loss,
             gate: Gate::new(token, loopback),
-            origins: Origins { hosts, origins },
+            origins: Origins {
+                hosts,
+                origins,
+                ..Origins::default()
+            },
             log,
             stop,
             program,
@@ -191,11 +208,40 @@ impl Server {
         self.tcp.as_ref().and_then(|l| l.local_addr().ok())
     }
 
+    /// Address of the Foxglove WebSocket.
+    pub fn foxglove_address(&self) -> Option<SocketAddr> {
+        self.live.as_ref().and_then(|l| l.local_addr().ok())
+    }
+
+    /// Starts the thread of live data, if any is to be sent.
+    fn start_live(&self, controller: &Controller) -> Result<Option<(Actions, Drain)>, Error> {
+        let config = &self.live_config;
+        let every = config.every.max(1);
+        if self.live.is_none() {
+            return Ok(None);
+        }
+        let hub = Arc::new(Hub::default());
+        let log = self.log.clone();
+        let drain = Drain::start(controller.clone(), every, Arc::clone(&hub), log)?;
+        let actions = Actions::new(controller.clone(), config.services, every, hub);
+        Ok(Some((actions, drain)))
+    }
+
     /// Serves clients until `shutdown` completes, then closes their connections.
     pub async fn run(self, controller: Controller, shutdown: impl Future<Output = ()>) {
         let slots = Slots::default();
         let streams = Arc::new(Semaphore::new(DEBUG_STREAMS_MAX));
         let evaluations = Arc::new(Semaphore::new(EVALUATIONS_MAX));
+        let live = self.start_live(&controller).unwrap_or_else(|error| {
+            tracing::error!("no live data: {error}");
+            None
+        });
+        let (actions, _drain) = live.unzip();
+        let live_origins = Arc::new(Origins {
+            hosts: self.origins.hosts.clone(),
+            origins: self.live_config.origins.clone(),
+            section: "[live]",
+        });
         let site = Site {
             origins: Arc::new(self.origins),
             on_loss: self.on_loss,
@@ -212,6 +258,7 @@ impl Server {
                 accepted = accept_local(self.local.as_ref(), &site) => accepted,
                 accepted = accept(self.http.as_ref(), Kind::Http, &site) => accepted,
                 accepted = accept(self.tcp.as_ref(), Kind::Lines, &site) => accepted,
+                accepted = accept(self.live.as_ref(), Kind::Live, &site) => accepted,
                 Some(ended) = connections.join_next() => {
                     report(ended);
                     continue;
@@ -230,6 +277,8 @@ impl Server {
                 slot,
                 streams: Arc::clone(&streams),
                 evaluations: Arc::clone(&evaluations),
+                live: actions.clone(),
+                live_origins: Arc::clone(&live_origins),
                 shutdown: shutdown_receiver.clone(),
             };
             context.count_eviction(evicts);

@@ -19,6 +19,7 @@ pub struct ServerThreads {
     stop: tokio::sync::oneshot::Sender<()>,
     http: Option<SocketAddr>,
     tcp: Option<SocketAddr>,
+    foxglove: Option<SocketAddr>,
     local: Option<PathBuf>,
 }
 
@@ -40,6 +41,7 @@ impl ServerThreads {
         let server = runtime.block_on(bind)?;
         let local = server.local_path().map(Path::to_owned);
         let (http, tcp) = (server.http_address(), server.tcp_address());
+        let foxglove = server.foxglove_address();
         let (stop, stopped) = tokio::sync::oneshot::channel();
         let shutdown = async {
             // A dropped sender means the same as a message.
@@ -52,6 +54,7 @@ impl ServerThreads {
             stop,
             http,
             tcp,
+            foxglove,
             local,
         })
     }
@@ -64,6 +67,11 @@ impl ServerThreads {
     /// Address for plain TCP.
     pub const fn tcp_address(&self) -> Option<SocketAddr> {
         self.tcp
+    }
+
+    /// Address of the Foxglove WebSocket.
+    pub const fn foxglove_address(&self) -> Option<SocketAddr> {
+        self.foxglove
     }
 
     /// Path of the Unix socket.

@@ -16,6 +16,8 @@ const CONTROL_BYTES_MAX: usize = 125;
 pub(crate) enum Event {
     /// One complete message, from one or several frames.
     Message(String),
+    /// The same for a reader that keeps bytes, which need not be text.
+    Bytes(Vec<u8>),
     /// A ping; answer with a pong of these bytes.
     Ping(Vec<u8>),
     /// The client closes; answer with the same bytes and end the connection.
@@ -47,6 +49,7 @@ pub enum FrameError {
 #[derive(Debug)]
 pub(crate) struct FrameReader {
     bound: usize,
+    keeps_bytes: bool,
     bytes: Vec<u8>,
     /// First byte of the frame in progress.
     start: usize,
@@ -65,9 +68,18 @@ impl FrameReader {
     pub(crate) fn bounded(bound: usize) -> Self {
         Self {
             bound: bound.min(MESSAGE_BYTES_MAX),
+            keeps_bytes: false,
             bytes: Vec::new(),
             start: 0,
             message: Vec::new(),
+        }
+    }
+
+    /// A reader for messages of at most `bound` bytes, which need not be text.
+    pub(crate) fn of_bytes(bound: usize) -> Self {
+        Self {
+            keeps_bytes: true,
+            ..Self::bounded(bound)
         }
     }
 
@@ -114,7 +126,11 @@ impl FrameReader {
         if !last {
             return Ok(None);
         }
-        let message = String::from_utf8(std::mem::take(&mut self.message));
+        let message = std::mem::take(&mut self.message);
+        if self.keeps_bytes {
+            return Ok(Some(Event::Bytes(message)));
+        }
+        let message = String::from_utf8(message);
         Ok(Some(Event::Message(message.unwrap_or_else(|error| {
             String::from_utf8_lossy(error.as_bytes()).into_owned()
         }))))

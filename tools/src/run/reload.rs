@@ -49,6 +49,7 @@ fn for_restart(old: &CellConfig, new: &CellConfig) -> Vec<&'static str> {
             same(name, buses(old, kind).eq(buses(new, kind)));
         }
     }
+    same("[live]", old.live == new.live);
     let (old, new) = (&old.controller, &new.controller);
     same("period", old.period == new.period);
     same("priority", old.priority == new.priority);

@@ -51,36 +51,51 @@ pub enum Loopback {
 /// Checks that names and origins have the form that a browser sends.
 pub(super) fn check(controller: &ControllerConfig) -> Result<(), String> {
     let lists = [
-        ("hosts", &controller.hosts),
-        ("origins", &controller.origins),
+        ("controller.hosts", &controller.hosts),
+        ("controller.origins", &controller.origins),
     ];
-    for (key, names) in lists {
-        if names.len() > NAMES_MAX {
-            let found = names.len();
-            return Err(format!(
-                "controller.{key} has {found} entries; at most {NAMES_MAX} are taken"
-            ));
-        }
-    }
-    let blank = |name: &str| name.is_empty() || name.contains(|c: char| c.is_whitespace());
+    lists
+        .into_iter()
+        .try_for_each(|(key, names)| check_count(key, names))?;
     if let Some(host) = controller
         .hosts
         .iter()
-        .find(|h| blank(h) || h.contains('/'))
+        .find(|h| is_blank(h) || h.contains('/'))
     {
         return Err(format!(
             "controller.hosts: `{host}` is no host\nhint: write a name or address as in the address line of a \
              browser, such as \"robot\" or \"robot:8080\""
         ));
     }
+    check_origins("controller.origins", &controller.origins, &[])
+}
+
+fn is_blank(name: &str) -> bool {
+    name.is_empty() || name.contains(|c: char| c.is_whitespace())
+}
+
+fn check_count(key: &str, names: &[String]) -> Result<(), String> {
+    if names.len() <= NAMES_MAX {
+        return Ok(());
+    }
+    let found = names.len();
+    Err(format!(
+        "{key} has {found} entries; at most {NAMES_MAX} are taken"
+    ))
+}
+
+/// Checks that these are origins of pages, or one of the others.
+pub(super) fn check_origins(key: &str, origins: &[String], others: &[&str]) -> Result<(), String> {
+    check_count(key, origins)?;
     let is_origin = |origin: &str| {
         let host = origin.split_once("://").map_or("", |(_, host)| host);
-        !blank(origin) && !host.is_empty() && !host.contains('/')
+        let is_page = !is_blank(origin) && !host.is_empty() && !host.contains('/');
+        is_page || others.contains(&origin)
     };
-    match controller.origins.iter().find(|o| !is_origin(o)) {
+    match origins.iter().find(|o| !is_origin(o)) {
         None => Ok(()),
         Some(origin) => Err(format!(
-            "controller.origins: `{origin}` is no origin\nhint: write scheme and host of the page, such as \
+            "{key}: `{origin}` is no origin\nhint: write scheme and host of the page, such as \
              \"http://localhost:3000\""
         )),
     }

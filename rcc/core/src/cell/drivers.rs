@@ -95,7 +95,7 @@ impl DriverKind {
 }
 
 /// Tables that are not those of drivers.
-const OWN: [&str; 5] = ["controller", "frame", "base", "tool", "home"];
+const OWN: [&str; 6] = ["controller", "live", "frame", "base", "tool", "home"];
 
 /// What drivers read of a cell file.
 #[derive(Debug, Default)]

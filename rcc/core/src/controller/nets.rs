@@ -23,7 +23,8 @@ use past::Past;
 use retained::Retained;
 
 pub(super) use life::{Change, HandOver};
-pub(super) use net::{Counted, LiveNet, Net, Prepared, Values, memory};
+pub(crate) use net::LiveNet;
+pub(super) use net::{Counted, Net, Prepared, Values, memory};
 
 pub use net::NetInfo;
 pub use retained::RetainedNet;

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use takt_net::Nanos;
 
 use crate::cell::CellFrames;
-use crate::controller::{Controller, Watch};
+use crate::controller::{Controller, LiveNet, Watch};
 use crate::device::Device;
 use crate::error::Error;
 use crate::executor::flight::FlightReader;
@@ -121,20 +121,21 @@ impl LiveStream {
     /// # Errors
     /// As the sink has them.
     pub fn poll(&mut self, to: &mut impl Sink, wants_rows: bool) -> Result<u64, Error> {
-        if self.changed.swap(false, Ordering::Relaxed) {
+        let nets = if self.changed.swap(false, Ordering::Relaxed) {
             self.take_devices(to)?;
-            self.take_nets(to)?;
-        }
+            Some(self.take_nets(to)?)
+        } else {
+            None
+        };
         self.take_frames(to)?;
         let was_quiet = std::mem::replace(&mut self.is_quiet, !wants_rows);
         if was_quiet || !wants_rows {
             self.skip();
         }
-        if wants_rows {
-            self.send_rows(to)
-        } else {
-            Ok(0)
-        }
+        let lost = if wants_rows { self.send_rows(to)? } else { 0 };
+        // After the rows of their last cycles.
+        nets.map_or(Ok(()), |nets| self.send_events(to, &nets))?;
+        Ok(lost)
     }
 
     /// Passes over the rows that wait.
@@ -179,6 +180,7 @@ impl LiveStream {
             };
             self.devices.insert(number, live);
         }
+        self.messages.announce(to)?;
         if self.nets.is_empty() {
             let flights = self.controller.live_values().into_iter();
             self.nets = flights
@@ -191,8 +193,31 @@ impl LiveStream {
         Ok(())
     }
 
-    fn take_nets(&mut self, to: &mut impl Sink) -> Result<(), Error> {
+    /// Adds the topics of new nets; returns all nets.
+    fn take_nets(&mut self, to: &mut impl Sink) -> Result<Vec<LiveNet>, Error> {
         let (present, at) = (self.controller.live_nets(), self.now());
+        for net in &present {
+            let is_ready = |states: &[NetState]| states.contains(&NetState::Ready);
+            let (old, new) = self.split(net);
+            if let Some(values) = &net.values
+                && is_ready(new)
+                && !is_ready(old)
+            {
+                self.messages.net(to, (net.id.0, values), at)?;
+            }
+        }
+        Ok(present)
+    }
+
+    /// The states of a net that were seen, and those since.
+    fn split<'n>(&self, net: &'n LiveNet) -> (&'n [NetState], &'n [NetState]) {
+        let seen = self.seen.get(&net.id).copied().unwrap_or(0);
+        net.states.split_at(seen.min(net.states.len()))
+    }
+
+    /// Sends what happened to nets, and ends the topics of those that were unloaded.
+    fn send_events(&mut self, to: &mut impl Sink, present: &[LiveNet]) -> Result<(), Error> {
+        let at = self.now();
         let gone: Vec<_> = self.seen.keys().copied().collect();
         for id in gone {
             if !present.iter().any(|net| net.id == id) {
@@ -200,16 +225,8 @@ impl LiveStream {
                 self.messages.net_gone(to, id.0);
             }
         }
-        for net in &present {
-            let seen = self.seen.get(&net.id).copied().unwrap_or(0);
-            let is_ready = |states: &[NetState]| states.contains(&NetState::Ready);
-            let (old, new) = net.states.split_at(seen.min(net.states.len()));
-            if let Some(values) = &net.values
-                && is_ready(new)
-                && !is_ready(old)
-            {
-                self.messages.net(to, (net.id.0, values), at)?;
-            }
+        for net in present {
+            let (_, new) = self.split(net);
             for state in new {
                 let Some((event, cause)) = happened(*state, net.end.as_deref()) else {
                     continue;

@@ -143,6 +143,26 @@ impl Messages {
         Ok(())
     }
 
+    /// Adds the topics that a file has from their first message on: clients subscribe before there is one.
+    pub(super) fn announce(&mut self, to: &mut impl Sink) -> Result<(), Error> {
+        let places = self.devices.values().any(DeviceTopics::is_placed);
+        let all = [
+            ("/takt/thread", schemas::CYCLE, !self.devices.is_empty()),
+            ("/takt/net_events", schemas::NET_EVENT, true),
+            ("/rosout", schemas::LOG, true),
+            (
+                "/diagnostics",
+                schemas::DIAGNOSTICS,
+                !self.devices.is_empty(),
+            ),
+            ("/tf", schemas::TRANSFORMS, places),
+        ];
+        for (topic, schema, _) in all.iter().filter(|(.., is_used)| *is_used) {
+            self.topics.channel(to, topic, schema)?;
+        }
+        Ok(())
+    }
+
     /// A device was removed.
     pub(super) fn device_gone(&mut self, to: &mut impl Sink, name: &str) {
         let (topics, mut ended) = (&mut self.topics, Vec::new());

@@ -6,12 +6,24 @@
 use std::net::IpAddr;
 
 /// Host names and origins that are accepted besides this server's own.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Origins {
     /// Names of this host, with or without a port.
     pub(crate) hosts: Vec<String>,
     /// Page origins of other servers.
     pub(crate) origins: Vec<String>,
+    /// The section of the cell file that lists them.
+    pub(crate) section: &'static str,
+}
+
+impl Default for Origins {
+    fn default() -> Self {
+        Self {
+            hosts: Vec::new(),
+            origins: Vec::new(),
+            section: "[controller]",
+        }
+    }
 }
 
 /// The headers by which a request states where it comes from.
@@ -81,6 +93,7 @@ mod tests {
         Origins {
             hosts: vec!["robot".to_owned(), "cell:9000".to_owned()],
             origins: vec!["http://localhost:3000".to_owned()],
+            ..Origins::default()
         }
     }
 

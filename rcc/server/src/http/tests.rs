@@ -20,6 +20,7 @@ fn parse(received: &[u8], continued: bool) -> Option<(usize, Action)> {
     let origins = Origins {
         hosts: vec!["h".to_owned()],
         origins: vec!["http://listed:3000".to_owned()],
+        ..Origins::default()
     };
     let policy = AccessPolicy {
         check_token: &|_| Admission::Admitted(Credential::Loopback),

@@ -1,6 +1,8 @@
 //! One connection: moves its bytes and calls its [`Connection`] in threads that may block. It opens and ends no
 //! session.
 
+mod live;
+
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,6 +20,7 @@ use tokio::time::{Instant, timeout};
 
 use super::slots::{Full, Pool};
 use super::{ConnectionContext, Kind};
+use crate::access::origin::Origins;
 use crate::access::{Admission, WRONG_DELAY};
 use crate::codec::{Codec, Received};
 use crate::dio::Connection;
@@ -74,6 +77,7 @@ pub(super) async fn serve(
         match kind {
             Kind::Lines => link.serve_lines(context).await,
             Kind::Http => link.serve_http(context).await,
+            Kind::Live => link.serve_live(context).await,
         }
     };
     let ended = tokio::select! {
@@ -108,7 +112,7 @@ impl Link {
     fn new(stream: Box<dyn Bytes>, kind: Kind, context: &ConnectionContext) -> Self {
         let codec = match kind {
             Kind::Lines => Codec::Plain(LineReader::bounded(TOKEN_LINE_BYTES_MAX)),
-            Kind::Http => Codec::WebSocket(FrameReader::bounded(TOKEN_LINE_BYTES_MAX)),
+            Kind::Http | Kind::Live => Codec::WebSocket(FrameReader::bounded(TOKEN_LINE_BYTES_MAX)),
         };
         let site = &context.site;
         let now = Instant::now();
@@ -121,7 +125,7 @@ impl Link {
                 .with_gate(&site.gate, context.peer, begin)
                 .strict(),
             // The HTTP request carries the token.
-            Kind::Http => connection,
+            Kind::Http | Kind::Live => connection,
         };
         Self {
             stream,
@@ -138,7 +142,7 @@ impl Link {
     /// Sends the reason for closing, if the client still reads.
     async fn send_close_reason(&mut self, kind: Kind, error: &Error) {
         let text = match (kind, &self.codec, error) {
-            (Kind::Http, _, Error::Full { bound }) => {
+            (Kind::Http | Kind::Live, _, Error::Full { bound }) => {
                 http::too_many_connections(*bound).to_string().into_bytes()
             }
             _ => self.encode(&[Message::new("none", "err")
@@ -245,23 +249,12 @@ impl Link {
         &mut self,
         context: &ConnectionContext,
     ) -> Result<Option<http::Action>, Error> {
-        let site = &context.site;
-        let delayed = AtomicBool::new(false);
-        let admission = |given: Option<&str>| {
-            let admission = site.gate.check(context.peer, given, site.now());
-            let admitted = matches!(admission, Admission::Admitted(_));
-            Counters::add(&site.counters.denied, (given.is_some() && !admitted).into());
-            delayed.store(admission == Admission::TooMany, Ordering::Relaxed);
-            admission
-        };
         let (mut received, mut continued) = (Vec::new(), false);
         while self.read(&mut received, context).await? {
-            let policy = http::AccessPolicy {
-                check_token: &admission,
-                origins: &site.origins,
-                reached: context.reached,
-            };
-            match http::parse(&received, continued, policy) {
+            let (parsed, is_delayed) = with_policy(context, &context.site.origins, |policy| {
+                http::parse(&received, continued, policy)
+            });
+            match parsed {
                 Some((
                     _,
                     http::Action::ReadBody {
@@ -280,7 +273,7 @@ impl Link {
                     {
                         self.log_denial(context, response.status());
                     }
-                    if delayed.load(Ordering::Relaxed) {
+                    if is_delayed {
                         tokio::time::sleep(WRONG_DELAY).await;
                     }
                     return Ok(Some(action));
@@ -514,6 +507,29 @@ impl Link {
             source,
         }
     }
+}
+
+/// Parses a request under the access policy of a connection; returns also whether the answer is to be delayed.
+fn with_policy<T>(
+    context: &ConnectionContext,
+    origins: &Origins,
+    parse: impl FnOnce(http::AccessPolicy<'_>) -> T,
+) -> (T, bool) {
+    let site = &context.site;
+    let delayed = AtomicBool::new(false);
+    let admission = |given: Option<&str>| {
+        let admission = site.gate.check(context.peer, given, site.now());
+        let admitted = matches!(admission, Admission::Admitted(_));
+        Counters::add(&site.counters.denied, (given.is_some() && !admitted).into());
+        delayed.store(admission == Admission::TooMany, Ordering::Relaxed);
+        admission
+    };
+    let parsed = parse(http::AccessPolicy {
+        check_token: &admission,
+        origins,
+        reached: context.reached,
+    });
+    (parsed, delayed.load(Ordering::Relaxed))
 }
 
 /// Moves a connection to the slot of an admitted client.

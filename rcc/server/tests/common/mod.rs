@@ -14,6 +14,7 @@ pub(crate) struct TestServer {
     pub(crate) controller: Controller,
     pub(crate) http: SocketAddr,
     pub(crate) tcp: SocketAddr,
+    pub(crate) foxglove: Option<SocketAddr>,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -47,6 +48,7 @@ impl TestServer {
             server.http_address().unwrap(),
             server.tcp_address().unwrap(),
         );
+        let foxglove = server.foxglove_address();
         let (stop, stopped) = oneshot::channel();
         let served = controller.clone();
         let thread = std::thread::spawn(move || {
@@ -58,6 +60,7 @@ impl TestServer {
             controller,
             http,
             tcp,
+            foxglove,
             stop: Some(stop),
             thread: Some(thread),
         }

@@ -120,6 +120,11 @@ impl DeviceTopics {
         })
     }
 
+    /// Whether it has a place among the frames.
+    pub(super) const fn is_placed(&self) -> bool {
+        self.frames.is_some()
+    }
+
     /// Its own topics.
     pub(super) fn channels(&self) -> impl Iterator<Item = u16> {
         let all = [self.states, self.set_points, self.wrench, self.io];
