@@ -1,5 +1,7 @@
 //! `takt record`: what recordings contain, whole files from those that were cut off, and flight files on request.
 
+mod csv;
+
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -34,6 +36,18 @@ pub(crate) enum Record {
         /// The new file, which must not exist.
         #[arg(long, short, value_name = "FILE")]
         output: PathBuf,
+    },
+    /// Write the numbers of a recording as CSV: a row for each instant, a column for each value, named as probes are. Empty
+    /// fields are values that were not known, or did not change then.
+    Csv {
+        /// The recording or flight file; any MCAP file with messages of ROS 2.
+        file: PathBuf,
+        /// Write these values only; * stands for any characters, such as `left.joint.*.measured`.
+        #[arg(long, value_name = "NAME")]
+        probe: Vec<String>,
+        /// The new file; else standard output.
+        #[arg(long, short, value_name = "FILE")]
+        output: Option<PathBuf>,
     },
     /// Write the last ten seconds of all devices of a running controller, and the second that follows, to a flight file on its
     /// host. Prints the path; the file is complete when the command ends.
@@ -75,6 +89,11 @@ impl Record {
                 say(&format!("{}: {copied} messages", output.display()))?;
                 Ok(Verdict::Good)
             }
+            Self::Csv {
+                file,
+                probe,
+                output,
+            } => csv::run(&file, &probe, output.as_deref()),
             Self::Flight { site, list, json } => flight(&site, list, json),
         }
     }

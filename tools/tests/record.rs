@@ -100,3 +100,32 @@ fn record_refuses_what_is_no_recording() {
         Some(0)
     );
 }
+
+#[test]
+fn record_csv_has_a_row_for_each_cycle() {
+    let folder = Folder::new();
+    let (whole, table) = (folder.file("whole.mcap"), folder.file("table.csv"));
+    let cycles = recorded(Path::new(&whole));
+    let probe = "thread:nets.*";
+    let output = takt(&[
+        "record", "csv", &whole, "--probe", probe, "--output", &table,
+    ]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let csv = std::fs::read_to_string(&table).unwrap();
+    let mut lines = csv.lines();
+    let head =
+        "time s,thread:nets.cycle,thread:nets.interval_us,thread:nets.missed,thread:nets.nets";
+    assert_eq!(lines.next(), Some(head));
+    assert_eq!(lines.clone().count() as u64, cycles);
+    let first: Vec<_> = lines.next().unwrap().split(',').collect();
+    // The interval of the first cycle is not known.
+    assert_eq!((first[0], first[2], first[4]), ("0.000000000", "", "0"));
+    let output = takt(&["record", "csv", &whole, "--probe", "nothing.*"]);
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    assert!(
+        text(&output.stderr).contains("hint: without --probe"),
+        "{output:?}"
+    );
+    let output = takt(&["record", "csv", &whole, "--output", &table]);
+    assert_eq!(output.status.code(), Some(2), "it overwrites nothing");
+}

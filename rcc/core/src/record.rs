@@ -15,6 +15,7 @@ mod ros2;
 #[cfg(test)]
 mod tests;
 pub(crate) mod utc;
+mod values;
 mod words;
 
 use std::io::{Seek, Write};
@@ -48,6 +49,7 @@ pub use live::LiveStream;
 pub use parts::{PART_BYTES_MIN, Rotation};
 pub use replay::{Replay, replay};
 pub use ros2::{Sink, Stamp};
+pub use values::numbers;
 
 /// Buffers between the net thread and the file; each holds one cycle.
 const BUFFERS: usize = 512;

@@ -53,7 +53,7 @@ impl Contents {
 }
 
 /// An MCAP file, and whether it ends as a whole one does.
-fn open(path: &Path) -> Result<(BufReader<File>, bool), Error> {
+pub(super) fn open(path: &Path) -> Result<(BufReader<File>, bool), Error> {
     let try_open = || {
         let mut file = File::open(path)?;
         let mut end = [0; END.len()];
