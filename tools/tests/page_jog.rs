@@ -20,6 +20,8 @@ const LATEST: Duration = Duration::from_secs(60);
 /// A joint that moves less in [`LOOK`] is at rest, rad.
 const REST: f64 = 1e-4;
 const LOOK: Duration = Duration::from_millis(400);
+/// The range of the second joint ends at 2.09 rad: an arm that rests before this was stopped, not limited.
+const STOPPED: f64 = 1.9;
 /// The button that moves the second joint.
 const BUTTON: &str = "button[data-direction=\"j1+\"]";
 
@@ -88,6 +90,8 @@ impl Bench {
         while self.moves() != moves {
             assert!(Instant::now() < until, "{what}");
         }
+        let joint = self.joint();
+        assert!(joint.abs() < STOPPED, "{what}: the joint is at {joint} rad");
     }
 }
 
