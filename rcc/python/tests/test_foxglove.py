@@ -136,7 +136,9 @@ def test_foxglove_samples_have_no_gap(addresses: SimpleNamespace) -> None:
             info = await viewer.text("serverInfo")
             assert {"parameters", "services"} <= set(info["capabilities"])
             await viewer.subscribe("/takt/thread", "/left/joint_states")
-            cycles, states, missed = [], [], 0
+            cycles: list[int] = []
+            states: list[dict[str, Any]] = []
+            missed = 0
             while len(cycles) < 3000:
                 message = await viewer.receive()
                 if message["op"] != "message":
