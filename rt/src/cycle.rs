@@ -81,12 +81,14 @@ impl Cycles<'_> {
                 }
                 now = clock::monotonic();
             }
-            let tick = grid.next(now);
+            let mut tick = grid.next(now);
+            let follow = self.follow.as_ref();
+            tick.phase_error = follow.and_then(|follow| follow.phase_error(&grid, &tick));
             stats.note_stall(&tick);
             let flow = body(&tick);
             now = clock::monotonic();
             stats.record(&tick, now);
-            self.note(&grid, &tick, stats);
+            self.note(&tick, stats);
             if flow.is_break() {
                 return cycles + 1;
             }
@@ -94,9 +96,8 @@ impl Cycles<'_> {
         u64::MAX
     }
 
-    fn note(&self, grid: &Grid, tick: &Tick, stats: &mut StatsWriter) {
-        let follow = self.follow.as_ref();
-        if let Some(error) = follow.and_then(|follow| follow.phase_error(grid, tick)) {
+    fn note(&self, tick: &Tick, stats: &mut StatsWriter) {
+        if let Some(error) = tick.phase_error {
             stats.record_phase(error);
         }
         if let (Some(flight), 1..) = (self.flight, tick.missed) {
@@ -121,6 +122,7 @@ mod tests {
             time: Nanos(scheduled),
             scheduled: Nanos(scheduled),
             woken: Nanos(woken),
+            phase_error: None,
         }
     }
 

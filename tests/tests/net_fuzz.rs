@@ -116,6 +116,20 @@ fn http_requests_stand_random_input() {
 }
 
 #[test]
+fn scope_request_stands_random_input() {
+    let mut words = split(
+        "{ } [ ] : , \"a\" 0 1 -1 65 1e999 0.5 null true \"probes\": \"every\": \"trigger\": \"on\": \"rising\" \"level\": \
+         \"mode\": \"single\" \"pre_s\": \"post_s\": \"rate_hz\":",
+    );
+    let requests: [&[u8]; 2] = [
+        br#"{"probes":["a"],"rate_hz":30"#,
+        br#"{"probes":["a"],"trigger":{"on":"inside","probe":"a","low":0,"high":1}"#,
+    ];
+    words.extend(requests);
+    feed("scope", takt_server::fuzz_scope, &words, INPUTS);
+}
+
+#[test]
 fn fri_stands_random_input() {
     // Datagrams have fixed lengths and headers: with valid ones of each kind, the rest is decoded.
     fn target(bytes: &[u8]) {

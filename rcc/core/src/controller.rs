@@ -24,6 +24,7 @@ mod machines;
 mod monitor;
 mod nets;
 mod permission;
+mod probes;
 mod registry;
 mod rejections;
 mod reload;

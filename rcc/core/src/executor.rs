@@ -12,6 +12,7 @@ pub mod report;
 mod resources;
 pub mod rules;
 mod running;
+pub mod sampler;
 pub mod serve;
 mod start;
 pub mod stop;

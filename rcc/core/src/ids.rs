@@ -105,6 +105,24 @@ pub enum NetState {
 }
 
 impl NetState {
+    /// All states; the index of each is its number.
+    pub const ALL: [Self; 8] = [
+        Self::Loading,
+        Self::Rejected,
+        Self::Ready,
+        Self::Scheduled,
+        Self::Running,
+        Self::Cancelling,
+        Self::Terminated,
+        Self::Unloaded,
+    ];
+
+    /// Its number in samples.
+    #[must_use]
+    pub const fn number(self) -> u64 {
+        self as u64
+    }
+
     /// Its name on the wire.
     #[must_use]
     pub const fn word(self) -> &'static str {

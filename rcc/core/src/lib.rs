@@ -15,6 +15,7 @@ pub mod ids;
 pub mod local_socket;
 pub mod memory;
 mod primitives;
+pub mod probe;
 pub mod record;
 pub mod span;
 pub mod stop_channel;

@@ -14,6 +14,7 @@ mod load;
 pub mod netcomm;
 pub mod picture;
 pub mod plan;
+pub mod ports;
 pub mod primitives;
 pub mod registry;
 pub mod set_points;

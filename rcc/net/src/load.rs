@@ -12,6 +12,7 @@ mod graph;
 mod inter;
 mod origin;
 mod parts;
+mod ports;
 mod resolve;
 mod resolved;
 mod sort;

@@ -12,6 +12,7 @@ use crate::definition::Primitive;
 use crate::device::{Image, Target};
 use crate::failure::Failure;
 use crate::netcomm::{Directory, Inter, Mailbox};
+use crate::ports::Ports;
 use crate::set_points::SetPoints;
 use crate::slots::{In, SlotRef, Slots};
 use crate::taps::Taps;
@@ -73,6 +74,7 @@ pub struct Plan {
     pub(crate) inter_ins: Box<[Inter]>,
     pub(crate) inter_outs: Box<[Inter]>,
     pub(crate) taps: Taps,
+    pub(crate) ports: Arc<Ports>,
     pub(crate) resources: Box<[String]>,
     pub(crate) commands: Box<[Target]>,
     pub(crate) outlives_failure: Option<Duration>,
@@ -241,11 +243,11 @@ impl Plan {
             .collect()
     }
 
-    /// Upper bound on the net's memory, in bytes: slots, steps, arrays, histories, and one in-box
+    /// Upper bound on the net's memory, in bytes: slots, steps, arrays, histories, names of ports, and one in-box
     /// and out-box.
     pub fn memory(&self) -> usize {
         let words = self.inbox.words.len() + self.outbox.words.len();
-        self.bytes() + self.memory + words * size_of::<u64>()
+        self.bytes() + self.memory + self.ports.bytes() + words * size_of::<u64>()
     }
 
     /// Memory that a cycle can touch, in bytes: slots, steps with their parameters and state, but

@@ -44,6 +44,13 @@ impl Codec {
         }
     }
 
+    /// Raises the bound on the length of messages in frames to this one.
+    pub(crate) const fn raise_bound_to(&mut self, bytes: usize) {
+        if let Self::WebSocket(reader) = self {
+            reader.raise_bound_to(bytes);
+        }
+    }
+
     /// Whether the received bytes can be the beginning of a client's first line; always true for frames.
     pub(crate) fn may_be_first_line(&self) -> bool {
         match self {

@@ -41,6 +41,9 @@ const COOKIE: &str = "takt_token";
 /// Path of the DirectIO WebSocket.
 const DIRECT_IO: &str = "DirectIO";
 
+/// Path of the scope's WebSocket.
+const SCOPE: &str = "scope";
+
 /// Keys and values of a form or query, in order.
 type Form = Vec<(String, String)>;
 
@@ -69,6 +72,8 @@ pub(crate) struct Upgrade {
     pub(crate) credential: Credential,
     /// Whether it names a version, which RFC 6455 demands and the known client omits.
     pub(crate) is_versioned: bool,
+    /// Whether it is for the scope rather than for DirectIO.
+    pub(crate) is_scope: bool,
 }
 
 /// Which requests are admitted.
@@ -122,7 +127,9 @@ pub(crate) fn parse(
         Err(e) => (all, Err(Response::bad_request(e))),
     };
     let head = match read {
-        Ok(head) if head.path == [DIRECT_IO] => return Some((length, head.upgrade())),
+        Ok(head) if head.path == [DIRECT_IO] || head.path == [SCOPE] => {
+            return Some((length, head.upgrade()));
+        }
         Ok(head) => head,
         Err(response) => return Some((length, Action::Reject(response))),
     };
@@ -344,6 +351,7 @@ impl Head {
             response,
             credential: self.credential,
             is_versioned: self.is_versioned,
+            is_scope: self.path == [SCOPE],
         })
     }
 

@@ -9,6 +9,7 @@ mod host_program;
 mod http;
 mod live;
 pub mod log;
+mod scope;
 pub mod server;
 mod sessions;
 mod site;
@@ -23,6 +24,9 @@ pub use http::fuzz as fuzz_http;
 pub use http::fuzz_head as fuzz_http_head;
 pub use live::LiveConfig;
 pub use log::LogBook;
+pub use scope::SCOPES_MAX;
+#[doc(hidden)]
+pub use scope::fuzz as fuzz_scope;
 pub use server::local::{self, LocalSocket};
 pub use server::{Loopback, OnLoss, Server, ServerConfig};
 pub use site::StopPort;

@@ -25,6 +25,7 @@ use crate::host_program::HostProgram;
 use crate::http::DEBUG_STREAMS_MAX;
 use crate::live::{Actions, Drain, Hub, LiveConfig};
 use crate::log::LogBook;
+use crate::scope::SCOPES_MAX;
 use crate::sessions::ORPHAN_TIMEOUT;
 use crate::site::{Counters, Limits, Site, StopPort};
 use local::{Local, LocalSocket};
@@ -119,6 +120,7 @@ struct ConnectionContext {
     reached: Option<IpAddr>,
     slot: Slot,
     streams: Arc<Semaphore>,
+    scopes: Arc<Semaphore>,
     evaluations: Arc<Semaphore>,
     /// What clients of live data can request; `None` without such clients.
     live: Option<Actions>,
@@ -231,6 +233,7 @@ impl Server {
     pub async fn run(self, controller: Controller, shutdown: impl Future<Output = ()>) {
         let slots = Slots::default();
         let streams = Arc::new(Semaphore::new(DEBUG_STREAMS_MAX));
+        let scopes = Arc::new(Semaphore::new(SCOPES_MAX));
         let evaluations = Arc::new(Semaphore::new(EVALUATIONS_MAX));
         let live = self.start_live(&controller).unwrap_or_else(|error| {
             tracing::error!("no live data: {error}");
@@ -276,6 +279,7 @@ impl Server {
                 reached: accepted.reached,
                 slot,
                 streams: Arc::clone(&streams),
+                scopes: Arc::clone(&scopes),
                 evaluations: Arc::clone(&evaluations),
                 live: actions.clone(),
                 live_origins: Arc::clone(&live_origins),

@@ -88,6 +88,11 @@ impl FrameReader {
         self.bound = MESSAGE_BYTES_MAX;
     }
 
+    /// Raises the bound to this one.
+    pub(crate) const fn raise_bound_to(&mut self, bytes: usize) {
+        self.bound = bytes;
+    }
+
     /// Adds received bytes.
     pub(crate) fn push(&mut self, bytes: &[u8]) {
         self.bytes.drain(..self.start);

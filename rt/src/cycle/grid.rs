@@ -22,6 +22,8 @@ pub struct Tick {
     pub scheduled: Nanos,
     /// Time at which the thread woke for it.
     pub woken: Nanos,
+    /// Distance of the wake-up from its nominal time on the followed clock, while that is known.
+    pub phase_error: Option<Nanos>,
 }
 
 /// A grid of instants `start + n · period` and its next slot. It reads no clock.
@@ -69,6 +71,7 @@ impl Grid {
             time: self.time,
             scheduled: self.deadline,
             woken: now,
+            phase_error: None,
         };
         self.advance(1);
         tick

@@ -186,6 +186,17 @@ impl Machines {
         })
     }
 
+    /// Each machine: its number, its thread, its name, and the names of its states.
+    pub(super) fn of_probes(
+        &self,
+    ) -> impl Iterator<Item = (u32, usize, String, Arc<[String]>)> + '_ {
+        self.all.iter().map(|(id, loaded)| {
+            let states = loaded.program.states(0).map(str::to_owned).collect();
+            let name = loaded.program.name().to_owned();
+            (*id, loaded.thread, name, states)
+        })
+    }
+
     /// The thread answered the addition of a machine.
     pub(super) fn added(&mut self, id: u32, result: Result<(), StartError>) {
         if let Some(loaded) = self.all.get_mut(&id) {

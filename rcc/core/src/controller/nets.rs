@@ -78,6 +78,10 @@ impl Nets {
         self.all.iter().map(|(id, net)| (*id, net))
     }
 
+    pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = (NetId, &mut Net)> {
+        self.all.iter_mut().map(|(id, net)| (*id, net))
+    }
+
     pub(super) fn len(&self) -> usize {
         self.all.len()
     }

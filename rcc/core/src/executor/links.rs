@@ -11,6 +11,8 @@ use takt_net::{Nanos, Plan};
 use takt_rt::latest::LatestReader;
 use takt_rt::ring::{Consumer, Producer, ring};
 
+use super::sampler::{Samplers, SamplersEnd, samplers};
+
 /// Maximum number of nets that one net exchanges values with, and that write to it.
 pub const WIRES_MAX: usize = 16;
 
@@ -186,6 +188,7 @@ pub struct Links {
     over: Producer<Box<Wire>>,
     taps_incoming: Option<Consumer<Box<TapWriter>>>,
     taps: Option<Box<TapWriter>>,
+    samplers: Samplers,
     /// The program's box as last applied.
     seen: Box<[u64]>,
 }
@@ -198,6 +201,8 @@ pub struct LinksEnd {
     /// Wires of other nets that were sent and not returned.
     given: usize,
     taps: Option<Producer<Box<TapWriter>>>,
+    /// Its samplers.
+    pub samplers: SamplersEnd,
     alive: Arc<AtomicBool>,
 }
 
@@ -245,12 +250,14 @@ pub fn links(plan: &Plan) -> (Links, LinksEnd) {
     let (wires, incoming) = ring(WIRES_MAX);
     let (over_in, over) = ring(WIRES_MAX);
     let (taps, taps_incoming) = (plan.record_words() > 0).then(|| ring(1)).unzip();
+    let (samplers, samplers_end) = samplers();
     let links = Links {
         wires: Vec::with_capacity(2 * WIRES_MAX),
         incoming,
         over: over_in,
         taps_incoming,
         taps: None,
+        samplers,
         seen: plan.inbox_words().collect(),
     };
     let end = LinksEnd {
@@ -258,6 +265,7 @@ pub fn links(plan: &Plan) -> (Links, LinksEnd) {
         over,
         given: 0,
         taps,
+        samplers: samplers_end,
         alive: Arc::new(AtomicBool::new(true)),
     };
     (links, end)
@@ -308,5 +316,16 @@ impl Links {
         if let Some(taps) = &mut self.taps {
             taps.record(plan, time);
         }
+    }
+
+    /// Samples the net after its evaluation in this cycle of its thread.
+    #[inline]
+    pub(super) fn sample(&mut self, plan: &Plan, cycle: u64, every: u64, state: u64) {
+        self.samplers.sample(plan, cycle, every, state);
+    }
+
+    /// Takes new samplers and returns those without reader, while the net is not evaluated.
+    pub fn exchange_samplers(&mut self) {
+        self.samplers.exchange();
     }
 }

@@ -136,6 +136,15 @@ impl Executor {
         result.0
     }
 
+    /// Each machine's number plus 1 in the upper half of a word, the number of its state plus 1 in the lower: 0 while it is inactive.
+    pub(super) fn machine_states(&self) -> impl Iterator<Item = u64> {
+        self.machines.iter().map(|hosted| {
+            let state = hosted.view.machines.first().and_then(|it| it.state);
+            let state = state.map_or(0, |state| state as u64 + 1);
+            ((u64::from(hosted.id) + 1) << 32) | state
+        })
+    }
+
     /// Stop generation under which a machine was loaded.
     #[must_use]
     pub fn machine_generation(&self, machine: u32) -> Option<Generation> {

@@ -14,6 +14,7 @@ use super::machines::Seat;
 use super::resources::ResourceSet;
 use super::view::DeviceView;
 use crate::device::Place;
+use crate::ids::NetState;
 use crate::stop_channel::Generation;
 
 /// A net in the thread that evaluates it.
@@ -212,6 +213,13 @@ impl Running {
             self.withdraw_not_taken_over(image, moment.cycle);
         }
         self.links.record(&self.plan, moment.time);
+        let state = if moment.cancel {
+            NetState::Cancelling
+        } else {
+            NetState::Running
+        };
+        self.links
+            .sample(&self.plan, moment.cycle, self.every, state.number());
         let after = clock();
         self.account(after - *before);
         *before = after;

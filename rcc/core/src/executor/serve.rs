@@ -26,6 +26,8 @@ pub struct DeviceEnd {
     command: DeviceCommand,
     gate: Gate,
     flight: Option<FlightWriter>,
+    /// When the state that nets see was measured.
+    stamp: Nanos,
 }
 
 impl DeviceEnd {
@@ -41,6 +43,7 @@ impl DeviceEnd {
             command,
             gate,
             flight: None,
+            stamp: Nanos::ZERO,
         }
     }
 
@@ -146,7 +149,11 @@ impl Served {
         let stop = &self.stop;
         for end in self.ends.iter_mut().flatten() {
             let (number, place) = (end.number, &end.place);
-            let mut take = |state: &DeviceState| show(state, number, place, stop, executor);
+            let stamp = &mut end.stamp;
+            let mut take = |state: &DeviceState| {
+                *stamp = state.stamp;
+                show(state, number, place, stop, executor);
+            };
             match &mut end.driver {
                 Driver::Cells { state, .. } | Driver::Seen { state } => state.read_with(take),
                 Driver::Simulated { device, .. } => take(device.state()),
@@ -184,7 +191,7 @@ impl Served {
             }
             if let Some(flight) = &mut end.flight {
                 let view = executor.devices.get(end.number).copied();
-                let of_device = (&end.place, view.unwrap_or_default());
+                let of_device = (&end.place, view.unwrap_or_default(), end.stamp);
                 flight.write_device(of_device, &executor.image, moment, begin);
             }
             if commanded {

@@ -2,6 +2,7 @@
 //! devices on one side and the rings to the controller on the other. It makes no decisions.
 
 mod machines;
+mod slot;
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -9,7 +10,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use takt_machine::Status;
-use takt_net::{Moment, Nanos};
 use takt_rt::cycle::{Cycles, Follow, Tick};
 use takt_rt::ring::{Consumer, Producer};
 use takt_rt::stats::{Recorder, RecorderReader, StatsReader, StatsWriter};
@@ -25,6 +25,7 @@ use crate::executor::serve::{DeviceEnd, Served};
 use crate::executor::stop::StopPart;
 use crate::executor::{Effect, End, Executor, Running, StartError};
 use crate::record::Tap;
+use slot::Slot;
 
 /// Commands of the controller to the thread.
 #[derive(Debug)]
@@ -183,6 +184,12 @@ pub struct NetThread {
     pub period: Duration,
     /// The last out values of its nets.
     pub flight: FlightReader,
+    /// Timing of its last cycles, and the states of its machines.
+    pub timing: FlightReader,
+    /// Its name at the system, such as `takt-nets`.
+    pub name: String,
+    /// The instant to which the times of its cycles refer.
+    pub base: takt_rt::Nanos,
     thread: Thread<()>,
     stop: Arc<AtomicBool>,
 }
@@ -206,6 +213,7 @@ impl NetThread {
         let hand_over_reader = hand_over.reader();
         let stop = Arc::new(AtomicBool::new(false));
         let (flight, flight_reader) = flight::of_nets();
+        let (timing, timing_reader) = flight::of_thread(config.period);
         let mut cycle = Box::new(Cycle {
             executor: Executor::within(budget(config.period).into()),
             served: Served::new(config.period.into(), hand_over).under(config.stop),
@@ -213,10 +221,12 @@ impl NetThread {
             events: Reports::new(event_end, config.notifier),
             tap,
             flight,
+            timing,
             clock: takt_rt::monotonic,
         });
         let stopping = Arc::clone(&stop);
         let name = config.thread.name.clone();
+        let for_error = name.clone();
         let (period, base, follow) = (config.period, config.base, config.follow);
         let thread = takt_rt::thread::spawn(config.thread, move || {
             let cycles = Cycles {
@@ -226,7 +236,10 @@ impl NetThread {
             };
             run(&mut cycle, cycles, &mut stats_writer, &stopping);
         })
-        .map_err(|source| Error::Thread { name, source })?;
+        .map_err(|source| Error::Thread {
+            name: for_error,
+            source,
+        })?;
         Ok(Self {
             commands,
             events,
@@ -234,6 +247,9 @@ impl NetThread {
             hand_over: hand_over_reader,
             period,
             flight: flight_reader,
+            timing: timing_reader,
+            name,
+            base,
             thread,
             stop,
         })
@@ -270,6 +286,7 @@ fn run(cycle: &mut Cycle, cycles: Cycles<'_>, stats: &mut StatsWriter, stop: &At
     let period = cycles.period.into();
     cycles.run(stats, |tick| {
         cycle.run(&Slot::of(tick, period));
+        cycle.note_timing(tick);
         if stop.load(Ordering::Relaxed) {
             ControlFlow::Break(())
         } else {
@@ -277,35 +294,6 @@ fn run(cycle: &mut Cycle, cycles: Cycles<'_>, stats: &mut StatsWriter, stop: &At
         }
     });
     drop(scope);
-}
-
-/// Times of a cycle for nets and drivers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Slot {
-    /// Logical time for nets, so that equal inputs give equal outputs.
-    moment: Moment,
-    /// Begin on the host's clock, to which drivers refer set-points. Equal to logical
-    /// time, unless the thread follows a device's clock.
-    begin: takt_rt::Nanos,
-    /// Its deadline.
-    end: takt_rt::Nanos,
-}
-
-impl Slot {
-    fn of(tick: &Tick, period: takt_rt::Nanos) -> Self {
-        let moment = Moment {
-            // 0 is "never".
-            cycle: tick.index.max(1),
-            time: Nanos(tick.time.0),
-            wall: Nanos(tick.woken.0),
-            ..Moment::default()
-        };
-        Self {
-            moment,
-            begin: tick.scheduled,
-            end: tick.scheduled + period,
-        }
-    }
 }
 
 /// Maximum number of commands per cycle; the rest waits for the next.
@@ -320,6 +308,7 @@ struct Cycle {
     events: Reports,
     tap: Option<Tap>,
     flight: FlightWriter,
+    timing: FlightWriter,
     clock: fn() -> takt_rt::Nanos,
 }
 
@@ -382,6 +371,12 @@ impl Cycle {
         }
         // Last of all: nothing of the cycle waits for it.
         self.events.flush();
+    }
+
+    /// Writes the timing of a cycle, after all else of it.
+    fn note_timing(&mut self, tick: &Tick) {
+        let machines = self.executor.machine_states();
+        self.timing.write_thread(tick, (self.clock)(), machines);
     }
 
     /// Ends all nets if the controller is stopped; returns how many.

@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 use std::marker::PhantomData;
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::cost::NetCost;
@@ -194,6 +195,7 @@ impl Parts {
         let guards = self.guards(resolved)?;
         let root_ports = self.root_ports(resolved)?;
         let taps = taps(&mut self, resolved)?;
+        let ports = super::ports::ports(&mut self, resolved);
         let terminate = root_ports.iter().find(|p| p.name == "outTerminate");
         let terminate = boolean(
             terminate.map_or(SlotRef::null(Type::scalar(Element::Bool)), |port| port.slot),
@@ -219,6 +221,7 @@ impl Parts {
             inter_ins: self.inter_ins.into_boxed_slice(),
             inter_outs: self.inter_outs.into_boxed_slice(),
             taps,
+            ports: Arc::new(ports),
             resources: self.resources.into_boxed_slice(),
             commands: self.commands.into_boxed_slice(),
             outlives_failure: self.outlives_failure,

@@ -62,7 +62,9 @@ pub(super) fn resolve<'t>(
     }
     let root = resolver.link_root(tree);
     let taps = resolver.link_taps();
+    let scopes = resolver.scopes.iter();
     Resolved {
+        scopes: scopes.map(|scope| (scope.name, scope.parent)).collect(),
         nodes: resolver.nodes,
         guards: resolver.guards,
         root,

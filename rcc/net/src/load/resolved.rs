@@ -39,6 +39,8 @@ pub(super) struct Resolved<'t> {
     pub(super) root: Vec<(&'t str, Option<Origin>)>,
     /// Tapped ports.
     pub(super) taps: Vec<Tapped>,
+    /// Fragments, by number: their names, and the fragments around them.
+    pub(super) scopes: Vec<(&'t str, Option<u32>)>,
 }
 
 /// A tapped port.

@@ -25,6 +25,10 @@ impl Dimension {
     pub const LENGTH: Self = Self([1, 0, 0, 0]);
     /// Velocity, m/s.
     pub const VELOCITY: Self = Self([1, 0, -1, 0]);
+    /// Force, N.
+    pub const FORCE: Self = Self([1, 1, -2, 0]);
+    /// Torque, Nm.
+    pub const TORQUE: Self = Self([2, 1, -2, 0]);
     /// Time, s.
     pub const TIME: Self = Self([0, 0, 1, 0]);
 

@@ -12,6 +12,7 @@ mod machines;
 mod metrics;
 mod modules;
 mod nets;
+mod probes;
 mod sessions;
 mod status;
 mod stop;
@@ -24,8 +25,8 @@ use super::{Request, Response};
 use crate::site::Site;
 
 /// List of the resources, sent with status 404.
-const MAP: &str = "Resources: / /status/ /metrics /stats/ /host/ /nets/ /rules/ /machines/ /eval/ /sessions/ /types/ \
-    /modules/ /modulesdetails/ /devices/ /geometry/ /ethercat/ /extensions/ /flights/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
+const MAP: &str = "Resources: / /status/ /metrics /stats/ /host/ /probes/ /nets/ /rules/ /machines/ /eval/ /sessions/ /types/ \
+    /modules/ /modulesdetails/ /devices/ /geometry/ /ethercat/ /extensions/ /flights/ /log/ /stop/ and, for WebSocket, /DirectIO/ and /scope.";
 
 /// A response, or an error response.
 type Outcome = Result<Response, Response>;
@@ -71,6 +72,7 @@ impl Handler<'_> {
             (_, [.., "source.java"], false) => Err(Response::not_found(
                 "Java sources are not generated; ?format=json describes types and primitives",
             )),
+            ("probes", [], false) => Ok(self.probes()),
             ("nets", [], false) => Ok(self.nets()),
             ("nets", [], true) => self.load_net(),
             ("nets", [net], false) => self.net(net),
@@ -108,7 +110,7 @@ impl Handler<'_> {
             ("eval", [], false)
             | (
                 "" | "page" | "host" | "rules" | "types" | "modules" | "modulesdetails" | "status"
-                | "metrics" | "log" | "ethercat" | "geometry",
+                | "metrics" | "log" | "probes" | "ethercat" | "geometry",
                 _,
                 true,
             ) => Err(Response::text(

@@ -53,6 +53,7 @@ fn known_client_handshake_response_is_exact() {
         response: expected.to_owned(),
         credential: Credential::Loopback,
         is_versioned: false,
+        is_scope: false,
     };
     assert_eq!(answer, Action::Upgrade(upgrade));
 }

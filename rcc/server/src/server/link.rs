@@ -2,6 +2,7 @@
 //! session.
 
 mod live;
+mod scope;
 
 use std::io;
 use std::sync::Arc;
@@ -159,6 +160,9 @@ impl Link {
     async fn serve_http(&mut self, context: &ConnectionContext) -> Result<(), Error> {
         let request = timeout(REQUEST_TIMEOUT, self.read_request(context)).await;
         let response = match request {
+            Ok(Ok(Some(http::Action::Upgrade(upgrade)))) if upgrade.is_scope => {
+                return self.serve_scope(upgrade, context).await;
+            }
             Ok(Ok(Some(http::Action::Upgrade(upgrade)))) => {
                 self.send(upgrade.response.as_bytes()).await?;
                 let on_loss = context.site.on_loss.unwrap_or(if upgrade.is_versioned {

@@ -10,7 +10,7 @@ use takt_net::value::Element;
 use takt_net::{Plan, Rejection};
 use takt_rt::latest::{LatestReader, LatestWriter};
 
-use super::life::{Change, HandOver, Life};
+use super::life::{Change, HandOver, Holder, Life};
 use super::taps::NetLinks;
 use crate::error::Error;
 use crate::executor::figures::NetCounters;
@@ -363,6 +363,26 @@ impl Net {
     ) -> Option<T> {
         let values = self.values_mut()?;
         Some(values.out_reader.read_with(|words| read(words)))
+    }
+
+    /// Its links, with its ports; `None` if it was never ready.
+    pub(in crate::controller) fn links(&self) -> Option<&NetLinks> {
+        Some(&self.values()?.links)
+    }
+
+    /// Passes samplers to the net while it waits in the registry.
+    pub(in crate::controller) fn exchange_samplers(&mut self) {
+        if let Life::Waiting {
+            holder: Holder::Registry(running),
+            ..
+        } = &mut self.life
+        {
+            running.links.exchange_samplers();
+        }
+    }
+
+    pub(in crate::controller) fn description(&self) -> &str {
+        &self.description
     }
 
     pub(in crate::controller) fn links_mut(&mut self) -> Option<&mut NetLinks> {

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use takt_net::ports::Ports;
 use takt_net::taps::{Tap, record_time};
 use takt_net::{Nanos, Plan};
 
@@ -99,9 +100,11 @@ impl TapRecording {
 /// The controller's side of a net's links.
 #[derive(Debug)]
 pub(in crate::controller) struct NetLinks {
-    pub(super) end: LinksEnd,
+    pub(in crate::controller) end: LinksEnd,
     taps: Arc<[Tap]>,
     record_words: usize,
+    /// Its ports, by name.
+    pub(in crate::controller) ports: Arc<Ports>,
     pub(super) recording: Option<TapRecording>,
 }
 
@@ -111,6 +114,7 @@ impl NetLinks {
             end,
             taps: Arc::clone(plan.taps()),
             record_words: plan.record_words(),
+            ports: Arc::clone(plan.ports()),
             recording: None,
         }
     }

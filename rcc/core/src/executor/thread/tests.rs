@@ -4,6 +4,7 @@
 use std::cell::Cell;
 use std::time::Duration;
 
+use takt_net::Nanos;
 use takt_rt::cycle::Grid;
 use takt_rt::latest::LatestReader;
 use takt_rt::ring::ring;
@@ -54,6 +55,7 @@ impl Bench {
         let (event_end, events) = ring(EVENTS);
         let cycle = Cycle {
             flight: flight::of_nets().0,
+            timing: flight::of_thread(Duration::from_millis(1)).0,
             executor: Executor::default(),
             served: Served::new(PERIOD, Recorder::new()),
             commands: command_end,
@@ -111,6 +113,7 @@ impl Bench {
                 time,
                 scheduled: time,
                 woken: time,
+                phase_error: None,
             },
             PERIOD,
         ))

@@ -32,7 +32,7 @@ impl<'a> FlightRow<'a> {
     /// The row of a device with so many joints; `None` if it is too short.
     pub(in crate::record) fn of(row: &'a [u64], joints: usize) -> Option<Self> {
         let (head, rest) = row.split_first_chunk::<HEAD>()?;
-        let [cycle, begin, status, faults] = *head;
+        let [cycle, begin, status, faults, _] = *head;
         let (of_joints, signals) = rest.split_at_checked(joints * JOINT_WORDS)?;
         Some(Self {
             cycle,
@@ -74,7 +74,17 @@ mod tests {
     #[test]
     fn flight_row_short_is_none() {
         let nan = f64::NAN.to_bits();
-        let mut row = vec![7, 5, 2, 3, 1.5_f64.to_bits(), nan, 0.5_f64.to_bits(), nan];
+        let mut row = vec![
+            7,
+            5,
+            2,
+            3,
+            4,
+            1.5_f64.to_bits(),
+            nan,
+            0.5_f64.to_bits(),
+            nan,
+        ];
         row.extend([2.0_f64.to_bits(), 9]);
         let read = FlightRow::of(&row, 1).unwrap();
         assert_eq!((read.cycle, read.begin, read.faults), (7, Nanos(5), 3));

@@ -193,6 +193,7 @@ impl Bench {
             time: now,
             scheduled: now,
             woken: now,
+            phase_error: None,
         };
         if !self.is_led {
             (self.given.time, self.given.cycle) = (now, self.tick);

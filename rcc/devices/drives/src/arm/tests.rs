@@ -187,6 +187,7 @@ impl Bench {
             time: scheduled,
             scheduled,
             woken: scheduled,
+            phase_error: None,
         };
         let drives = &mut self.drives;
         self.arm

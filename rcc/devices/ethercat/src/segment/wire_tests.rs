@@ -133,6 +133,7 @@ impl Bench {
             time: now,
             scheduled: now,
             woken: now,
+            phase_error: None,
         };
         for device in &mut self.devices {
             if !self.is_led {
