@@ -42,7 +42,8 @@ impl Browser {
         let flags = [
             "--headless=new",
             "--no-sandbox",
-            "--disable-gpu",
+            "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader",
             "--no-first-run",
         ];
         let quiet = ["--disable-background-networking", "--disable-dev-shm-usage"];

@@ -56,7 +56,7 @@ class Mounted {
     this.board = make("div", undefined, "plots");
     this.theme = themeOf();
     this.dark = matchMedia("(prefers-color-scheme: dark)");
-    this.dark.onchange = () => { this.theme = themeOf(); this.changed(); };
+    this.dark.onchange = () => { this.theme = themeOf(); this.cards.forEach(card => this.legend(card)); this.changed(); };
     this.form = triggerForm(kept.trigger, settings => { kept.settings = settings; this.fail(""); this.ask(); }, text => this.fail(text));
     this.picker = picker(names => this.add(names), preset => this.preset(preset));
     const keys = "Drag or arrow keys: move in time. Wheel or + −: zoom; with Shift: values. Double click or 0: all. Space: pause. a, b: cursors; [ ] move them. Esc: no cursors.";

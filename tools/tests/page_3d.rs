@@ -1,0 +1,197 @@
+//! The 3-D view and the plots in a real browser: pictures change while a robot moves, and numbers are those of the controller.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+#[path = "common/browser.rs"]
+mod browser;
+mod common;
+
+use std::collections::BTreeMap;
+
+use browser::Browser;
+use common::{Cell, Process, alone};
+use takt_tests::steady;
+
+/// Keeps what a page offers for saving, as texts by their names.
+const KEEP_SAVED: &str = "window.saved = null; URL.createObjectURL = blob => { blob.text().then(text => { window.saved = text; }); return '#plots'; }; \
+    HTMLAnchorElement.prototype.click = () => {}; true";
+/// A number that changes with the pixels of the 3-D view; 0 without one.
+const PIXELS: &str = "(() => { const canvas = document.querySelector('canvas.space'); if (!canvas) return 0; \
+    let sum = 1; for (const letter of canvas.toDataURL()) sum = (sum * 31 + letter.charCodeAt(0)) % 1000003; return sum; })()";
+
+/// A browser; notes the skip of `test` without one.
+fn browser(test: &str) -> Option<Browser> {
+    Browser::start()
+        .map_err(|why| takt_tests::skip(test, &why))
+        .ok()
+}
+
+/// A slow motion of the arm of a cell.
+fn motion(cell: &Cell) -> Process {
+    let goal = ["0", "30deg", "0", "-70deg", "0", "45deg", "0"];
+    let end = ["--yes", "--speed", "0.05", "--connect", &cell.tcp];
+    Process::start(&[&["move", "left", "ptp"][..], &goal, &end].concat())
+}
+
+/// Waits until an expression is true.
+#[track_caller]
+fn wait(browser: &mut Browser, expression: &str) {
+    for _ in 0..900 {
+        if browser.value(expression) == true {
+            return;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(100));
+    }
+    panic!(
+        "{expression} stays false: {}\n{:?}",
+        browser.text(""),
+        browser.errors
+    );
+}
+
+#[test]
+fn cell_view_moves_with_its_robot() {
+    let _alone = alone();
+    steady(|| {
+        let Some(mut browser) = browser("cell_view_moves_with_its_robot") else {
+            return;
+        };
+        let mut cell = Cell::start();
+        let _arm = cell.arm();
+        browser.open(&format!("http://{}/#cell", cell.http));
+        wait(
+            &mut browser,
+            "/^left\\tflange\\t-?\\d/m.test(document.body.innerText)",
+        );
+        // The flange as the page computes it is that of the controller.
+        let shown = browser.value(
+            "(async () => { const at = [...document.querySelectorAll('td')].slice(2, 5).map(td => Number(td.textContent)); \
+             const { x, y, z } = (await (await fetch('/devices/left/armkinematics?format=json')).json()).data[0].value.pos; return [at, [x, y, z].map(Number)]; })()",
+        );
+        for axis in 0..3 {
+            let [page, controller] = [0, 1].map(|side| shown[side][axis].as_f64().unwrap());
+            assert!((page - controller).abs() < 2e-4, "{shown}");
+        }
+        let has_picture =
+            browser.value("!!document.querySelector('canvas.space')?.dataset.frames") == true;
+        assert!(has_picture, "{}", browser.text(""));
+        let (still, before) = (browser.value(PIXELS), browser.text("view"));
+        let moving = motion(&cell);
+        wait(&mut browser, &format!("{PIXELS} !== {still}"));
+        wait(
+            &mut browser,
+            "Number(document.querySelector('canvas.space').dataset.frames) > 5",
+        );
+        assert_ne!(browser.text("view"), before);
+        for (name, width, is_dark) in [
+            ("cell-light-1280", 1280, false),
+            ("cell-dark-390", 390, true),
+        ] {
+            browser.resize(width, 900, is_dark);
+            browser.picture(name);
+        }
+        drop(moving);
+        assert_eq!(browser.errors, [""; 0]);
+    });
+}
+
+#[test]
+fn cell_view_without_webgl_shows_numbers() {
+    let Some(mut browser) = browser("cell_view_without_webgl_shows_numbers") else {
+        return;
+    };
+    let cell = Cell::start();
+    browser.open(&format!("http://{}/", cell.http));
+    browser.wait_for("live", "live");
+    browser.value(
+        "HTMLCanvasElement.prototype.getContext = () => null; location.hash = '#cell'; true",
+    );
+    browser.wait_for("view", "This browser has no WebGL.");
+    browser.wait_for("view", "left\tflange");
+    assert_eq!(browser.errors, [""; 0]);
+}
+
+#[test]
+fn plots_show_values_that_controller_recorded() {
+    let _alone = alone();
+    steady(|| {
+        let Some(mut browser) = browser("plots_show_values_that_controller_recorded") else {
+            return;
+        };
+        let mut cell = Cell::start();
+        let _arm = cell.arm();
+        browser.open(&format!("http://{}/#plots", cell.http));
+        wait(
+            &mut browser,
+            "!!document.querySelector('input[type=search]')",
+        );
+        browser.value(KEEP_SAVED);
+        // The list of probes is there when a search finds some.
+        let search = "(() => { const box = document.querySelector('input[type=search]'); box.value = 'left.joint.1.measured'; box.oninput(); \
+            return document.querySelectorAll('.found input').length === 1; })()";
+        wait(&mut browser, search);
+        let moving = motion(&cell);
+        browser.value(
+            "document.querySelector('input[type=search]').onkeydown(new KeyboardEvent('keydown', { key: 'Enter' })); true",
+        );
+        wait(
+            &mut browser,
+            "document.querySelectorAll('canvas.plot').length === 1",
+        );
+        wait(
+            &mut browser,
+            "Number(document.querySelector('.plots').dataset.pictures) > 20",
+        );
+        let recorded = browser.value("(async () => (await fetch('/devices/left/last')).text())()");
+        browser.value("[...document.querySelectorAll('button')].find(it => it.textContent === 'CSV').click(); true");
+        wait(&mut browser, "window.saved !== null");
+        let saved = browser.value("window.saved");
+        for (name, width, is_dark) in [
+            ("plots-dark-1280", 1280, true),
+            ("plots-light-390", 390, false),
+        ] {
+            browser.resize(width, 900, is_dark);
+            browser.picture(name);
+        }
+        drop(moving);
+
+        let plotted = column(saved.as_str().unwrap(), "left.joint.1.measured [rad]");
+        let recorded = column(recorded.as_str().unwrap(), "left j1 measured");
+        assert_recorded(&plotted, &recorded);
+        assert_eq!(browser.errors, [""; 0]);
+    });
+}
+
+/// Times, s, and values of a column of a CSV text.
+fn column(text: &str, name: &str) -> Vec<(f64, f64)> {
+    let mut lines = text.lines();
+    let head = lines.next().unwrap();
+    let column = head.split(',').position(|it| it == name);
+    let column = column.unwrap_or_else(|| panic!("{name} is not in {head}"));
+    let row = |line: &str| {
+        let fields: Vec<_> = line.split(',').collect();
+        Some((fields[0].parse().ok()?, fields[column].parse().ok()?))
+    };
+    lines.filter_map(row).collect()
+}
+
+/// Most values that were recorded once only were plotted at the same distance in time, rounded as the record is.
+#[track_caller]
+fn assert_recorded(plotted: &[(f64, f64)], recorded: &[(f64, f64)]) {
+    let rounded = |value: f64| format!("{value:.6}");
+    let mut once: BTreeMap<String, Option<f64>> = BTreeMap::new();
+    for (time, value) in plotted {
+        let entry = once.entry(rounded(*value));
+        entry.and_modify(|time| *time = None).or_insert(Some(*time));
+    }
+    let matched = recorded.iter().filter_map(|(time, value)| {
+        let plotted = once.get(&rounded(*value)).copied().flatten()?;
+        Some(plotted - time)
+    });
+    let mut offsets: Vec<f64> = matched.collect();
+    offsets.sort_by(f64::total_cmp);
+    assert!(offsets.len() > 100, "{} values are in both", offsets.len());
+    let middle = offsets[offsets.len() / 2];
+    let same = offsets.iter().filter(|it| (*it - middle).abs() < 1e-5);
+    let share = same.count() as f64 / offsets.len() as f64;
+    assert!(share > 0.9, "{share} of {} at one distance", offsets.len());
+}
