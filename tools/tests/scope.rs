@@ -13,8 +13,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use common::{Folder, complaint, expect_status, run, takt};
+use common::{Cell, Folder, Process, alone, complaint, expect_status, run, takt};
 use serde_json::{Value, json};
+use takt_tests::steady;
 use terminal::Terminal;
 use tungstenite::{Message, WebSocket};
 
@@ -358,4 +359,62 @@ fn scope_without_controller_or_scope_is_status_2() {
         why.contains("this controller has no scope\nhint: "),
         "{why}"
     );
+}
+
+#[test]
+fn scope_of_emulated_arm_streams_triggers_and_ends() {
+    let _alone = alone();
+    steady(|| {
+        let mut cell = Cell::start();
+        let _arm = cell.arm();
+        let http = cell.http.clone();
+        let scope = |args: &[&str]| run(&[&["scope"], args, &["--connect", &http]].concat());
+        let list = expect_status(&scope(&["--list", "left.joint.0."]), 0);
+        assert!(list.contains("left.joint.0.measured"), "{list}");
+        let args = [
+            "--probe",
+            "left.joint.*.measured",
+            "thread:nets.latency",
+            "--duration=1s",
+            "--json",
+        ];
+        let json: Value = serde_json::from_str(&expect_status(&scope(&args), 0)).unwrap();
+        let probes = json["probes"].as_array().unwrap();
+        assert_eq!(probes.len(), 8, "{json}");
+        for probe in probes {
+            assert!(probe["samples"].as_u64().unwrap() > 100, "{probe}");
+        }
+        // The latency is above nothing at once.
+        let args = [
+            "--probe=thread:nets.latency",
+            "--trigger=thread:nets.latency>-1",
+            "--pre=50ms",
+            "--post=100ms",
+            "--duration=30s",
+            "--csv=-",
+        ];
+        let output = scope(&args);
+        let text = expect_status(&output, 0);
+        assert!(
+            text.starts_with("capture,time (s),from trigger (s),thread:nets.latency (s)\n1,"),
+            "{text}"
+        );
+        assert!(text.lines().count() > 50, "{text}");
+        assert!(complaint(&output).contains("triggered at "));
+        let output = scope(&["--probe=left.jont.0.measured", "--json"]);
+        expect_status(&output, 1);
+        let why = complaint(&output);
+        assert!(why.contains("left.joint.0.measured"), "{why}");
+        let mut live = Process::start(&[
+            "scope",
+            "--probe=thread:nets.latency",
+            "--json",
+            "--connect",
+            &http,
+        ]);
+        std::thread::sleep(Duration::from_millis(500));
+        cell.process.kill();
+        live.wait_for("\"schema\":\"takt-scope/1\"");
+        assert_eq!(live.end().1, Some(2));
+    });
 }
