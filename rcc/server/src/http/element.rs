@@ -111,6 +111,9 @@ impl Element {
                 .or_insert_with(|| Value::Array(Vec::new()));
             if let Value::Array(list) = list {
                 list.push(child.json());
+            } else {
+                // The attribute would hide the children.
+                debug_assert!(false, "`{}` is an attribute and a child", child.name);
             }
         }
         Value::Object(object)
