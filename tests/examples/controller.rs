@@ -41,28 +41,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         None => Controller::start(&CellConfig::default())?,
     };
-    for arm in ["left", "right"] {
-        let list = |value: f64| format!("{:?}", [value; 7]);
-        let parameters = [
-            ("min_joint", list(-2.9)),
-            ("max_joint", list(2.9)),
-            ("max_vel", list(2.0)),
-            ("max_acc", list(8.0)),
-        ];
-        let parameters: BTreeMap<_, _> = parameters
-            .map(|(key, value)| (key.to_owned(), value))
-            .into();
-        controller.add_device(arm, "kuka_lwr_sim", &parameters)?;
-    }
-    let part = BTreeMap::from([("part".to_owned(), "0.05".to_owned())]);
-    for (device, kind, parameters) in [
-        ("platform", "kuka_youbot_base_sim", &BTreeMap::new()),
-        ("hand", "kuka_youbot_gripper_sim", &BTreeMap::new()),
-        ("gripper", "schunk_wsg_sim", &part),
-        ("plant", "io_sim", &BTreeMap::new()),
-    ] {
-        controller.add_device(device, kind, parameters)?;
-    }
+    add_devices(&controller)?;
     if std::env::args_os().nth(1).is_some() {
         let machine =
             "machine Blink { initial state On { transition to Off; } final state Off { } }";
@@ -104,5 +83,32 @@ fn main() -> Result<(), Box<dyn Error>> {
     runtime.block_on(server.run(controller, async {
         let _ = stopped.await;
     }));
+    Ok(())
+}
+
+/// Two arms, a base, grippers, inputs and outputs.
+fn add_devices(controller: &Controller) -> Result<(), Box<dyn Error>> {
+    for arm in ["left", "right"] {
+        let list = |value: f64| format!("{:?}", [value; 7]);
+        let parameters = [
+            ("min_joint", list(-2.9)),
+            ("max_joint", list(2.9)),
+            ("max_vel", list(2.0)),
+            ("max_acc", list(8.0)),
+        ];
+        let parameters: BTreeMap<_, _> = parameters
+            .map(|(key, value)| (key.to_owned(), value))
+            .into();
+        controller.add_device(arm, "kuka_lwr_sim", &parameters)?;
+    }
+    let part = BTreeMap::from([("part".to_owned(), "0.05".to_owned())]);
+    for (device, kind, parameters) in [
+        ("platform", "kuka_youbot_base_sim", &BTreeMap::new()),
+        ("hand", "kuka_youbot_gripper_sim", &BTreeMap::new()),
+        ("gripper", "schunk_wsg_sim", &part),
+        ("plant", "io_sim", &BTreeMap::new()),
+    ] {
+        controller.add_device(device, kind, parameters)?;
+    }
     Ok(())
 }

@@ -119,9 +119,7 @@ fn print(arm: &ArmModel, survey: &Survey) -> anyhow::Result<()> {
         } else {
             "without limits".to_owned()
         };
-        let load = load
-            .as_ref()
-            .map_or_else(String::new, |load| load_text(load));
+        let load = load.as_ref().map_or_else(String::new, load_text);
         say(&format!(
             "  {:width$}  {range:<26}  at most {} {unit}/s{load}",
             joint.name,

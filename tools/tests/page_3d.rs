@@ -1,5 +1,9 @@
 //! The 3-D view and the plots in a real browser: pictures change while a robot moves, and numbers are those of the controller.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot go on ends"
+)]
 
 #[path = "common/browser.rs"]
 mod browser;
