@@ -310,6 +310,8 @@ fn live_config(live: &LiveSettings) -> LiveConfig {
         foxglove: live.foxglove,
         services: live.services,
         origins: live.origins.clone(),
+        udp: live.udp,
+        probes: live.probes.clone(),
         every: live.every,
     }
 }

@@ -1,4 +1,4 @@
-//! Live data for other tools: the Foxglove WebSocket protocol. Messages are those of a recording
+//! Live data for other tools: the Foxglove WebSocket protocol, and samples of probes in UDP datagrams. Messages are those of a recording
 //! ([`LiveStream`](takt_core::record::LiveStream)). A thread of its own drains the rings of the controller; a slow client loses
 //! messages, which are counted, and never delays the controller.
 //!
@@ -8,13 +8,15 @@
 mod actions;
 mod drain;
 pub(crate) mod hub;
+mod udp;
 pub(crate) mod wire;
 
 use std::net::SocketAddr;
 
 pub(crate) use actions::Actions;
-pub(crate) use drain::Drain;
+pub(crate) use drain::{Drain, Messages, Task};
 pub(crate) use hub::{Client, Hub};
+pub(crate) use udp::Datagrams;
 
 /// What is sent to other tools.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -25,6 +27,10 @@ pub struct LiveConfig {
     pub services: bool,
     /// Page origins that may connect, such as `https://app.foxglove.dev`.
     pub origins: Vec<String>,
+    /// Where samples of [`probes`](Self::probes) are sent as JSON, a datagram for each cycle; `None` disables it.
+    pub udp: Option<SocketAddr>,
+    /// The probes whose samples are sent there.
+    pub probes: Vec<String>,
     /// Only each n-th cycle is sent; 0 is the same as 1.
     pub every: u64,
 }

@@ -23,7 +23,7 @@ use crate::access::{Gate, Peer};
 use crate::error::Error;
 use crate::host_program::HostProgram;
 use crate::http::DEBUG_STREAMS_MAX;
-use crate::live::{Actions, Drain, Hub, LiveConfig};
+use crate::live::{Actions, Datagrams, Drain, Hub, LiveConfig, Messages, Task};
 use crate::log::LogBook;
 use crate::scope::SCOPES_MAX;
 use crate::sessions::ORPHAN_TIMEOUT;
@@ -216,17 +216,36 @@ impl Server {
     }
 
     /// Starts the thread of live data, if any is to be sent.
-    fn start_live(&self, controller: &Controller) -> Result<Option<(Actions, Drain)>, Error> {
+    fn start_live(
+        &self,
+        controller: &Controller,
+    ) -> Result<(Option<Actions>, Option<Drain>), Error> {
         let config = &self.live_config;
         let every = config.every.max(1);
-        if self.live.is_none() {
-            return Ok(None);
+        let mut tasks: Vec<Box<dyn Task>> = Vec::new();
+        let actions = self.live.is_some().then(|| {
+            let hub = Arc::new(Hub::default());
+            let log = self.log.clone();
+            tasks.push(Box::new(Messages::new(
+                controller,
+                every,
+                Arc::clone(&hub),
+                log,
+            )));
+            Actions::new(controller.clone(), config.services, every, hub)
+        });
+        if let Some(to) = config.udp {
+            tasks.push(Box::new(Datagrams::new(
+                controller.clone(),
+                to,
+                &config.probes,
+                every,
+            )?));
         }
-        let hub = Arc::new(Hub::default());
-        let log = self.log.clone();
-        let drain = Drain::start(controller.clone(), every, Arc::clone(&hub), log)?;
-        let actions = Actions::new(controller.clone(), config.services, every, hub);
-        Ok(Some((actions, drain)))
+        let drain = (!tasks.is_empty())
+            .then(|| Drain::start(tasks))
+            .transpose()?;
+        Ok((actions, drain))
     }
 
     /// Serves clients until `shutdown` completes, then closes their connections.
@@ -237,9 +256,9 @@ impl Server {
         let evaluations = Arc::new(Semaphore::new(EVALUATIONS_MAX));
         let live = self.start_live(&controller).unwrap_or_else(|error| {
             tracing::error!("no live data: {error}");
-            None
+            (None, None)
         });
-        let (actions, _drain) = live.unzip();
+        let (actions, _drain) = live;
         let live_origins = Arc::new(Origins {
             hosts: self.origins.hosts.clone(),
             origins: self.live_config.origins.clone(),

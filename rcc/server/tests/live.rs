@@ -409,3 +409,45 @@ fn foxglove_bad_clients_disturb_no_one() {
     let dropped = values["parameters"][0]["value"].as_u64().unwrap();
     assert!(dropped > 0, "losses of the slow client are counted");
 }
+
+#[test]
+fn datagrams_have_time_and_values_of_cycles() {
+    let listener = std::net::UdpSocket::bind(any().unwrap()).unwrap();
+    listener
+        .set_read_timeout(Some(Duration::from_secs(20)))
+        .unwrap();
+    let probes = ["left.joint.3.measured", "thread:nets.latency", "no.such"];
+    let server = server(ServerConfig {
+        live: LiveConfig {
+            udp: Some(listener.local_addr().unwrap()),
+            probes: probes.map(str::to_owned).to_vec(),
+            every: 5,
+            ..LiveConfig::default()
+        },
+        ..ServerConfig::default()
+    });
+    assert!(server.foxglove.is_none(), "datagrams need no WebSocket");
+    let mut buffer = [0; 2048];
+    let mut next = || -> Value {
+        let count = listener.recv(&mut buffer).unwrap();
+        serde_json::from_slice(&buffer[..count]).unwrap()
+    };
+    // The arm exists a moment after the server.
+    let mut before = next();
+    while before.get(probes[0]).is_none() {
+        before = next();
+    }
+    for _ in 0..100 {
+        let sample = next();
+        let time = |sample: &Value| sample["timestamp"].as_f64().unwrap();
+        let cycles = (time(&sample) - time(&before)) * 1e3;
+        assert!(
+            (cycles / 5.0 - (cycles / 5.0).round()).abs() < 0.01 && cycles > 4.9,
+            "{cycles}"
+        );
+        assert!(sample[probes[0]].is_f64() || sample[probes[0]].is_i64());
+        assert!(sample[probes[1]].as_f64().unwrap() >= 0.0);
+        assert!(sample.get(probes[2]).is_none());
+        before = sample;
+    }
+}

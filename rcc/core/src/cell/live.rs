@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use serde::Deserialize;
 
 use super::access::check_origins;
+use crate::probe::PROBES_MAX;
 
 /// Largest divisor of cycles.
 const EVERY_MAX: u64 = 1000;
@@ -19,6 +20,10 @@ pub struct LiveSettings {
     pub services: bool,
     /// Origins of web pages that may connect to it, such as `https://app.foxglove.dev`; `file://` for desktop programs.
     pub origins: Vec<String>,
+    /// Where samples of `probes` are sent as JSON in UDP datagrams, one for each cycle; `None` for none.
+    pub udp: Option<SocketAddr>,
+    /// The probes whose samples are sent there, 1 to 64.
+    pub probes: Vec<String>,
     /// Only each n-th cycle is sent, 1 to 1000.
     pub every: u64,
 }
@@ -29,6 +34,8 @@ impl Default for LiveSettings {
             foxglove: None,
             services: false,
             origins: Vec::new(),
+            udp: None,
+            probes: Vec::new(),
             every: 1,
         }
     }
@@ -50,6 +57,19 @@ impl LiveSettings {
                  foxglove = \"127.0.0.1:8765\" under [live]"
                     .to_owned(),
             );
+        }
+        if self.udp.is_some() == self.probes.is_empty() {
+            return Err(
+                "live.udp and live.probes belong together\nhint: set udp = \"127.0.0.1:9870\" and \
+                 probes = [\"left.joint.0.measured\"] under [live]; `takt scope --list` prints the names"
+                    .to_owned(),
+            );
+        }
+        if self.probes.len() > PROBES_MAX {
+            let count = self.probes.len();
+            return Err(format!(
+                "live.probes has {count} names; at most {PROBES_MAX} are sent"
+            ));
         }
         Ok(())
     }
@@ -74,6 +94,8 @@ mod tests {
                 "foxglove = \"127.0.0.1:8765\"\norigins = [\"foxglove\"]",
                 "`foxglove` is no origin",
             ),
+            ("udp = \"127.0.0.1:9870\"", "belong together"),
+            ("probes = [\"a\"]", "belong together"),
             ("foxglove = \"here\"", "invalid socket address"),
             ("foxgloves = true", "unknown field `foxgloves`"),
         ] {

@@ -34,21 +34,23 @@ impl Drop for Drain {
     }
 }
 
+/// What the thread does each time.
+pub(crate) trait Task: Send {
+    /// Sends what is new.
+    fn poll(&mut self, now: Instant);
+}
+
 impl Drain {
-    /// Starts the thread.
-    pub(crate) fn start(
-        controller: Controller,
-        every: u64,
-        hub: Arc<Hub>,
-        log: LogBook,
-    ) -> Result<Self, Error> {
+    /// Starts the thread with these tasks.
+    pub(crate) fn start(mut tasks: Vec<Box<dyn Task>>) -> Result<Self, Error> {
         let stop = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&stop);
         let work = move || {
-            let mut work = Work::new(&controller, every, hub, log);
             let mut next = Instant::now();
             while !ends.load(Ordering::Relaxed) {
-                work.poll(Instant::now());
+                for task in &mut tasks {
+                    task.poll(Instant::now());
+                }
                 next += INTERVAL;
                 let now = Instant::now();
                 // A stall is not made up for: the rings hold what was missed.
@@ -86,7 +88,8 @@ impl Loss {
     }
 }
 
-struct Work {
+/// Sends the messages of recordings to clients of the Foxglove WebSocket.
+pub(crate) struct Messages {
     stream: LiveStream,
     hub: Arc<Hub>,
     log: LogBook,
@@ -98,8 +101,14 @@ struct Work {
     clients: usize,
 }
 
-impl Work {
-    fn new(controller: &Controller, every: u64, hub: Arc<Hub>, log: LogBook) -> Self {
+impl Task for Messages {
+    fn poll(&mut self, now: Instant) {
+        self.send_messages(now);
+    }
+}
+
+impl Messages {
+    pub(crate) fn new(controller: &Controller, every: u64, hub: Arc<Hub>, log: LogBook) -> Self {
         let (_, line) = log.lines(u64::MAX, "");
         Self {
             stream: LiveStream::new(controller, every),
@@ -113,7 +122,7 @@ impl Work {
         }
     }
 
-    fn poll(&mut self, now: Instant) {
+    fn send_messages(&mut self, now: Instant) {
         let hub = Arc::clone(&self.hub);
         let mut batch = Batch::new(&hub);
         let clients = hub.clients();
