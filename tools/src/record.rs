@@ -1,6 +1,7 @@
 //! `takt record`: what recordings contain, whole files from those that were cut off, and flight files on request.
 
 mod csv;
+mod plot;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -49,6 +50,17 @@ pub(crate) enum Record {
         #[arg(long, short, value_name = "FILE")]
         output: Option<PathBuf>,
     },
+    /// Draw values of a recording over time: a plot for each unit, as SVG.
+    Plot {
+        /// The recording or flight file; any MCAP file with messages of ROS 2.
+        file: PathBuf,
+        /// The values; * stands for any characters, such as `left.joint.*.following_error`.
+        #[arg(long, value_name = "NAME", required = true)]
+        probe: Vec<String>,
+        /// The picture.
+        #[arg(long, value_name = "FILE")]
+        svg: PathBuf,
+    },
     /// Write the last ten seconds of all devices of a running controller, and the second that follows, to a flight file on its
     /// host. Prints the path; the file is complete when the command ends.
     Flight {
@@ -94,6 +106,7 @@ impl Record {
                 probe,
                 output,
             } => csv::run(&file, &probe, output.as_deref()),
+            Self::Plot { file, probe, svg } => plot::run(&file, &probe, &svg),
             Self::Flight { site, list, json } => flight(&site, list, json),
         }
     }

@@ -129,3 +129,26 @@ fn record_csv_has_a_row_for_each_cycle() {
     let output = takt(&["record", "csv", &whole, "--output", &table]);
     assert_eq!(output.status.code(), Some(2), "it overwrites nothing");
 }
+
+#[test]
+fn record_plot_draws_chosen_values() {
+    let folder = Folder::new();
+    let (whole, picture) = (folder.file("whole.mcap"), folder.file("plot.svg"));
+    recorded(Path::new(&whole));
+    let plot = |probe: &str| {
+        takt(&[
+            "record", "plot", &whole, "--probe", probe, "--svg", &picture,
+        ])
+    };
+    let output = plot("thread:nets.*");
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let svg = std::fs::read_to_string(&picture).unwrap();
+    assert!(svg.contains("thread:nets.interval_us"), "{svg}");
+    assert!(svg.matches("<polyline").count() >= 1);
+    let output = plot("nothing.*");
+    assert_eq!(output.status.code(), Some(2));
+    assert!(
+        text(&output.stderr).contains("no value matches\nhint:"),
+        "{output:?}"
+    );
+}

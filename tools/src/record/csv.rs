@@ -133,7 +133,7 @@ fn quoted(name: &str) -> String {
 }
 
 /// Whether a name matches a pattern, in which * stands for any characters.
-fn matches(pattern: &str, name: &str) -> bool {
+pub(super) fn matches(pattern: &str, name: &str) -> bool {
     let Some((before, after)) = pattern.split_once('*') else {
         return pattern == name;
     };

@@ -39,9 +39,19 @@ pub(super) struct Store {
     pub(super) end_s: f64,
     /// What happened last that is not a sample.
     pub(super) note: Option<String>,
+    /// Whether samples older than the longest window are kept.
+    keeps_all: bool,
 }
 
 impl Store {
+    /// A store that keeps all samples.
+    pub(super) fn whole() -> Self {
+        Self {
+            keeps_all: true,
+            ..Self::default()
+        }
+    }
+
     /// Takes what the controller reported.
     pub(super) fn handle(&mut self, event: &Event) {
         match event {
@@ -75,6 +85,7 @@ impl Store {
             is_filled: vec![false; setup.groups.len()],
             captures: self.captures,
             lost: self.lost,
+            keeps_all: self.keeps_all,
             ..Self::default()
         };
         let rejected = setup.rejected.iter();
@@ -105,7 +116,8 @@ impl Store {
             rows.push_back((time, values.to_vec()));
             let most = VALUES_MAX / (values.len() + 1);
             let is_left = |first: &(f64, Vec<f64>)| first.0 < time - WINDOW_MAX_S;
-            while rows.len() > most || rows.front().is_some_and(is_left) {
+            let keeps_all = self.keeps_all;
+            while !keeps_all && (rows.len() > most || rows.front().is_some_and(is_left)) {
                 rows.pop_front();
             }
         }
