@@ -364,10 +364,10 @@ mod tests {
             let text = ErrorKind::conflict(resource, holder.map(str::to_owned)).to_string();
             text.lines().next().unwrap_or_default().to_owned()
         };
-        let holder = Some("net rpinet3 of session s2 (`paint.py`, process 7)");
+        let holder = Some("net rpinet3 of session s2 (`paint.py, process 7`)");
         assert_eq!(
             text("left_arm_Joint_3", holder),
-            "left_arm joint 3: net rpinet3 of session s2 (`paint.py`, process 7) commands it"
+            "left_arm joint 3: net rpinet3 of session s2 (paint.py, process 7) commands it"
         );
         assert_eq!(
             text("platform_Base", None),

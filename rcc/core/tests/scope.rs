@@ -149,3 +149,32 @@ fn scope_of_several_cycles_takes_every_nth() {
     let is_tenth = |step: &f64| *step >= 10.0 && *step % 10.0 == 0.0;
     assert!(steps.iter().all(is_tenth), "{steps:?}");
 }
+
+#[test]
+fn scope_of_port_with_several_numbers_has_each() {
+    let controller = Controller::start(&CellConfig::default()).unwrap();
+    let text = "{f=World::FrameValue(Value='{pos:{x:1,y:2,z:3}}'),
+        c=Cancel(), outTerminate=c.outCancel}";
+    let net = controller.load(LoadRequest {
+        text: text.to_owned(),
+        session: SessionId::NONE,
+        description: String::new(),
+        period: None,
+    });
+    let net = net.unwrap();
+    controller.start_net(net).unwrap();
+    let port = format!("net:{net}/f.outValue");
+    let mut scope = controller.scope(&ScopeRequest::of(&[&port])).unwrap();
+    assert!(scope.rejected().is_empty(), "{:?}", scope.rejected());
+    let names: Vec<_> = scope.groups()[0]
+        .probes
+        .iter()
+        .map(|it| it.0.clone())
+        .collect();
+    assert_eq!(
+        names[..3],
+        [".x", ".y", ".z"].map(|part| format!("{port}{part}"))
+    );
+    let found = samples(&mut scope, 10);
+    assert_eq!(found[9].1[..3], [1.0, 2.0, 3.0]);
+}

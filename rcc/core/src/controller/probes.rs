@@ -212,20 +212,23 @@ impl Registry {
         })
     }
 
+    /// The names of all numbers of a port, if it is one of a net and has several.
+    fn parts_of_port(&self, name: &str) -> Option<Vec<String>> {
+        let (net, path) = name.strip_prefix("net:")?.split_once('/')?;
+        let net = self.nets.get(net_of(&self.net_names(), net)?)?;
+        let ports = net.links()?.ports.all();
+        let port = ports.iter().find(|port| *port.name == *path)?;
+        let parts = port.parts().map(|part| format!("{name}{}", part.suffix));
+        (port.len() > 1).then(|| parts.take(SAMPLE_WORDS_MAX).collect())
+    }
+
     fn find_of_net(&self, name: &str, rest: &str) -> Result<Found, ProbeError> {
         let (net_name, port) = match rest.split_once('/') {
             Some((net, port)) => (net, Some(port)),
             None => (rest.strip_suffix(".state").unwrap_or(rest), None),
         };
         let names = self.net_names();
-        let by_id = net_name.parse().ok().filter(|id| names.contains_key(id));
-        let by_name = || {
-            names
-                .iter()
-                .find(|(_, own)| *own == net_name)
-                .map(|it| *it.0)
-        };
-        let Some(id) = by_id.or_else(by_name) else {
+        let Some(id) = net_of(&names, net_name) else {
             let known: Vec<_> = names
                 .values()
                 .map(|own| format!("net:{own}.state"))
@@ -275,12 +278,17 @@ impl Registry {
     fn scope(&mut self, request: &ScopeRequest) -> Result<Scope, ScopeError> {
         let mut rejected = Vec::new();
         let mut wanted: Vec<(String, Found)> = Vec::new();
-        for name in &request.probes {
-            if wanted.iter().any(|(other, _)| other == name) {
+        let whole = request.probes.iter().flat_map(|name| {
+            let parts = self.parts_of_port(name);
+            parts.unwrap_or_else(|| vec![name.clone()])
+        });
+        let all: Vec<_> = whole.collect();
+        for name in all {
+            if wanted.iter().any(|(other, _)| *other == name) {
                 continue;
             }
-            match self.find_probe(name) {
-                Ok(found) => wanted.push((name.clone(), found)),
+            match self.find_probe(&name) {
+                Ok(found) => wanted.push((name, found)),
                 Err(error) => rejected.push(error),
             }
         }
@@ -398,4 +406,10 @@ fn unknown_port(name: &str, net: &str, path: &str, ports: &[Port]) -> ProbeError
         cause: "the net has no such port".to_owned(),
         hint: format!("{near}`/probes/` lists all names"),
     }
+}
+
+/// The net of this identifier or, if there is none, of this name.
+fn net_of(names: &BTreeMap<NetId, String>, name: &str) -> Option<NetId> {
+    let by_id = name.parse().ok().filter(|id| names.contains_key(id));
+    by_id.or_else(|| names.iter().find(|(_, own)| *own == name).map(|it| *it.0))
 }

@@ -4,10 +4,12 @@ import { list, make } from "./dom.js";
 import { Picture } from "./svg.js";
 
 /** @typedef {import("./api.js").App} App */
-/** @typedef {{ element: Element, path: string, type: string, outs: string[], values: Map<string, number>, changed: number }} Box */
+/** @typedef {{ element: Element, path: string, type: string, outs: string[], values: Map<string, number | null>, changed: number }} Box */
 
-/** Most ports whose values are requested; of larger nets the first ones. */
-const PROBES_MAX = 400;
+/** Most ports whose values are requested, so that other clients of the net have scopes left; of larger nets the first ones. */
+const PORTS_MAX = 128;
+/** The bits of null; other numbers that are none are the net's own. */
+const NULL = 0x7ff86e756c6c0000n;
 /** Frames of values a second. */
 const RATE_HZ = 8;
 /** A box is active for so long after a change of a value, ms. */
@@ -78,12 +80,12 @@ export class NetGraph {
   /** Asks for the values of all connected out ports. */
   async follow() {
     const ports = [...this.boxes.values()].flatMap(box => box.outs.map(out => box.path + "." + out));
-    const probes = ports.slice(0, PROBES_MAX).map(port => "net:" + this.net + "/" + port);
+    const probes = ports.slice(0, PORTS_MAX).map(port => "net:" + this.net + "/" + port);
     if (!probes.length) return;
-    const left = ports.length > PROBES_MAX ? "; values of the first " + PROBES_MAX + " ports" : "";
-    const { Scope } = await import("./scope.js");
+    const left = ports.length > PORTS_MAX ? "; values of the first " + PORTS_MAX + " ports" : "";
+    const { Scopes } = await import("./scopes.js");
     if (this.isOver) return;
-    const scope = new Scope({
+    const scope = new Scopes({
       groups: (groups, rejected) => {
         this.columns = groups.map(group => group.probes.map(probe => probe.name));
         const missing = rejected.length ? rejected.length + " ports without value" + (rejected[0].cause ? ": " + rejected[0].cause : "") : "live";
@@ -102,11 +104,12 @@ export class NetGraph {
     const names = this.columns[samples.group];
     if (!names || !samples.rows) return;
     const row = samples.data.subarray((samples.rows - 1) * (samples.columns + 1) + 1);
+    const bits = new BigUint64Array(row.buffer, row.byteOffset, row.length);
     const now = performance.now(), start = ("net:" + this.net + "/").length;
     names.forEach((name, column) => {
       const found = this.find(name.slice(start));
       if (!found) return;
-      const [box, port] = found, value = row[column];
+      const [box, port] = found, value = bits[column] === NULL ? null : row[column];
       if (!Object.is(box.values.get(port), value)) box.changed = now;
       box.values.set(port, value);
     });
@@ -128,13 +131,15 @@ export class NetGraph {
       const values = [...box.values.values()], { classList } = box.element;
       const cost = this.byCost ? Math.min(4, Math.ceil(4 * (this.costs.get(box.type) ?? 0) / most)) : 0;
       for (const level of [1, 2, 3, 4]) classList.toggle("cost" + level, cost === level);
-      classList.toggle("is-null", !this.byCost && values.length > 0 && values.every(Number.isNaN));
-      classList.toggle("is-partial", !this.byCost && values.some(Number.isNaN) && !values.every(Number.isNaN));
+      const isNull = (/** @type {number | null} */ value) => value === null;
+      classList.toggle("is-null", !this.byCost && values.length > 0 && values.every(isNull));
+      classList.toggle("is-partial", !this.byCost && values.some(isNull) && !values.every(isNull));
+      classList.toggle("is-nan", !this.byCost && values.some(Number.isNaN));
       classList.toggle("is-active", !this.byCost && now - box.changed < ACTIVE_MS && box.changed > 0);
       for (const out of box.outs) {
-        const value = box.values.get(out);
+        const isNull = [...box.values].some(([port, value]) => value === null && (port === out || port.startsWith(out + ".") || port.startsWith(out + "[")));
         for (const link of this.links.get(box.path + "." + out) ?? [])
-          link.classList.toggle("is-null", !this.byCost && value !== undefined && Number.isNaN(value));
+          link.classList.toggle("is-null", !this.byCost && isNull);
       }
     }
   }
@@ -144,7 +149,7 @@ export class NetGraph {
     const cost = this.costs.get(box.type);
     const lines = [make("b", box.path), make("span", box.type + (cost === undefined ? "" : ", " + cost + " ns"), "dim")];
     for (const [port, value] of box.values)
-      lines.push(make("span", port + " = " + (Number.isNaN(value) ? "null" : Number(value.toPrecision(6)))));
+      lines.push(make("span", port + " = " + (value === null ? "null" : Number.isNaN(value) ? "NaN" : Number(value.toPrecision(6)))));
     if (!box.values.size && box.outs.length) lines.push(make("span", "no values", "dim"));
     this.tip.replaceChildren(...lines);
     this.tip.hidden = false;
