@@ -127,8 +127,10 @@ fn foreign_or_rebound_page_gets_nothing() {
             "Origin: {origin}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
              Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
         );
-        let socket = head("GET /DirectIO/", &here, &upgrade);
-        assert!(socket.starts_with("HTTP/1.1 403 "), "{origin}: {socket}");
+        for path in ["/DirectIO/", "/scope"] {
+            let socket = head(&format!("GET {path}"), &here, &upgrade);
+            assert!(socket.starts_with("HTTP/1.1 403 "), "{origin}: {socket}");
+        }
     }
     assert_eq!(server.controller.nets(), []);
     let own = format!("Origin: http://{here}\r\n{length}");
