@@ -54,7 +54,8 @@ impl<'a> FlightRow<'a> {
             #[expect(clippy::cast_possible_truncation, reason = "it was an i32")]
             let error = error as i32;
             FlightJoint {
-                set_point,
+                // Null has bits of its own in the ring; messages have one NaN.
+                set_point: known(set_point).unwrap_or(f64::NAN),
                 state: JointState {
                     error,
                     commanded_position: known(commanded),
@@ -96,6 +97,9 @@ mod tests {
         assert_eq!(joint.state.error, 2);
         assert_eq!(joint.state.measured_position, Some(0.5));
         assert_eq!(joint.state.commanded_position, None);
+        row[5] = takt_net::ports::NULL;
+        let joint = FlightRow::of(&row, 1).unwrap().joints().next().unwrap();
+        assert_eq!(joint.set_point.to_bits(), f64::NAN.to_bits());
         assert!(FlightRow::of(&row, 2).is_none());
         assert!(FlightRow::of(&row[..3], 0).is_none());
     }
