@@ -5,6 +5,8 @@
 mod encoder;
 mod motor;
 
+use std::ops::{Deref, DerefMut};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 pub use motor::{StationFaults, StationMotor};
@@ -29,6 +31,45 @@ const FULL_SCALE: f64 = 32_767.0;
 #[derive(Clone, Debug)]
 pub struct Station {
     motors: Arc<Mutex<[Motor; STATION_AXES]>>,
+    shown: Arc<[Shown; STATION_AXES]>,
+}
+
+/// What is seen of a motor, read without the lock: who looks must not hold up a segment that runs in real time.
+#[derive(Debug, Default)]
+struct Shown {
+    /// Bits of the angle, degrees.
+    angle: AtomicU64,
+    is_braked: AtomicBool,
+}
+
+/// The motors while a slave works on them; what is seen of them is renewed at its end.
+struct Motors<'a> {
+    motors: MutexGuard<'a, [Motor; STATION_AXES]>,
+    shown: &'a [Shown; STATION_AXES],
+}
+
+impl Deref for Motors<'_> {
+    type Target = [Motor; STATION_AXES];
+
+    fn deref(&self) -> &Self::Target {
+        &self.motors
+    }
+}
+
+impl DerefMut for Motors<'_> {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.motors
+    }
+}
+
+impl Drop for Motors<'_> {
+    fn drop(&mut self) {
+        for (motor, shown) in self.motors.iter().zip(self.shown) {
+            let angle = motor.angle().to_bits();
+            shown.angle.store(angle, Ordering::Relaxed);
+            shown.is_braked.store(motor.is_braked(), Ordering::Relaxed);
+        }
+    }
 }
 
 impl Station {
@@ -45,7 +86,9 @@ impl Station {
     pub fn segment(motors: [StationMotor; STATION_AXES]) -> (Segment, Self) {
         let station = Self {
             motors: Arc::new(Mutex::new(motors.map(Motor::new))),
+            shown: Arc::default(),
         };
+        drop(station.lock());
         let terminal = |part| Terminal {
             station: station.clone(),
             part,
@@ -60,18 +103,23 @@ impl Station {
         (Segment::line(slaves), station)
     }
 
-    fn lock(&self) -> MutexGuard<'_, [Motor; STATION_AXES]> {
-        self.motors.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> Motors<'_> {
+        Motors {
+            motors: self.motors.lock().unwrap_or_else(PoisonError::into_inner),
+            shown: &self.shown,
+        }
     }
 
     /// The true angle of a joint, degrees; 0 for an axis that does not exist.
     pub fn angle(&self, axis: usize) -> f64 {
-        self.lock().get(axis).map_or(0.0, Motor::angle)
+        let shown = self.shown.get(axis);
+        shown.map_or(0.0, |it| f64::from_bits(it.angle.load(Ordering::Relaxed)))
     }
 
     /// Whether the brake of an axis holds.
     pub fn is_braked(&self, axis: usize) -> bool {
-        self.lock().get(axis).is_some_and(Motor::is_braked)
+        let shown = self.shown.get(axis);
+        shown.is_some_and(|it| it.is_braked.load(Ordering::Relaxed))
     }
 
     /// Sets the faults of an axis.
