@@ -8,8 +8,8 @@
 )]
 
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, PoisonError, RwLock};
 use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
@@ -21,14 +21,22 @@ const ATTEMPTS: u32 = 10;
 /// Stalls that a cell tolerates: longer ones lose a frame or two, and several in a row a device.
 const TOLERATED: Duration = Duration::from_millis(1);
 
+/// Held by the tests of this process: first attempts share it, so that robots move beside each other; a repeated
+/// attempt has the process to itself, as the others may be what stalled it.
+static ALONE: RwLock<()> = RwLock::new(());
+
 /// Runs a test, and repeats it if it failed while the host stalled for longer than a robot
-/// tolerates, ten times at most. A failure on a host that did not stall is a failure.
+/// tolerates, ten times at most, then beside no other such test of the process. A failure on a host that did not
+/// stall is a failure.
 ///
 /// # Panics
 /// As the test does. If the threads that watch the host cannot be started.
 pub fn steady<T>(test: impl Fn() -> T) -> T {
     let mut attempt = 1;
     loop {
+        // Dropped in any order: at most one of them holds.
+        let _beside = (attempt == 1).then(|| ALONE.read().unwrap_or_else(PoisonError::into_inner));
+        let _alone = (attempt > 1).then(|| ALONE.write().unwrap_or_else(PoisonError::into_inner));
         let host = Stalls::watch();
         let panic = match catch_unwind(AssertUnwindSafe(&test)) {
             Ok(made) => return made,

@@ -146,6 +146,27 @@ fn segment_start_up_burst_reads_last_answer() {
 }
 
 #[test]
+fn segment_answers_late_in_cycle_are_not_lost() {
+    steady(|| {
+        // In a cycle of 2 ms the driver waits 1 ms for them; they are there when the next one begins.
+        let (terminal, _) = Io::digital(8, 8);
+        let segment = Segment::line([Coupler::slave(), terminal]);
+        let mut config = config();
+        config.slaves.truncate(2);
+        config.arms.clear();
+        let bench = bench::TestBench::start_late(&config, segment, Duration::from_micros(1500));
+        bench.wait_until_operational();
+        let before = bench.figures();
+        bench
+            .cell()
+            .wait("cycles", |_| bench.figures().cycles > before.cycles + 200);
+        let after = bench.figures();
+        assert!(after.operational, "{after:?}");
+        assert!(after.lost < before.lost + 10, "{before:?} {after:?}");
+    });
+}
+
+#[test]
 fn ethercat_net_moves_tx90() {
     steady(|| {
         let bench = TestBench::new();

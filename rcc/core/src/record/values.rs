@@ -14,6 +14,9 @@ use crate::record::read::records;
 const DEPTH_MAX: usize = 8;
 /// Maximum number of numbers of a message.
 const NUMBERS_MAX: usize = 4096;
+/// Maximum number of values of a message, texts and messages in it included: arrays of messages without a value take no
+/// bytes, so that the length of the message does not bound them.
+const VALUES_MAX: usize = 65_536;
 /// Types that are left out: frames name their child in the message, and words and texts are no numbers.
 const LEFT_OUT: [&str; 5] = [
     "tf2_msgs/msg/TFMessage",
@@ -81,6 +84,8 @@ struct Decoder<'a> {
     data: &'a [u8],
     /// Bytes of the body that were read.
     at: usize,
+    /// Values that were begun.
+    values: usize,
     found: Vec<(String, f64)>,
 }
 
@@ -145,6 +150,10 @@ impl Decoder<'_> {
     }
 
     fn value(&mut self, kind: &str, path: &str, depth: usize) -> Option<()> {
+        self.values += 1;
+        if self.values > VALUES_MAX {
+            return None;
+        }
         if kind == "string" {
             let bytes = self.count()?;
             return self.skip(bytes);
@@ -227,6 +236,7 @@ pub fn numbers(
                 definition,
                 data: data.get(4..).unwrap_or_default(),
                 at: 0,
+                values: 0,
                 found: Vec::new(),
             };
             if decoder.message("", "", 0).is_some() {
@@ -252,10 +262,22 @@ mod tests {
             definition: &definition(text),
             data: data.get(4..).unwrap_or_default(),
             at: 0,
+            values: 0,
             found: Vec::new(),
         };
         decoder.message("", "", 0)?;
         Some(decoder.found)
+    }
+
+    #[test]
+    fn arrays_without_bytes_are_bounded() {
+        // Each message in it has four billion of the next kind, down to one that takes no bytes.
+        let mut text = "a[4000000000] x\n".to_owned();
+        for (kind, inner) in [("a", "b"), ("b", "c"), ("c", "d")] {
+            text += &format!("MSG: {kind}\n{inner}[4000000000] x\n");
+        }
+        text += "MSG: d\nuint8[0] none\n";
+        assert_eq!(decoded(&text, &[0; 8]), None);
     }
 
     #[test]

@@ -359,7 +359,9 @@ struct Driver {
 impl Driver {
     /// One cycle.
     fn cycle(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
-        let until = tick.scheduled + Nanos::from(self.cycle / 2);
+        // A thread that woke late waits too: the answer is on its way.
+        let until = (tick.scheduled + Nanos::from(self.cycle / 2))
+            .max(tick.woken + Nanos::from(self.cycle / 4));
         if self.master.is_exchanging() {
             self.exchange(until);
         } else {
@@ -419,6 +421,10 @@ impl Driver {
     /// Sends the frame that is due and waits for its answer, or for that of a frame still in flight; false if there
     /// is neither or no time is left.
     fn exchange(&mut self, until: Nanos) -> bool {
+        // An answer that came after its wait is no loss.
+        if self.master.awaits_frame() {
+            self.answered(monotonic());
+        }
         let now = since_start(monotonic());
         if let Some(len) = self.master.poll_transmit(now, &mut self.buffer) {
             let mut sent = false;
@@ -435,7 +441,8 @@ impl Driver {
         self.master.awaits_frame() && self.answered(until)
     }
 
-    /// Waits for the answer, alternating between both ends of a ring; false on timeout.
+    /// Waits for the answer, alternating between both ends of a ring, and takes what has been received by then; false on
+    /// timeout.
     fn answered(&mut self, until: Nanos) -> bool {
         let both = self.ports.len() > 1;
         let mut looked = 0;
@@ -443,10 +450,12 @@ impl Driver {
             let left = since_start(until - monotonic());
             let wait = if both { left.min(TURN) } else { left };
             let mut deaf = 0;
+            let mut is_empty = true;
             for (number, port) in self.ports.iter_mut().enumerate() {
                 match port.receive(wait) {
                     Ok(Some((frame, at))) => {
                         looked += 1;
+                        is_empty = false;
                         if self.master.handle_frame(number, frame, at) {
                             return !left.is_zero();
                         }
@@ -460,7 +469,7 @@ impl Driver {
                     }
                 }
             }
-            if deaf == self.ports.len() || left.is_zero() {
+            if deaf == self.ports.len() || (left.is_zero() && is_empty) {
                 return false;
             }
         }

@@ -7,6 +7,7 @@
     reason = "shared by test files that need different parts"
 )]
 
+use std::collections::VecDeque;
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -27,6 +28,8 @@ use crate::common::Cell;
 struct Delayed<L> {
     link: L,
     latency: Duration,
+    /// Under way: when it was sent, and its bytes.
+    held: VecDeque<(Duration, Vec<u8>)>,
 }
 
 impl<L: Link> Link for Delayed<L> {
@@ -39,9 +42,27 @@ impl<L: Link> Link for Delayed<L> {
         buf: &mut [u8],
         timeout: Duration,
     ) -> std::io::Result<Option<(usize, Duration)>> {
-        let wait = timeout.min(self.latency);
-        std::thread::sleep(wait);
-        self.link.receive(buf, timeout - wait)
+        let until = monotonic()? + timeout;
+        loop {
+            let now = monotonic()?;
+            if let Some((at, _)) = self.held.front()
+                && *at + self.latency <= now
+                && let Some((at, frame)) = self.held.pop_front()
+            {
+                buf[..frame.len()].copy_from_slice(&frame);
+                return Ok(Some((frame.len(), at + self.latency)));
+            }
+            let next = self
+                .held
+                .front()
+                .map_or(until, |(at, _)| *at + self.latency);
+            let wait = next.min(until).saturating_sub(now);
+            match self.link.receive(buf, wait)? {
+                Some((len, at)) => self.held.push_back((at, buf[..len].to_vec())),
+                None if monotonic()? >= until => return Ok(None),
+                None => {}
+            }
+        }
     }
 }
 
@@ -72,7 +93,11 @@ impl Served {
             }
         });
         let wire = |link, last| Wire {
-            link: Box::new(Delayed { link, latency }),
+            link: Box::new(Delayed {
+                link,
+                latency,
+                held: VecDeque::new(),
+            }),
             source: [2, 0, 0, 0, 0, last],
         };
         let wires = Wires {
