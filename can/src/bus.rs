@@ -364,6 +364,11 @@ impl Bus {
         self.faults.push(fault);
     }
 
+    /// The default bit rates of its ports.
+    pub const fn rates(&self) -> Rates {
+        self.config.rates
+    }
+
     /// Sets the bit rates of a port; if they differ from those of the other ports, every frame is
     /// destroyed.
     pub fn set_rates(&mut self, port: PortId, rates: Rates) {

@@ -12,6 +12,7 @@ mod frame;
 pub mod fuzz;
 pub mod link;
 pub mod linux;
+pub mod load;
 pub mod log;
 pub mod rmp;
 pub mod stat;

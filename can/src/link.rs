@@ -86,6 +86,12 @@ pub trait Link {
     fn interface(&self) -> Option<&str> {
         None
     }
+
+    /// The nominal bit rate, bit/s, if the link knows it; of an interface the system knows it
+    /// ([`crate::linux::bit_rate`]).
+    fn bit_rate(&self) -> Option<u32> {
+        None
+    }
 }
 
 /// A link that a thread can own.

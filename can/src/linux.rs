@@ -12,7 +12,9 @@ mod serial;
 mod socket;
 
 pub use bcm::{Cyclic, Watch, Watched};
-pub use interface::{Details, Interface, InterfaceError, Present, Setup, Step, interfaces};
+pub use interface::{
+    Details, Interface, InterfaceError, Present, Setup, Step, bit_rate, interfaces,
+};
 pub use live::LivePort;
 pub use serial::Serial;
 pub use socket::{Clock, Filter, Options, QueuePolicy, SocketCan};

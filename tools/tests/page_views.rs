@@ -11,15 +11,18 @@ use std::time::{Duration, Instant};
 
 use browser::Browser;
 use common::{Cell, Folder, Process, alone, expect_status, run};
+use takt_client::{Client, Value};
 use takt_tests::steady;
 
-const VIEWS: [&str; 8] = [
-    "overview", "nets", "machines", "devices", "jog", "buses", "threads", "log",
+const VIEWS: [&str; 11] = [
+    "overview", "cell", "plots", "nets", "machines", "devices", "jog", "buses", "threads",
+    "flights", "log",
 ];
 
 const NET: &str = "{a=Core::Clock(),g=Core::DoubleNetcommIn(Key='gain',Value='2'),\
     p=Core::DoubleMultiply(inFirst=a.outValue,inSecond=g.outValue),\
-    o=Core::DoubleNetcommOut(inValue=p.outValue,Key='product'),x=Cancel(),outTerminate=x.outCancel}";
+    o=Core::DoubleNetcommOut(inValue=p.outValue,Key='product'),x=Cancel(),\
+    d=Core::BooleanNetcommOut(inValue=x.outCancel,Key='done'),outTerminate=x.outCancel}";
 
 const COMPONENT: &str = "component Counter {
   out count: int;
@@ -74,6 +77,28 @@ impl Bench {
         }
     }
 
+    /// Two rules: when the running net ends, one net is started, and when that ends, a third one.
+    fn rules(&self) {
+        let client = Client::connect(&self.cell.tcp).unwrap();
+        let [second, third] = [1, 2].map(|_| self.cell.load(NET));
+        for (watched, started) in [(&self.net, &second), (&second, &third)] {
+            let none = || Value::from(Vec::new());
+            let start = Value::from(vec![started.as_str().into()]);
+            let condition = Value::from(format!("{watched}.outdone"));
+            client
+                .call(
+                    "nesc",
+                    [condition, none(), none(), start, "in a row".into()],
+                )
+                .unwrap();
+        }
+    }
+
+    /// Cancels its net.
+    fn end(&self) {
+        expect_status(&self.cell.net(&["cancel", &self.net]), 0);
+    }
+
     fn open(&self, browser: &mut Browser, view: &str) {
         browser.open("about:blank");
         browser.open(&format!("http://{}/#{view}", self.cell.http));
@@ -98,6 +123,7 @@ fn page_views_show_contents_without_errors() {
             ("buses", "drivers", "quality"),
             ("threads", "threads", "Latency"),
             ("threads", "host", " skip"),
+            ("flights", "flights", "no flight recordings"),
             ("log", "log", "operational"),
         ];
         for (view, id, part) in shown {
@@ -108,8 +134,8 @@ fn page_views_show_contents_without_errors() {
         browser.wait_for("net", "RUNNING");
         let boxes = "document.querySelectorAll('#net g.primitive').length";
         let until = Instant::now() + Duration::from_secs(30);
-        // Five primitives and the output of the net.
-        while browser.value(boxes) != 6 {
+        // Six primitives and the output of the net.
+        while browser.value(boxes) != 7 {
             assert!(Instant::now() < until, "{}", browser.value(boxes));
         }
         // Its values are live: a clock changes, and every port has a number.
@@ -133,6 +159,9 @@ fn page_is_legible_at_both_sizes_and_colours() {
         return;
     };
     let bench = Bench::start();
+    bench.rules();
+    let flight = ["record", "flight", "--connect", &bench.cell.http];
+    expect_status(&run(&flight), 0);
     for (width, height) in [(1280, 800), (390, 844)] {
         for (colours, is_dark) in [("light", false), ("dark", true)] {
             browser.resize(width, height, is_dark);
@@ -190,6 +219,78 @@ fn page_without_control_switch_only_reads() {
     browser.wait_for("net", "TERMINATED");
     browser.click("#net .actions button:nth-child(4)");
     browser.wait_for("net", "not loaded any more");
+}
+
+#[test]
+fn page_rules_are_drawn_between_nets() {
+    let _alone = alone();
+    let Some(mut browser) = browser("page_rules_are_drawn_between_nets") else {
+        return;
+    };
+    let bench = Bench::start();
+    bench.open(&mut browser, "nets");
+    browser.wait_for("net", "RUNNING");
+    assert_eq!(browser.text("rule-graph"), "", "there are no rules yet");
+    bench.rules();
+    let shown = browser.wait_for("rule-graph", "ACTIVE");
+    assert!(
+        shown.contains(&bench.net) && shown.contains("starts"),
+        "{shown}"
+    );
+    let boxes = "[document.querySelectorAll('#rule-graph g.net').length, document.querySelectorAll('#rule-graph g.rule').length, \
+        document.querySelectorAll('#rule-graph path.edge').length].join()";
+    assert_eq!(browser.value(boxes), "3,2,4");
+    // A net of the picture opens by the keyboard.
+    browser.value("document.querySelectorAll('#rule-graph a')[2].focus()");
+    browser.key("rawKeyDown", "Enter");
+    browser.key("keyUp", "Enter");
+    browser.wait_for("net", "SCHEDULED");
+    // What it starts is shown when it has.
+    bench.end();
+    browser.wait_for("rule-graph", "FIRED");
+    assert_eq!(browser.errors, [""; 0]);
+}
+
+#[test]
+fn page_flight_recording_is_requested_and_saved() {
+    let _alone = alone();
+    let Some(mut browser) = browser("page_flight_recording_is_requested_and_saved") else {
+        return;
+    };
+    let bench = Bench::start();
+    let folder = Folder::new();
+    bench.open(&mut browser, "flights");
+    browser.wait_for("flights", "no flight recordings");
+    let disabled = "document.querySelector('#flights button').disabled";
+    assert_eq!(browser.value(disabled), true, "the control switch is off");
+    browser.click("#control");
+    browser.value("document.querySelector('#flights input').value = 'the part slipped'");
+    browser.click("#flights button");
+    let shown = browser.wait_for("flights", "the part slipped");
+    assert!(
+        shown.contains("-request.mcap") && shown.contains("B"),
+        "{shown}"
+    );
+    let name = browser.value("document.querySelector('#flights td a').textContent");
+    let name = name.as_str().unwrap();
+    let directory = folder.file("");
+    browser.save_to(&directory);
+    browser.click("#flights td a");
+    let size = browser.value(&format!(
+        "fetch('/flights/{name}', {{ method: 'HEAD' }}).then(it => Number(it.headers.get('Content-Length')))"
+    ));
+    let until = Instant::now() + Duration::from_secs(60);
+    let saved = loop {
+        match std::fs::read(folder.file(name)) {
+            Ok(bytes) if size == bytes.len() => {
+                break bytes;
+            }
+            _ => assert!(Instant::now() < until, "{name} is not saved"),
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    };
+    assert!(saved.starts_with(b"\x89MCAP0\r\n") && saved.ends_with(b"\x89MCAP0\r\n"));
+    assert_eq!(browser.errors, [""; 0]);
 }
 
 #[test]

@@ -88,4 +88,8 @@ impl Link for Port {
             }
         }
     }
+
+    fn bit_rate(&self) -> Option<u32> {
+        Some(self.bus.lock().rates().nominal)
+    }
 }

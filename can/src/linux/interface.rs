@@ -209,6 +209,13 @@ impl Details {
     }
 }
 
+/// The nominal bit rate of an interface, bit/s; `None` if it has none, as a virtual one, or does not exist.
+#[must_use]
+pub fn bit_rate(name: &str) -> Option<u32> {
+    let details = Interface::open(name).ok()?.details().ok()?;
+    details.rates().map(|rates| rates.nominal)
+}
+
 /// A CAN interface.
 #[derive(Debug)]
 pub struct Interface {

@@ -87,6 +87,10 @@ impl Link for LivePort {
             bus = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
     }
+
+    fn bit_rate(&self) -> Option<u32> {
+        Some(self.with_bus(|bus| bus.rates().nominal))
+    }
 }
 
 #[cfg(test)]

@@ -44,7 +44,7 @@ use words::Words;
 pub use flight_log::FlightLog;
 #[doc(hidden)]
 pub use fuzz::{files, fuzz};
-pub use inspect::{Contents, Topic, contents, recover};
+pub use inspect::{Contents, Topic, about, contents, recover};
 pub use live::LiveStream;
 pub use parts::{PART_BYTES_MIN, Rotation};
 pub use replay::{Replay, replay};

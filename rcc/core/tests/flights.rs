@@ -127,7 +127,10 @@ fn failed_net_writes_flight_file_with_everything() {
         "{states} {cycles}"
     );
     assert!(found.topics[&values].messages >= 50);
+    let about = takt_core::record::about(&path).unwrap();
+    assert!(about["cause"].contains(&net.to_string()), "{about:?}");
     let bytes = std::fs::read(&path).unwrap();
+    damage_end(&path.with_extension("damaged"), &bytes);
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let names = summary.attachment_indexes.iter().map(|it| it.name.clone());
     let names: Vec<_> = names.collect();
@@ -139,6 +142,20 @@ fn failed_net_writes_flight_file_with_everything() {
     assert!(times.is_sorted());
     drop(controller);
     std::fs::remove_dir_all(directory).unwrap();
+}
+
+/// A damaged or cut end is an error or nothing, never a panic.
+fn damage_end(path: &Path, whole: &[u8]) {
+    for at in 1..400 {
+        let mut bytes = whole.to_vec();
+        let place = bytes.len() - at;
+        bytes[place] ^= 0xff;
+        std::fs::write(path, &bytes).unwrap();
+        // Which of both depends on what is damaged.
+        let _ = takt_core::record::about(path);
+        std::fs::write(path, &whole[..place]).unwrap();
+        assert_eq!(takt_core::record::about(path).unwrap().len(), 0);
+    }
 }
 
 #[test]

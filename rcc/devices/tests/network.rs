@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use takt_can::AnyFrame;
+use takt_can::bits::Bits;
 use takt_can::bus::{Bus, Config};
 use takt_can::canopen::NodeId;
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
@@ -85,6 +86,10 @@ impl Link for Gate {
         }
         self.port.receive(timeout)
     }
+
+    fn bit_rate(&self) -> Option<u32> {
+        self.port.bit_rate()
+    }
 }
 
 /// Drives in a thread of their own, and a controller that commands them.
@@ -95,6 +100,8 @@ struct TestBench {
     muted: Arc<AtomicU32>,
     /// Whether the thread of the master hangs.
     held: Arc<AtomicBool>,
+    /// A port that nothing else uses.
+    listener: LivePort,
     stop: Arc<AtomicBool>,
     thread: Option<Thread<()>>,
 }
@@ -117,6 +124,7 @@ impl TestBench {
     fn of(config: &CanopenConfig, drives: Vec<DriveNode>) -> Self {
         let ours = LivePort::first_of(Bus::new(Config::default()));
         let mut ports: Vec<_> = drives.iter().map(|_| ours.attach()).collect();
+        let listener = ours.attach();
         let drives = Arc::new(Mutex::new(drives));
         let stop = Arc::new(AtomicBool::new(false));
         let muted = Arc::new(AtomicU32::new(u32::MAX));
@@ -171,6 +179,7 @@ impl TestBench {
             drives,
             muted,
             held,
+            listener,
             stop,
             thread: Some(thread.unwrap()),
         }
@@ -226,6 +235,38 @@ fn canopen_net_moves_arm() {
             assert_eq!(bytes(0x1016, 1), watched.to_le_bytes(), "the master");
         }
     });
+}
+
+/// The load that the controller reports is that of the frames which another port of the bus receives.
+#[test]
+fn canopen_network_reports_load_of_its_bus() {
+    let bench = TestBench::new();
+    let mut port = bench.listener.clone();
+    while port.receive(Duration::ZERO).unwrap().is_some() {}
+    let (begin, mut bits) = (monotonic(), 0.0);
+    while monotonic() < begin + Duration::from_secs(3) {
+        if let Some(received) = port.receive(Duration::from_millis(5)).unwrap() {
+            bits += f64::from(Bits::of(&received.frame).nominal);
+        }
+    }
+    let seen = bits / (monotonic() - begin).as_secs_f64();
+    let loads = bench.cell().controller.bus_loads();
+    let [load] = loads.as_slice() else {
+        panic!("{loads:?}");
+    };
+    assert_eq!(
+        (load.bus.as_str(), load.bit_rate),
+        ("network", Some(1_000_000))
+    );
+    let measured = f64::from(load.bits_per_s);
+    assert!(seen > 10_000.0, "{seen} bit/s on the bus");
+    // Another second of a host that stalls now and then.
+    assert!(
+        (0.5..2.0).contains(&(measured / seen)),
+        "{measured} of {seen}"
+    );
+    assert!((load.load().unwrap() - measured / 1e6).abs() < 1e-9);
+    assert!(load.bits_per_s_max >= load.bits_per_s);
 }
 
 #[test]

@@ -24,7 +24,7 @@ use crate::live::wire::SUBPROTOCOLS;
 use crate::site::Site;
 pub(crate) use resources::debug::{DEBUG_STREAMS_MAX, DebugStream};
 pub(crate) use resources::respond;
-pub(crate) use response::Response;
+pub(crate) use response::{Download, Response};
 
 /// Most bytes of a request's head.
 pub(crate) const HEAD_BYTES_MAX: usize = 16 << 10;
@@ -94,6 +94,8 @@ pub(crate) struct Request {
     pub(crate) credential: Credential,
     /// Whether the method is POST.
     pub(crate) post: bool,
+    /// Whether the method is HEAD: as GET, but the response has no body.
+    pub(crate) is_head: bool,
     /// The path segments, decoded.
     pub(crate) path: Vec<String>,
     /// The query string.
@@ -116,7 +118,16 @@ pub(crate) fn parse(
     let all = received.len();
     // Bytes beyond the bound are not parsed, even if they arrived at once.
     let bounded = received.get(..HEAD_BYTES_MAX).unwrap_or(received);
-    let (length, read) = match head.parse(bounded) {
+    let parsed = head.parse(bounded);
+    let is_head = head.method == Some("HEAD");
+    let reject = |response: Response| {
+        Action::Reject(if is_head {
+            response.without_body()
+        } else {
+            response
+        })
+    };
+    let (length, read) = match parsed {
         Ok(Status::Complete(length)) => (length, Head::admitted(&head, policy)),
         Ok(Status::Partial) if all <= HEAD_BYTES_MAX => return None,
         Ok(Status::Partial) => {
@@ -128,10 +139,16 @@ pub(crate) fn parse(
     };
     let head = match read {
         Ok(head) if head.path == [DIRECT_IO] || head.path == [SCOPE] => {
-            return Some((length, head.upgrade()));
+            let action = match head.upgrade() {
+                Action::Reject(response) => reject(response),
+                action @ (Action::Upgrade(_) | Action::ReadBody { .. } | Action::Serve(_)) => {
+                    action
+                }
+            };
+            return Some((length, action));
         }
         Ok(head) => head,
-        Err(response) => return Some((length, Action::Reject(response))),
+        Err(response) => return Some((length, reject(response))),
     };
     match received.get(length..length + head.body_bytes) {
         Some(body) => Some((length + head.body_bytes, Action::Serve(head.request(body)))),
@@ -238,6 +255,7 @@ pub(crate) fn too_many_connections(bound: usize) -> Response {
 struct Head {
     credential: Credential,
     post: bool,
+    is_head: bool,
     path: Vec<String>,
     query: Form,
     json: bool,
@@ -304,13 +322,14 @@ impl Head {
         query: Form,
         credential: Credential,
     ) -> Result<Self, Response> {
-        let post = match request.method {
-            Some("GET") => false,
-            Some("POST") => true,
+        let (post, is_head) = match request.method {
+            Some("GET") => (false, false),
+            Some("HEAD") => (false, true),
+            Some("POST") => (true, false),
             _ => {
                 return Err(Response::text(
                     "405 Method Not Allowed",
-                    "Only GET and POST are supported.\n",
+                    "Only GET, HEAD and POST are supported.\n",
                 ));
             }
         };
@@ -322,11 +341,12 @@ impl Head {
         );
         let upgrades =
             header(request, "Upgrade").is_some_and(|u| u.eq_ignore_ascii_case("websocket"));
-        let key = header(request, "Sec-WebSocket-Key").filter(|_| upgrades);
+        let key = header(request, "Sec-WebSocket-Key").filter(|_| upgrades && !is_head);
         let expect = header(request, "Expect").unwrap_or_default();
         Ok(Self {
             credential,
             post,
+            is_head,
             path,
             query,
             json,
@@ -359,6 +379,7 @@ impl Head {
         let Self {
             credential,
             post,
+            is_head,
             path,
             query,
             json,
@@ -367,6 +388,7 @@ impl Head {
         Request {
             credential,
             post,
+            is_head,
             path,
             query,
             form: form::decode(body),

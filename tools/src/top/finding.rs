@@ -2,7 +2,9 @@
 
 use serde::Serialize;
 
-use super::report::{Device, Machine, Net, Report, Thread, Usage};
+use takt_can::stat::Limits;
+
+use super::report::{Bus, Device, Machine, Net, Report, Thread, Usage};
 use crate::output::time;
 
 /// How bad something is.
@@ -21,6 +23,7 @@ pub(super) enum Subject {
     Controller,
     Thread(String),
     Device(String),
+    Bus(String),
     Net(String),
     Machine(String),
 }
@@ -64,6 +67,7 @@ pub(super) fn judge(report: &Report) -> Vec<Finding> {
     let mut found = of_controller(report);
     found.extend(report.threads.iter().flat_map(of_thread));
     found.extend(report.devices.iter().flat_map(of_device));
+    found.extend(report.buses.iter().filter_map(of_bus));
     found.extend(report.machines.iter().flat_map(of_machine));
     found.extend(report.nets.iter().flat_map(of_net));
     found.extend(report.usage.iter().filter_map(of_usage));
@@ -146,6 +150,26 @@ fn of_device(device: &Device) -> Option<Finding> {
     let event = event.filter(|event| event.severity != "info" && event.ago_ns < RECENT_NS)?;
     let cause = format!("{name}: {}, {} ago", event.cause, ago(event.ago_ns));
     Some(Finding::new(Grade::Warn, subject, cause).hint(hint.unwrap_or_default()))
+}
+
+/// A bus that is nearly full: with the limits of `takt can stat`.
+fn of_bus(bus: &Bus) -> Option<Finding> {
+    let limits = Limits::default();
+    let load = bus.load?;
+    let grade = match load {
+        _ if load >= limits.load_failure => Grade::Fail,
+        _ if load >= limits.load_warning => Grade::Warn,
+        _ => return None,
+    };
+    let name = &bus.name;
+    let cause = format!(
+        "{name}: frames are on the bus for {:.0} % of its time",
+        load * 100.0
+    );
+    let hint = format!(
+        "`takt can stat {name}` shows whose; a longer cycle or a higher bit rate leaves room"
+    );
+    Some(Finding::new(grade, Subject::Bus(name.clone()), cause).hint(hint))
 }
 
 fn of_net(net: &Net) -> Vec<Finding> {

@@ -19,6 +19,8 @@ pub(super) struct Report {
     pub(super) usage: Vec<Usage>,
     pub(super) threads: Vec<Thread>,
     pub(super) devices: Vec<Device>,
+    /// Buses whose load is measured.
+    pub(super) buses: Vec<Bus>,
     pub(super) nets: Vec<Net>,
     pub(super) machines: Vec<Machine>,
     /// What is wrong, the worst first.
@@ -76,6 +78,20 @@ pub(super) struct Device {
     /// How often it stopped following commands.
     pub(super) faults: u64,
     pub(super) event: Option<Event>,
+}
+
+/// A bus.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(super) struct Bus {
+    pub(super) name: String,
+    /// Bit rate, bit/s; `None` if it is not known.
+    pub(super) bit_rate: Option<u64>,
+    /// Bits of frames within the last second, bit/s, and within the fullest one.
+    pub(super) bits: u64,
+    pub(super) bits_max: u64,
+    /// The same as parts of the bit rate, 0 to 1.
+    pub(super) load: Option<f64>,
+    pub(super) load_max: Option<f64>,
 }
 
 /// The last event of a device.
@@ -171,6 +187,7 @@ impl Report {
                 .iter()
                 .map(Device::of)
                 .collect(),
+            buses: list(&rest.devices["bus"]).iter().map(Bus::of).collect(),
             nets: list(&rest.nets["net"])
                 .iter()
                 .map(|net| Net::of(net, list(&rest.stats["net"])))
@@ -264,6 +281,19 @@ impl Device {
             age_ns: ns(&value["age"]),
             faults: count(&value["faults"]),
             event: list(&value["event"]).last().map(event),
+        }
+    }
+}
+
+impl Bus {
+    fn of(value: &Value) -> Self {
+        Self {
+            name: owned(&value["name"]),
+            bit_rate: value["bitrate"].as_u64(),
+            bits: count(&value["bits"]),
+            bits_max: count(&value["bitsmax"]),
+            load: value["load"].as_f64(),
+            load_max: value["loadmax"].as_f64(),
         }
     }
 }

@@ -2,7 +2,7 @@
 //! plain page show the same lines.
 
 use super::finding::{Finding, Grade, Subject, ago};
-use super::report::{Device, Machine, Net, Report, Thread};
+use super::report::{Bus, Device, Machine, Net, Report, Thread};
 use crate::output::{time, wrapped};
 
 /// The order of lines.
@@ -51,7 +51,7 @@ pub(super) struct Line {
 
 /// All tables, at most so wide where they break lines.
 pub(super) fn sections(report: &Report, order: Order, columns: usize) -> Vec<Section> {
-    vec![
+    let mut all = vec![
         Section {
             head: "FINDINGS".to_owned(),
             lines: findings(&report.findings, columns),
@@ -60,7 +60,12 @@ pub(super) fn sections(report: &Report, order: Order, columns: usize) -> Vec<Sec
         devices(report, order),
         nets(report, order),
         machines(report, order),
-    ]
+    ];
+    // Few cells have such a bus.
+    if !report.buses.is_empty() {
+        all.insert(3, buses(report, order));
+    }
+    all
 }
 
 /// Columns before the text of a finding.
@@ -217,6 +222,36 @@ fn devices(report: &Report, order: Order) -> Section {
     Section {
         head: "DEVICES      type               state       age faults  last event".to_owned(),
         lines: sorted(&report.devices, order, of, line),
+    }
+}
+
+fn buses(report: &Report, order: Order) -> Section {
+    let part = |load: Option<f64>| {
+        load.map_or_else(|| "-".to_owned(), |it| format!("{:.1} %", it * 100.0))
+    };
+    let kilo = |bits: u64| format!("{:.1}", bits as f64 / 1e3);
+    let line = |bus: &Bus| {
+        let rate = bus
+            .bit_rate
+            .map_or_else(|| "-".to_owned(), |rate| (rate / 1000).to_string());
+        format!(
+            "{:<16} {rate:>12} {:>8} {:>8} {:>10} {:>12}",
+            cut(&bus.name, 16),
+            part(bus.load),
+            part(bus.load_max),
+            kilo(bus.bits),
+            kilo(bus.bits_max),
+        )
+    };
+    let of = |bus: &Bus| Entry {
+        grade: grade_of(report, &Subject::Bus(bus.name.clone())),
+        activity: 0,
+        cost_ns: i64::try_from(bus.bits).unwrap_or(i64::MAX),
+        name: bus.name.clone(),
+    };
+    Section {
+        head: "BUSES            rate, kbit/s     load      max     kbit/s  max, kbit/s".to_owned(),
+        lines: sorted(&report.buses, order, of, line),
     }
 }
 

@@ -185,6 +185,12 @@ impl Browser {
         self.call("Page.addScriptToEvaluateOnNewDocument", &source);
     }
 
+    /// Saves what the page offers for saving in a folder.
+    pub(crate) fn save_to(&mut self, folder: &str) {
+        let into = json!({ "behavior": "allow", "downloadPath": folder });
+        self.call("Browser.setDownloadBehavior", &into);
+    }
+
     /// Sends a signal to all of its processes: SIGSTOP lets them stall, SIGCONT go on.
     pub(crate) fn signal(&self, signal: nix::sys::signal::Signal) {
         let group = i32::try_from(self.child.id()).unwrap();

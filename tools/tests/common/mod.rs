@@ -287,7 +287,7 @@ impl Cell {
         let folder = Folder::new();
         let stop = folder.file("stop.sock");
         let config = format!(
-            "[controller]\nwebsocket = \"127.0.0.1:0\"\ntcp = \"127.0.0.1:0\"\nstop_socket = \"{stop}\"\n\
+            "[controller]\nwebsocket = \"127.0.0.1:0\"\ntcp = \"127.0.0.1:0\"\nstop_socket = \"{stop}\"\nflight_recorder = \"flights\"\n\
              [[device]]\nname = \"left\"\ntype = \"kuka_lwr_fri\"\nlisten = \"127.0.0.1:0\"\n{tables}"
         );
         let config = folder.write("cell.toml", &config);

@@ -18,7 +18,7 @@ use crate::controller::limited::{self, LimitedInfo};
 use crate::controller::registry::Registry;
 use crate::controller::rejections::{RejectedCounts, RejectedInfo};
 use crate::device::bus::BusAccess;
-use crate::device::driver::DeviceDriver;
+use crate::device::driver::{BusLoad, DeviceDriver};
 use crate::executor::figures::{NetCounts, budget};
 use crate::executor::thread::NetThread;
 use crate::ids::NetId;
@@ -133,6 +133,17 @@ impl Controller {
         let registry = self.inner.lock();
         let driver = registry.devices.driver_of(device);
         driver.map(|driver| driver.figures()).unwrap_or_default()
+    }
+
+    /// The loads of all buses that drivers measure, each bus once, by name.
+    #[must_use]
+    pub fn bus_loads(&self) -> Vec<BusLoad> {
+        let registry = self.inner.lock();
+        let drivers = registry.devices.drivers.iter();
+        let mut loads: Vec<_> = drivers.flat_map(|driver| driver.bus_loads()).collect();
+        loads.sort_by(|one, other| one.bus.cmp(&other.bus));
+        loads.dedup_by(|one, other| one.bus == other.bus);
+        loads
     }
 
     /// The UDP addresses at which drivers wait for their robots, by device.

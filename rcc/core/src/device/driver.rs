@@ -264,6 +264,39 @@ impl PartialEq for dyn DriverConfig {
     }
 }
 
+/// How busy a bus is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct BusLoad {
+    /// Its network interface, or the driver's name if it has none.
+    pub bus: String,
+    /// Bit rate, bit/s; `None` if it is not known, as of a virtual interface.
+    pub bit_rate: Option<u32>,
+    /// Bits of frames within the last second, bit/s.
+    pub bits_per_s: u32,
+    /// Bits of frames within the fullest second since the driver started, bit/s.
+    pub bits_per_s_max: u32,
+}
+
+impl BusLoad {
+    /// Part of the last second in which frames were on the bus, 0 to 1; `None` without a bit rate.
+    #[must_use]
+    pub fn load(&self) -> Option<f64> {
+        self.part(self.bits_per_s)
+    }
+
+    /// The same of the fullest second.
+    #[must_use]
+    pub fn load_max(&self) -> Option<f64> {
+        self.part(self.bits_per_s_max)
+    }
+
+    fn part(&self, bits: u32) -> Option<f64> {
+        let rate = self.bit_rate.filter(|rate| *rate > 0)?;
+        // Bits are counted when their frames are read, so a second can seem slightly overfull.
+        Some((f64::from(bits) / f64::from(rate)).min(1.0))
+    }
+}
+
 /// A driver with a thread of its own, for one device or for all devices of a bus.
 pub trait DeviceDriver: Any + fmt::Debug + Send {
     /// Its thread.
@@ -274,6 +307,11 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
 
     /// Figures for the log when one of its devices changes its status: name and value.
     fn figures(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
+
+    /// The loads of its buses; empty if they are not measured, or not yet.
+    fn bus_loads(&self) -> Vec<BusLoad> {
         Vec::new()
     }
 

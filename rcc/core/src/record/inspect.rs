@@ -6,11 +6,16 @@ use std::io::{BufReader, BufWriter, Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 use std::time::Duration;
 
-use mcap::records::Record;
+use mcap::records::{Record, op};
 
 use crate::error::Error;
 use crate::record::notes::wrong;
 use crate::record::read::{END, is_ended, records};
+
+/// Bytes of the last record of a file.
+const FOOTER_BYTES: u64 = 1 + 8 + 20;
+/// Most bytes of the index of a file, or of one of its texts, that are read for [`about`].
+const END_BYTES_MAX: u64 = 16 << 20;
 
 /// A topic of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -101,6 +106,77 @@ pub fn contents(path: &Path) -> Result<Contents, Error> {
     })?;
     found.is_cut = !is_whole;
     Ok(found)
+}
+
+/// Texts that a recording has about itself at its end, by key; those of a flight file have its `cause`. Empty if it was cut off
+/// or has none. It reads the end of the file only.
+///
+/// # Errors
+/// If the file cannot be read, or its end is damaged.
+pub fn about(path: &Path) -> Result<BTreeMap<String, String>, Error> {
+    let (mut file, is_ended) = open(path)?;
+    let mut found = BTreeMap::new();
+    if !is_ended {
+        return Ok(found);
+    }
+    let damaged = |e: &mcap::McapError| wrong(path, format!("not a complete MCAP file: {e}"));
+    let piece = |file: &mut BufReader<File>, begin: u64, end: u64| -> Result<Vec<u8>, Error> {
+        let mut bytes = Vec::new();
+        let length = end
+            .checked_sub(begin)
+            .filter(|length| *length <= END_BYTES_MAX);
+        let length = length.ok_or_else(|| wrong(path, "its index is damaged".to_owned()))?;
+        let read = file.seek(SeekFrom::Start(begin));
+        let read = read.and_then(|_| file.take(length).read_to_end(&mut bytes));
+        read.map(|_| bytes).map_err(|source| Error::File {
+            path: path.to_owned(),
+            source,
+        })
+    };
+    let length = file.seek(SeekFrom::End(0)).map_err(|source| Error::File {
+        path: path.to_owned(),
+        source,
+    })?;
+    let footer_at = length.saturating_sub(FOOTER_BYTES + END.len() as u64);
+    let footer = piece(&mut file, footer_at, length)?;
+    let Some(Record::Footer(footer)) = first_record(&footer).map_err(|e| damaged(&e))?.0 else {
+        return Err(wrong(path, "it has no footer".to_owned()));
+    };
+    if footer.summary_start == 0 {
+        return Ok(found);
+    }
+    let summary = piece(&mut file, footer.summary_start, footer_at)?;
+    let mut rest = summary.as_slice();
+    while !rest.is_empty() {
+        let (record, behind) = first_record(rest).map_err(|e| damaged(&e))?;
+        rest = behind;
+        let Some(Record::MetadataIndex(index)) = record else {
+            continue;
+        };
+        let bytes = piece(
+            &mut file,
+            index.offset,
+            index.offset.saturating_add(index.length),
+        )?;
+        if let (Some(Record::Metadata(texts)), _) = first_record(&bytes).map_err(|e| damaged(&e))? {
+            found.extend(texts.metadata);
+        }
+    }
+    Ok(found)
+}
+
+/// The first record of these bytes if it is of the index, and the bytes behind it.
+fn first_record(bytes: &[u8]) -> mcap::McapResult<(Option<Record<'_>>, &[u8])> {
+    let cut = || mcap::McapError::UnexpectedEof;
+    let (opcode, rest) = bytes.split_first().ok_or_else(cut)?;
+    let (length, rest) = rest.split_first_chunk().ok_or_else(cut)?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| cut())?;
+    let (body, behind) = rest.split_at_checked(length).ok_or_else(cut)?;
+    let record = match *opcode {
+        op::FOOTER | op::METADATA | op::METADATA_INDEX => Some(mcap::parse_record(*opcode, body)?),
+        _ => None,
+    };
+    Ok((record, behind))
 }
 
 /// Copies all whole messages of a recording that was cut off to a new file with an index; returns their number.

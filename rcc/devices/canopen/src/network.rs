@@ -27,10 +27,11 @@ use takt_rt::{Nanos, monotonic};
 use crate::config::{CanopenConfig, LinkLoss};
 use events::NetworkEvent;
 use takt_can::link::CanLink;
+use takt_can::load::{Load, LoadMeter, LoadReader};
 use takt_core::Error;
 use takt_core::device::DeviceDescription;
 use takt_core::device::driver::{
-    DeviceDriver, DriverEnds, DriverEvent, DriverThread, SHUTDOWN_MAX,
+    BusLoad, DeviceDriver, DriverEnds, DriverEvent, DriverThread, SHUTDOWN_MAX,
 };
 use takt_core::device::link_watch::{LinkErrors, LinkWatch};
 use takt_device_drives::{self as drives, Arm, DriveJoint, Feedback, Recovery};
@@ -185,6 +186,7 @@ pub struct Canopen {
     shared: Arc<Shared>,
     events: Mutex<Consumer<NetworkEvent>>,
     link: LinkWatch,
+    load: LoadReader,
     /// Timing of SYNC.
     pub stats: StatsReader,
     thread: DriverThread,
@@ -220,8 +222,10 @@ impl Canopen {
         let shared = Arc::new(Shared::default());
         let (mut recorded, stats) = stats::pair();
         let watch = LinkWatch::new(&config.name, link.interface(), Medium::Can);
+        let (meter, load) = LoadMeter::new(&*link, &config.name);
         let mut driver = Box::new(Driver {
             link,
+            load: meter,
             errors: watch.errors(),
             network,
             arms,
@@ -252,6 +256,7 @@ impl Canopen {
             shared,
             events: Mutex::new(events),
             link: watch,
+            load,
             stats,
             thread,
         })
@@ -282,6 +287,16 @@ impl DeviceDriver for Canopen {
             figures.push(("axes not proven", number(&self.shared.unproven)));
         }
         figures
+    }
+
+    fn bus_loads(&self) -> Vec<BusLoad> {
+        let of = |Load { last, most }| BusLoad {
+            bus: self.load.bus().to_owned(),
+            bit_rate: self.load.bit_rate(),
+            bits_per_s: last,
+            bits_per_s_max: most,
+        };
+        self.load.read().map(of).into_iter().collect()
     }
 
     fn is_held_after_faults(&self, device: &str) -> bool {
@@ -373,6 +388,7 @@ impl Reached {
 
 struct Driver {
     link: Box<dyn CanLink>,
+    load: LoadMeter,
     errors: Arc<LinkErrors>,
     network: Network,
     /// The arms, and the axis of each joint.
@@ -390,6 +406,7 @@ impl Driver {
     /// One cycle: SYNC and set-points first, then services and received frames until three quarters of the cycle are
     /// over, then the commands of the arms for the next cycle.
     fn cycle(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
+        self.load.poll(since_start(tick.scheduled));
         self.send_cycle(since_start(monotonic()));
         self.listen(tick.scheduled + Nanos::from(self.cycle * 3 / 4));
         self.lead(tick, stopping)
@@ -474,6 +491,7 @@ impl Driver {
                 Ok(None) => return,
                 Err(error) => return self.errors.note(error.errno()),
             };
+            self.load.add(&received.frame);
             if let Some(frame) = received.frame.classic() {
                 self.shared.received.fetch_add(1, Ordering::Relaxed);
                 self.network.handle_frame(frame, received.at);
@@ -482,8 +500,10 @@ impl Driver {
     }
 
     fn send(&mut self, frame: takt_can::Frame) {
-        if let Err(error) = self.link.send(&frame.into()) {
-            self.errors.note(error.errno());
+        let frame = frame.into();
+        match self.link.send(&frame) {
+            Ok(()) => self.load.add(&frame),
+            Err(error) => self.errors.note(error.errno()),
         }
     }
 

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use takt_can::load::{Load, LoadMeter, LoadReader};
 use takt_can::rmp::{self, Model, Motion, State, YawSign};
 use takt_net::device::Base;
 use takt_net::value::{Frame, Rotation, Twist, Vector};
@@ -16,7 +17,7 @@ use crate::config::RmpConfig;
 use platform::Led;
 use takt_core::Error;
 use takt_core::device::continuity::JumpPart;
-use takt_core::device::driver::{DeviceDriver, DriverEnds, DriverEvent, DriverThread};
+use takt_core::device::driver::{BusLoad, DeviceDriver, DriverEnds, DriverEvent, DriverThread};
 use takt_core::device::endpoint::Endpoint;
 use takt_core::device::link_watch::{LinkErrors, LinkWatch};
 use takt_core::device::{DeviceDescription, DeviceStatus, Part};
@@ -125,6 +126,8 @@ pub struct Rmp {
     shared: Arc<Shared>,
     /// One per wire.
     links: Vec<LinkWatch>,
+    /// One per CAN bus.
+    loads: Vec<LoadReader>,
     thread: DriverThread,
 }
 
@@ -141,7 +144,11 @@ impl Rmp {
         let links: Vec<_> = wires_with_names
             .map(|(wire, name)| wire.watch(name))
             .collect();
+        let meters = wires.iter().zip(&config.links);
+        let meters = meters.map(|(wire, name)| wire.meter(name).unzip());
+        let (meters, loads): (Vec<_>, Vec<_>) = meters.unzip();
         let mut driver = Box::new(Driver {
+            meters,
             errors: links.iter().map(LinkWatch::errors).collect(),
             wires,
             platform: Led::new(config),
@@ -169,6 +176,7 @@ impl Rmp {
         Ok(Self {
             shared,
             links,
+            loads: loads.into_iter().flatten().collect(),
             thread,
         })
     }
@@ -198,6 +206,19 @@ impl DeviceDriver for Rmp {
             ("first", word(first).to_owned()),
             ("second", word(second).to_owned()),
         ]
+    }
+
+    fn bus_loads(&self) -> Vec<BusLoad> {
+        let of = |reader: &LoadReader| {
+            let Load { last, most } = reader.read()?;
+            Some(BusLoad {
+                bus: reader.bus().to_owned(),
+                bit_rate: reader.bit_rate(),
+                bits_per_s: last,
+                bits_per_s_max: most,
+            })
+        };
+        self.loads.iter().filter_map(of).collect()
     }
 
     fn poll_event(&self) -> Option<DriverEvent> {
@@ -239,6 +260,8 @@ fn word(state: &AtomicU64) -> &'static str {
 
 struct Driver {
     wires: Vec<Wire>,
+    /// One per wire; `None` of a serial port.
+    meters: Vec<Option<LoadMeter>>,
     /// One per wire.
     errors: Vec<Arc<LinkErrors>>,
     platform: Led,
@@ -270,6 +293,9 @@ impl Driver {
                     break;
                 };
                 wait = Duration::ZERO;
+                if let Some(meter) = &mut self.meters[part] {
+                    meter.add(&frame.into());
+                }
                 self.shared.frames.fetch_add(1, Ordering::Relaxed);
                 self.platform.handle(part, channel, &frame, at);
             }
@@ -279,11 +305,17 @@ impl Driver {
     fn lead(&mut self, now: Duration) {
         let wanted = self.wanted(now).filter(|_| !self.is_stopping);
         let frames = self.platform.command(wanted, now);
-        for ((frame, wire), errors) in frames.iter().zip(&mut self.wires).zip(&self.errors) {
-            if let Some(frame) = frame
-                && !wire.send(frame, errors)
-            {
+        let wires = self.wires.iter_mut().zip(&self.errors);
+        for ((frame, (wire, errors)), meter) in frames.iter().zip(wires).zip(&mut self.meters) {
+            let is_sent = frame.as_ref().map(|frame| wire.send(frame, errors));
+            if is_sent == Some(false) {
                 self.shared.failed.fetch_add(1, Ordering::Relaxed);
+            }
+            if let Some(meter) = meter {
+                if let Some(frame) = frame.filter(|_| is_sent == Some(true)) {
+                    meter.add(&frame.into());
+                }
+                meter.poll(now);
             }
         }
         self.publish(wanted);

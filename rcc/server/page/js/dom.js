@@ -49,7 +49,7 @@ export function table(heads, rows, empty) {
   if (!rows.length) return make("p", empty, "dim");
   const table = /** @type {HTMLTableElement} */ (make("table"));
   const head = table.createTHead().insertRow(), body = table.createTBody();
-  for (const name of heads) head.append(make("th", name, /count|ms|rad|%|°/.test(name) ? "number" : ""));
+  for (const name of heads) head.append(make("th", name, /count|ms|rad|%|°|kbit/.test(name) ? "number" : ""));
   for (const { cells, pick, isPicked } of rows) {
     const row = body.insertRow();
     if (pick) {

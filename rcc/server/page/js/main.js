@@ -19,6 +19,7 @@ const VIEWS = [
   { id: "jog", title: "Jog", load: () => import("./view_jog.js") },
   { id: "buses", title: "Buses", load: () => import("./view_buses.js") },
   { id: "threads", title: "Threads", load: () => import("./view_threads.js") },
+  { id: "flights", title: "Flights", load: () => import("./view_flights.js") },
   { id: "log", title: "Log", load: () => import("./view_log.js") },
 ];
 

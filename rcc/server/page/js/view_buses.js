@@ -94,13 +94,40 @@ function segmentBox(segment) {
   return box;
 }
 
+/** Loads above which a CAN bus leaves too little for bursts, and starves low priorities: those of `takt can stat`. */
+const LOAD_WARN = 0.6, LOAD_BAD = 0.9;
+
+/** A load as a bar with its number; the mark is the most of any second. @param {Json} bus */
+export function loadBar(bus) {
+  const load = Number(bus.load), most = Number(bus.loadmax), box = make("div", undefined, "load");
+  if (!Number.isFinite(load)) return make("span", "— (no bit rate)", "dim");
+  const bar = make("div", undefined, "bar"), filled = make("i"), mark = make("b");
+  filled.style.width = 100 * load + "%";
+  mark.style.left = 100 * most + "%";
+  bar.append(filled, mark);
+  box.append(bar, make("span", (100 * load).toFixed(1) + " %", load >= LOAD_BAD ? "bad" : load >= LOAD_WARN ? "warn" : "good"));
+  return box;
+}
+
+/** @param {Json[]} buses */
+function busTable(buses) {
+  const kilo = (/** @type {unknown} */ bits) => ({ number: (Number(bits) / 1000).toFixed(1) });
+  return table(["bus", "bit rate, kbit/s", "load", "max %", "frames, kbit/s", "max, kbit/s"], buses.map(bus => ({ cells: [bus.name,
+    bus.bitrate === undefined ? "—" : { number: (Number(bus.bitrate) / 1000).toFixed(0) }, loadBar(bus),
+    { number: bus.loadmax === undefined ? "—" : (100 * Number(bus.loadmax)).toFixed(1) }, kilo(bus.bits), kilo(bus.bitsmax)] })), "");
+}
+
 /** @param {HTMLElement} element @param {App} app */
 function mount(element, app) {
-  const drivers = section("Drivers"), segments = make("div", undefined, "stack wide");
-  [drivers.id, segments.id] = ["drivers", "segments"];
-  element.append(drivers, segments);
+  const drivers = section("Drivers"), can = section("CAN"), segments = make("div", undefined, "stack wide");
+  [drivers.id, can.id, segments.id] = ["drivers", "can", "segments"];
+  can.hidden = true;
+  element.append(drivers, can, segments);
   app.every(1000, async () => {
-    const all = await Promise.all(configured(await app.get("/devices/")).map(device => app.get(pathOf(device.name))));
+    const devices = await app.get("/devices/"), buses = list(devices, "bus");
+    can.hidden = !buses.length;
+    if (buses.length) swap(can, make("h2", "CAN, over the last second"), busTable(buses));
+    const all = await Promise.all(configured(devices).map(device => app.get(pathOf(device.name))));
     const rows = all.map(device => {
       const box = figures(...list(device, "figure").map(it => figure(it.name, it.value, it.name === "quality" && !/Perfect|Excellent/.test(it.value) ? "warn" : "")));
       return { cells: [device.name, device.type, state(device.state), box] };

@@ -68,7 +68,7 @@ function openMachine(app, box, name) {
     if (isFirst) { swap(acts, commands(app, path, machine)); isFirst = false; }
     swap(head, name + " ", state(machine.status));
     const rows = all.map((it, number) => ({
-      cells: [it.name, state(it.status), it.mode + (it.paused === "true" ? ", paused" : ""), make("b", it.state), since.text(it.name, it.state), it.text ?? ""],
+      cells: [it.name, state(it.status), it.mode + (it.paused === "true" ? ", paused" : ""), make("b", it.state), make("span", since.text(it.name, it.state), "figure"), it.text ?? ""],
       pick: () => { inside = number ? it.name : ""; }, isPicked: inside === (number ? it.name : ""),
     }));
     swap(states, table(["machine", "status", "mode", "state", "for", "last error"], rows, "no states"));
@@ -90,6 +90,13 @@ function openMachine(app, box, name) {
   };
 }
 
+/** The state of a machine, and those of the active machines inside, a line each. @param {Json} machine */
+function nested(machine) {
+  const box = make("span", machine.state), active = list(machine, "machine").filter(it => it.state);
+  for (const { name, state: inside } of active) box.append(make("div", name + ": " + inside, "dim"));
+  return box;
+}
+
 /** @param {HTMLElement} element @param {App} app */
 function mount(element, app) {
   const machines = section("Machines", "third"), detail = section("", "two-thirds detail");
@@ -101,7 +108,7 @@ function mount(element, app) {
   app.every(250, async () => {
     const all = list(await app.get("/machines/"), "machine"), picked = app.picked()[0] ?? all[0]?.name ?? "";
     swap(machines, make("h2", "Machines"), table(["machine", "status", "state"], all.map(machine =>
-      ({ cells: [machine.name, state(machine.status), machine.state], pick: () => app.go("machines", machine.name), isPicked: machine.name === picked })),
+      ({ cells: [machine.name, state(machine.status), nested(machine)], pick: () => app.go("machines", machine.name), isPicked: machine.name === picked })),
     "no machines"));
     if (!all.some(machine => machine.name === picked)) {
       opened = "";

@@ -2,6 +2,7 @@
 
 import { button, figure, figures, list, make, note, section, span, state, swap, table } from "./dom.js";
 import { NetGraph } from "./net_graph.js";
+import { drawRules } from "./rule_graph.js";
 
 /** @typedef {import("./dom.js").Json} Json @typedef {import("./api.js").App} App */
 
@@ -131,13 +132,24 @@ function anchor(app, net) {
   return link;
 }
 
+/** Replaces the picture of rules if it has changed; where it is scrolled to stays. @param {HTMLElement} box @param {Json[]} rules
+ * @param {Map<string, { status: string, desc: string }>} nets */
+function showRules(box, rules, nets) {
+  const place = box.querySelector(".picture")?.scrollLeft ?? 0;
+  swap(box, make("h2", "Rules between nets"), ...drawRules(rules, nets));
+  const picture = box.querySelector(".picture");
+  if (picture) picture.scrollLeft = place;
+}
+
 /** @param {HTMLElement} element @param {App} app */
 function mount(element, app) {
-  const nets = section("Nets", "third"), rules = section("Rules", "third"), detail = section("", "two-thirds detail");
-  const left = make("div", undefined, "third stack");
+  const nets = section("Nets", "third"), rules = section("Rules", "third"), detail = section("", "detail"), drawn = section("");
+  const left = make("div", undefined, "third stack"), right = make("div", undefined, "two-thirds stack");
   left.append(nets, rules);
-  [nets.id, rules.id, detail.id] = ["nets", "rules", "net"];
-  element.append(left, detail);
+  right.append(drawn, detail);
+  [nets.id, rules.id, detail.id, drawn.id] = ["nets", "rules", "net", "rule-graph"];
+  drawn.hidden = true;
+  element.append(left, right);
   let opened = "";
   /** @type {() => Promise<void>} */
   let update = async () => {};
@@ -157,6 +169,9 @@ function mount(element, app) {
       word.title = rule.why ?? rule.desc ?? "";
       return { cells: [{ value: rule.condition }, ends, netsOf(app, rule, "start"), word] };
     }), "no rules between these nets"));
+    drawn.hidden = !states.size;
+    const known = new Map(all.map(net => [nameOf(net), { status: String(net.status), desc: String(net.desc ?? "") }]));
+    if (states.size) showRules(drawn, [...states.values()], known);
     if (!names.includes(picked)) {
       graph?.close();
       opened = "";

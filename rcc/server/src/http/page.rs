@@ -17,6 +17,7 @@ const INDEX: &str = include_str!("../../page/index.html");
 const FILES: &[(&str, &str)] = files![
     "style.css",
     "css/cell.css",
+    "css/nets.css",
     "js/api.js",
     "js/camera.js",
     "js/directio.js",
@@ -30,6 +31,7 @@ const FILES: &[(&str, &str)] = files![
     "js/plot.js",
     "js/plot_input.js",
     "js/probe_picker.js",
+    "js/rule_graph.js",
     "js/samples.js",
     "js/scene.js",
     "js/scope.js",
@@ -41,6 +43,7 @@ const FILES: &[(&str, &str)] = files![
     "js/view_3d.js",
     "js/view_buses.js",
     "js/view_devices.js",
+    "js/view_flights.js",
     "js/view_jog.js",
     "js/view_log.js",
     "js/view_machines.js",

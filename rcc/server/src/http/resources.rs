@@ -45,7 +45,12 @@ pub(crate) fn respond(site: &Site, request: &Request) -> Response {
         controller: &site.controller,
         request,
     };
-    handler.route().unwrap_or_else(|response| response)
+    let response = handler.route().unwrap_or_else(|response| response);
+    if request.is_head {
+        response.without_body()
+    } else {
+        response
+    }
 }
 
 impl Handler<'_> {
@@ -64,6 +69,7 @@ impl Handler<'_> {
             ("log", [], false) => Ok(self.log()),
             ("flights", [], false) => Ok(self.flights()),
             ("flights", [], true) => self.request_flight(),
+            ("flights", [name], false) => self.flight(name),
             ("extensions", [], false) => Ok(self.show(&Element::new("extensions"))),
             ("extensions", _, true) => Err(Response::text(
                 "403 Forbidden",

@@ -1,18 +1,53 @@
 //! HTTP responses. The connection is closed after each.
 
 use std::fmt;
+use std::fs::File;
+use std::sync::Arc;
 
 use super::element::Element;
 
-/// A response.
+/// A response. Its text has no bytes of a file: the connection sends these behind it.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Response {
     status: &'static str,
     kind: &'static str,
     /// Additional header lines.
     extra: String,
-    body: String,
+    body: Body,
 }
+
+#[derive(Debug, PartialEq, Eq)]
+enum Body {
+    Text(String),
+    File(Download),
+    /// What a HEAD request would get by GET, of so many bytes.
+    Omitted(u64),
+}
+
+impl Body {
+    fn length(&self) -> u64 {
+        match self {
+            Self::Text(text) => text.len() as u64,
+            Self::File(download) => download.bytes,
+            Self::Omitted(bytes) => *bytes,
+        }
+    }
+}
+
+/// An open file, of which so many bytes are sent.
+#[derive(Clone, Debug)]
+pub(crate) struct Download {
+    pub(crate) file: Arc<File>,
+    pub(crate) bytes: u64,
+}
+
+impl PartialEq for Download {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.file, &other.file) && self.bytes == other.bytes
+    }
+}
+
+impl Eq for Download {}
 
 impl Response {
     /// A plain text.
@@ -21,7 +56,7 @@ impl Response {
             status,
             kind: "text/plain; charset=utf-8",
             extra: String::new(),
-            body: body.into(),
+            body: Body::Text(body.into()),
         }
     }
 
@@ -124,6 +159,33 @@ impl Response {
         }
     }
 
+    /// A file to be saved under this name.
+    pub(super) fn file(name: &str, download: Download) -> Self {
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+        let letters = name.chars().map(|c| if is_plain(c) { c } else { '_' });
+        let name: String = letters.collect();
+        Self {
+            status: "200 OK",
+            kind: "application/octet-stream",
+            extra: format!("Content-Disposition: attachment; filename=\"{name}\"\r\n"),
+            body: Body::File(download),
+        }
+    }
+
+    /// The same head, without a body: the response to HEAD.
+    pub(crate) fn without_body(self) -> Self {
+        let body = Body::Omitted(self.body.length());
+        Self { body, ..self }
+    }
+
+    /// The file whose bytes follow its text.
+    pub(crate) fn download(&self) -> Option<Download> {
+        match &self.body {
+            Body::File(download) => Some(download.clone()),
+            Body::Text(_) | Body::Omitted(_) => None,
+        }
+    }
+
     /// A bound is exceeded, and which one.
     pub(crate) fn too_many(why: impl fmt::Display) -> Self {
         Self::text("503 Service Unavailable", format!("{why}\n"))
@@ -149,12 +211,16 @@ impl fmt::Display for Response {
             extra,
             body,
         } = self;
-        let length = body.len();
+        let length = body.length();
+        let text = match body {
+            Body::Text(text) => text,
+            Body::File(_) | Body::Omitted(_) => "",
+        };
         write!(
             f,
             "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\n{extra}\
              Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\n\
-             Connection: close\r\n\r\n{body}"
+             Connection: close\r\n\r\n{text}"
         )
     }
 }

@@ -12,6 +12,7 @@ mod machines;
 mod metrics;
 mod page;
 mod page_cell;
+mod page_nets;
 mod page_plots;
 mod resources;
 
@@ -156,6 +157,7 @@ fn body_is_read_to_its_length() {
     let expected = Request {
         credential: Credential::Loopback,
         post: true,
+        is_head: false,
         path: vec!["nets".to_owned()],
         query: Vec::new(),
         form: vec![("desc".to_owned(), "ab".to_owned())],

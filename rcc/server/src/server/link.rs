@@ -1,6 +1,7 @@
 //! One connection: moves its bytes and calls its [`Connection`] in threads that may block. It opens and ends no
 //! session.
 
+mod file;
 mod live;
 mod scope;
 
@@ -194,6 +195,9 @@ impl Link {
             Err(_) => return Err(self.io_error(io::ErrorKind::TimedOut.into())),
         };
         self.send(response.to_string().as_bytes()).await?;
+        if let Some(download) = response.download() {
+            self.send_file(download, context).await?;
+        }
         self.finish().await
     }
 

@@ -241,3 +241,37 @@ fn top_of_empty_or_foreign_resources_is_empty() {
     let text = page(&head(&report, "x:1"), &sections(&report, Order::Worst, 80));
     assert_eq!(text, "takt  at x:1: good\n\nFINDINGS\nnone\n");
 }
+
+#[test]
+fn top_lists_buses_and_reports_full_ones() {
+    let mut rest = rest();
+    rest.devices["bus"] = json!([
+        { "name": "can0", "bitrate": 1_000_000, "bits": 923_000, "bitsmax": 950_000, "load": 0.923, "loadmax": 0.95 },
+        { "name": "can1", "bitrate": 500_000, "bits": 325_000, "bitsmax": 330_000, "load": 0.65, "loadmax": 0.66 },
+        { "name": "vcan0", "bits": 12_345, "bitsmax": 20_000 },
+    ]);
+    let report = Report::of(&status(7), &rest, None);
+    let found: Vec<_> = report
+        .findings
+        .iter()
+        .map(|it| (it.grade, it.cause.as_str()))
+        .collect();
+    let full = "can0: frames are on the bus for 92 % of its time";
+    let busy = "can1: frames are on the bus for 65 % of its time";
+    assert!(found.contains(&(Grade::Fail, full)), "{found:?}");
+    assert!(found.contains(&(Grade::Warn, busy)), "{found:?}");
+    let sections = sections(&report, Order::Worst, 80);
+    let buses = sections
+        .iter()
+        .find(|it| it.head.starts_with("BUSES"))
+        .unwrap();
+    let lines: Vec<_> = buses.lines.iter().map(|it| it.text.as_str()).collect();
+    assert_eq!(
+        lines,
+        [
+            "can0                     1000   92.3 %   95.0 %      923.0        950.0",
+            "can1                      500   65.0 %   66.0 %      325.0        330.0",
+            "vcan0                       -        -        -       12.3         20.0",
+        ]
+    );
+}

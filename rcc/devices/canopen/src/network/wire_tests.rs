@@ -119,6 +119,7 @@ impl Bench {
         };
         let mut bench = Self {
             driver: Driver {
+                load: LoadMeter::new(&near, "near").0,
                 link: Box::new(near.clone()),
                 network,
                 arms: vec![(arm, Vec::from(axes))],

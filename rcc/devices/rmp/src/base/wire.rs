@@ -6,6 +6,7 @@ use std::time::Duration;
 use takt_can::Frame;
 use takt_can::link::{CanLink, Origin};
 use takt_can::linux::{Options, Serial, SocketCan};
+use takt_can::load::{LoadMeter, LoadReader};
 use takt_can::rmp::Channel;
 use takt_rt::interface::Medium;
 
@@ -41,6 +42,14 @@ impl Wire {
         match self {
             Self::Can(link) => LinkWatch::new(name, link.interface(), Medium::Can),
             Self::Usb(_) => LinkWatch::new(name, None, Medium::Serial),
+        }
+    }
+
+    /// A meter of the load of its bus and its reader; `None` of a serial port.
+    pub(super) fn meter(&self, name: &str) -> Option<(LoadMeter, LoadReader)> {
+        match self {
+            Self::Can(link) => Some(LoadMeter::new(&**link, name)),
+            Self::Usb(_) => None,
         }
     }
 

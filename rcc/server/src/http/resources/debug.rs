@@ -121,8 +121,13 @@ impl DebugStream {
         let ["nets", name, "debugstream"] = *path.as_slice() else {
             return None;
         };
-        if request.post {
-            return Some(Err(Response::text("405 Method Not Allowed", "Use GET.\n")));
+        if request.post || request.is_head {
+            let refused = Response::text("405 Method Not Allowed", "Use GET.\n");
+            return Some(Err(if request.is_head {
+                refused.without_body()
+            } else {
+                refused
+            }));
         }
         let net: Option<NetId> = name.parse().ok();
         let Some(net) = net.filter(|net| controller.net(*net).is_some()) else {

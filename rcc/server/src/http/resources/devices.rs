@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use takt_core::controller::{DeviceDetails, DeviceInfo};
+use takt_core::device::driver::BusLoad;
 use takt_core::ids::check_device_name;
 use takt_core::net::Frame;
 use takt_core::net::value::text::TextValue as _;
@@ -27,7 +28,13 @@ impl Handler<'_> {
                 .containing(details)
                 .containing(self.reports(&d.name))
         });
-        self.show(&Element::new("devices").containing(devices))
+        let buses = self.controller.bus_loads();
+        let buses = buses.iter().map(bus);
+        self.show(
+            &Element::new("devices")
+                .containing(devices)
+                .containing(buses),
+        )
     }
 
     pub(super) fn device(&self, name: &str) -> Outcome {
@@ -168,8 +175,23 @@ impl Handler<'_> {
     }
 }
 
+/// The load of a bus within the last second, and the most of any second, as a part of its bit rate, 0 to 1.
+fn bus(load: &BusLoad) -> Element {
+    let element = Element::new("bus")
+        .with("name", &load.bus)
+        .with("bits", load.bits_per_s)
+        .with("bitsmax", load.bits_per_s_max);
+    let element = match load.bit_rate {
+        Some(rate) => element.with("bitrate", rate),
+        None => element,
+    };
+    let known = [("load", load.load()), ("loadmax", load.load_max())];
+    let known = known.into_iter().filter_map(|(key, v)| Some((key, v?)));
+    known.fold(element, |element, (key, value)| element.with(key, value))
+}
+
 /// All but the unreserved characters (RFC 3986, section 2.3).
-const RESERVED: &AsciiSet = &NON_ALPHANUMERIC
+pub(super) const RESERVED: &AsciiSet = &NON_ALPHANUMERIC
     .remove(b'_')
     .remove(b'-')
     .remove(b'.')

@@ -14,7 +14,9 @@ use super::{Handler, Outcome};
 impl Handler<'_> {
     pub(super) fn machines(&self) -> Response {
         let machines = self.controller.machines();
-        let machines = machines.iter().map(summary);
+        let machines = machines
+            .iter()
+            .map(|info| summary(info).containing(inside(info).skip(1)));
         self.show(&Element::new("machines").containing(machines))
     }
 
@@ -48,18 +50,6 @@ impl Handler<'_> {
     pub(super) fn machine(&self, name: &str) -> Outcome {
         let info = self.controller.machine(name).map_err(Response::not_found)?;
         let (program, view) = (&info.program, &info.view);
-        let inside = program.machines().zip(&view.machines).enumerate();
-        let inside = inside.map(|(number, (name, state))| {
-            let place = state.state.and_then(|it| program.states(number).nth(it));
-            // Not called `state`, as is the attribute of the whole machine: JSON has one of a name.
-            let element = Element::new("machine")
-                .with("name", name)
-                .with("status", state.status.word())
-                .with("mode", state.mode.word())
-                .with("paused", state.is_paused.to_string())
-                .with("state", place.unwrap_or_default());
-            element.text(info.failure(number).unwrap_or_default())
-        });
         let members = program.members().iter().zip(&view.phases).zip(&view.nets);
         let members = members.map(|((member, phase), net)| {
             let net = net.map(|net| format!("/nets/{}/", takt_core::NetId(net)));
@@ -92,7 +82,7 @@ impl Handler<'_> {
             )
             .with("step", ms(info.cost.step))
             .with("components", ms(info.cost.components));
-        let element = summary(&info).containing(inside).containing(members);
+        let element = summary(&info).containing(inside(&info)).containing(members);
         let element = element
             .containing(variables)
             .containing([figures])
@@ -156,6 +146,23 @@ fn summary(info: &MachineInfo) -> Element {
         .with("status", info.status().word())
         .with("state", info.state())
         .with("error", info.failure(0).unwrap_or_default())
+}
+
+/// The states of the outermost machine and of those inside, in the order of the text.
+fn inside(info: &MachineInfo) -> impl Iterator<Item = Element> {
+    let program = &info.program;
+    let machines = program.machines().zip(&info.view.machines).enumerate();
+    machines.map(|(number, (name, state))| {
+        let place = state.state.and_then(|it| program.states(number).nth(it));
+        // Not called `state`, as is the attribute of the whole machine: JSON has one of a name.
+        let element = Element::new("machine")
+            .with("name", name)
+            .with("status", state.status.word())
+            .with("mode", state.mode.word())
+            .with("paused", state.is_paused.to_string())
+            .with("state", place.unwrap_or_default());
+        element.text(info.failure(number).unwrap_or_default())
+    })
 }
 
 fn graph(info: &MachineInfo, inside: Option<&str>) -> Outcome {

@@ -5,7 +5,7 @@ use std::fmt::{self, Write as _};
 use std::time::Duration;
 
 use takt_core::controller::{ClockInfo, FaultCounts, LimitedInfo, NetState, RuleState};
-use takt_core::device::driver::Severity;
+use takt_core::device::driver::{BusLoad, Severity};
 use takt_core::{Controller, Snapshot, Summary};
 
 use super::super::Response;
@@ -299,10 +299,16 @@ impl Handler<'_> {
                 out.sample(name, &labels, is);
             }
         }
+        self.write_buses(out);
         self.write_events(out);
         self.write_rejected(out);
         self.write_faults(out);
         self.write_last_stages(out);
+    }
+
+    /// Loads of buses; none as long as none is measured.
+    fn write_buses(&self, out: &mut Exposition) {
+        write_buses(&self.controller.bus_loads(), out);
     }
 
     /// Events of drivers and devices; none as long as there were none.
@@ -432,11 +438,59 @@ impl Handler<'_> {
     }
 }
 
+fn write_buses(loads: &[BusLoad], out: &mut Exposition) {
+    if loads.is_empty() {
+        return;
+    }
+    let name = "takt_bus_bits_per_second";
+    let help = "Bits of frames on a bus within the last second, stuff bits included.";
+    out.family(name, "gauge", help);
+    for load in loads {
+        out.sample(name, &[("bus", load.bus.as_str())], load.bits_per_s);
+    }
+    let known = || loads.iter().filter_map(|it| Some((&it.bus, it.load()?)));
+    if known().next().is_none() {
+        return;
+    }
+    let name = "takt_bus_load_ratio";
+    let help =
+        "Part of the last second in which frames were on a bus whose bit rate is known, 0 to 1.";
+    out.family(name, "gauge", help);
+    for (bus, load) in known() {
+        out.sample(name, &[("bus", bus.as_str())], load);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use takt_core::Nanos;
 
     use super::*;
+
+    #[test]
+    fn bus_load_without_bit_rate_has_bits_only() {
+        let load = |bus: &str, bit_rate| BusLoad {
+            bus: bus.to_owned(),
+            bit_rate,
+            bits_per_s: 125_000,
+            bits_per_s_max: 250_000,
+        };
+        let mut out = Exposition::default();
+        write_buses(&[], &mut out);
+        assert_eq!(out.0, "");
+        write_buses(&[load("vcan0", None)], &mut out);
+        assert!(
+            out.0
+                .contains("takt_bus_bits_per_second{bus=\"vcan0\"} 125000\n")
+        );
+        assert!(!out.0.contains("takt_bus_load_ratio"), "{}", out.0);
+        write_buses(&[load("can0", Some(500_000))], &mut out);
+        assert!(
+            out.0.contains("takt_bus_load_ratio{bus=\"can0\"} 0.25\n"),
+            "{}",
+            out.0
+        );
+    }
 
     #[test]
     fn histogram_sum_equals_sample_sum() {

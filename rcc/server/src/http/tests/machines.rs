@@ -76,6 +76,10 @@ fn machine_resources_load_show_command_and_end() {
     let started = post(&controller, "/machines/M/", "action=START");
     holds(&started, &["303 See Other", "Location: /machines/M/"]);
     until(&controller, "/machines/M/", r#"state="A""#);
+    holds(
+        &get(&controller, "/machines/?format=json"),
+        &[r#""machine":[{"#, r#""name":"inner""#],
+    );
     let command = form("c.clear(4); c.step := 2; raise go");
     holds(
         &post(&controller, "/machines/M/", &format!("command={command}")),
