@@ -130,6 +130,22 @@ fn scope_request_stands_random_input() {
 }
 
 #[test]
+fn live_message_stands_random_input() {
+    let mut words = split(
+        "{ } [ ] : , \"a\" 0 1 -1 4294967296 1e999 null true \"op\": \"subscribe\" \"unsubscribe\" \"getParameters\" \
+         \"setParameters\" \"subscriptions\": \"id\": \"channelId\": \"parameterNames\": \"parameters\": \"name\":",
+    );
+    let messages: [&[u8]; 4] = [
+        br#"{"op":"subscribe","subscriptions":[{"id":1,"channelId":2}]"#,
+        br#"{"op":"getParameters","parameterNames":["a"],"id":"x""#,
+        b"\x02\x01\0\0\0\x07\0\0\0\x04\0\0\0json",
+        b"\x02\x01\0\0\0\x07\0\0\0\xff\xff\xff\xff",
+    ];
+    words.extend(messages);
+    feed("live", takt_server::fuzz_live, &words, INPUTS);
+}
+
+#[test]
 fn fri_stands_random_input() {
     // Datagrams have fixed lengths and headers: with valid ones of each kind, the rest is decoded.
     fn target(bytes: &[u8]) {

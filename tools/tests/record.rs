@@ -11,7 +11,7 @@ use std::time::Duration;
 use takt_core::record::{Recorder, replay};
 use takt_core::{CellConfig, Controller};
 
-use common::Folder;
+use common::{Folder, Process, alone};
 
 fn takt(arguments: &[&str]) -> Output {
     let mut takt = Command::new(env!("CARGO_BIN_EXE_takt"));
@@ -150,5 +150,36 @@ fn record_plot_draws_chosen_values() {
     assert!(
         text(&output.stderr).contains("no value matches\nhint:"),
         "{output:?}"
+    );
+}
+
+#[test]
+fn stalled_controller_writes_flight_of_overruns() {
+    let _alone = alone();
+    let folder = Folder::new();
+    let stop = folder.file("stop.sock");
+    let config = format!(
+        "[controller]\nwebsocket = \"127.0.0.1:0\"\nstop_socket = \"{stop}\"\nflight_recorder = \"flights\"\n"
+    );
+    let config = folder.write("cell.toml", &config);
+    let mut process = Process::start(&["run", "--config", &config]);
+    process.wait_for("DirectIO at ws");
+    // Cycles that were missed before are no burst: they are counted from the first reading on.
+    std::thread::sleep(Duration::from_millis(500));
+    process.stall(Duration::from_millis(200));
+    process.wait_for("missed ");
+    let line = process.wait_for("-overruns.mcap is complete");
+    let name = line
+        .split_whitespace()
+        .find(|word| word.ends_with("-overruns.mcap"));
+    let output = takt(&["record", "info", name.unwrap(), "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(found["is_cut"], false);
+    let topics = found["topics"].as_array().unwrap();
+    let cycles = topics.iter().find(|topic| topic["name"] == "/takt/thread");
+    assert!(
+        cycles.unwrap()["messages"].as_u64().unwrap() > 500,
+        "{found}"
     );
 }

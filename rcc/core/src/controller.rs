@@ -69,7 +69,7 @@ pub use end::STOPPED_BY_RULE;
 pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};
 pub use faults::{DeviceFault, FaultCounts, StallCause, StallFigures};
 pub use figures::{NetFigures, ThreadInfo};
-pub use flight_recorder::{BURST, FlightInfo, FlightSettings};
+pub use flight_recorder::{BURST, FlightCounts, FlightInfo, FlightSettings};
 pub use holders::Holder;
 pub use last_values::LastValues;
 pub use limited::LimitedInfo;

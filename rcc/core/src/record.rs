@@ -6,6 +6,7 @@ pub(crate) mod flight;
 mod flight_log;
 mod fuzz;
 mod inspect;
+pub(crate) mod journal;
 mod live;
 mod notes;
 mod parts;
@@ -45,6 +46,7 @@ pub use flight_log::FlightLog;
 #[doc(hidden)]
 pub use fuzz::{files, fuzz};
 pub use inspect::{Contents, Topic, about, contents, recover};
+pub use journal::Journal;
 pub use live::LiveStream;
 pub use parts::{PART_BYTES_MIN, Rotation};
 pub use replay::{Replay, replay};
@@ -294,6 +296,8 @@ pub struct Recorder {
     seen_lost: (u64, Option<Instant>),
     thread: Option<std::thread::JoinHandle<Result<u64, Error>>>,
     path: PathBuf,
+    /// Unix time at the zero of the host's monotonic clock, ns.
+    epoch: u64,
 }
 
 impl Recorder {
@@ -328,6 +332,7 @@ impl Recorder {
         (writer, parts): (Writer<W>, Option<Parts<W>>),
         path: &Path,
     ) -> Result<(Self, Tap), Error> {
+        let epoch = writer.epoch();
         let (failed, failures) = mpsc::channel();
         let (free_in, free) = ring(BUFFERS);
         let (full, full_out) = ring(BUFFERS);
@@ -380,9 +385,15 @@ impl Recorder {
                 seen_lost: (0, None),
                 thread: Some(thread),
                 path,
+                epoch,
             },
             tap,
         ))
+    }
+
+    /// Unix time at the zero of the host's monotonic clock, ns: what the times of its messages refer to.
+    pub(crate) const fn epoch(&self) -> u64 {
+        self.epoch
     }
 
     /// Records a new device and its slots in the image.

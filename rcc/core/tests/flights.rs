@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use takt_core::controller::{FlightSettings, LoadRequest};
+use takt_core::controller::{FlightSettings, LoadRequest, MachineRequest};
 use takt_core::record::contents;
 use takt_core::{CellConfig, Controller, NetId, SessionId};
 
@@ -72,6 +72,18 @@ fn start(controller: &Controller, position: &str) -> NetId {
     id
 }
 
+/// A machine that changes its state after 20 ms.
+fn start_machine(controller: &Controller) {
+    let machine = MachineRequest {
+        text: "machine M { initial state A { entry { wait 20ms; } transition to B; }\
+               state B { transition if false to C; } final state C { } }"
+            .to_owned(),
+        ..MachineRequest::default()
+    };
+    let machine = controller.load_machine(&machine).unwrap();
+    controller.start_machine(&machine).unwrap();
+}
+
 fn wait(what: &str, mut done: impl FnMut() -> bool) {
     let until = Instant::now() + LONG;
     while !done() {
@@ -94,6 +106,7 @@ fn file(controller: &Controller) -> PathBuf {
 fn failed_net_writes_flight_file_with_everything() {
     let directory = folder("net");
     let controller = cell(&directory);
+    start_machine(&controller);
     // Far outside of what the arm can follow at once: rejected.
     let net = start(&controller, "1.0");
     wait("the net does not end", || {
@@ -115,6 +128,8 @@ fn failed_net_writes_flight_file_with_everything() {
         "/diagnostics",
         "/tf",
         "/rosout",
+        "/takt/net_events",
+        "/takt/machine_events",
         &values,
     ] {
         assert!(topics.contains(topic), "{topic} is missing in {topics:?}");
@@ -123,7 +138,7 @@ fn failed_net_writes_flight_file_with_everything() {
     let cycles = found.topics["/takt/thread"].messages;
     // The second after the fault, and what was before.
     assert!(
-        states >= 500 && states.abs_diff(cycles) <= 1,
+        states >= 500 && (states..states + 1000).contains(&cycles),
         "{states} {cycles}"
     );
     assert!(found.topics[&values].messages >= 50);
@@ -134,7 +149,27 @@ fn failed_net_writes_flight_file_with_everything() {
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let names = summary.attachment_indexes.iter().map(|it| it.name.clone());
     let names: Vec<_> = names.collect();
-    assert_eq!(names, ["cell.toml".to_owned(), format!("nets/{net}.net")]);
+    let texts = [
+        "cell.toml".to_owned(),
+        format!("nets/{net}.net"),
+        "machines/M.machine".to_owned(),
+    ];
+    assert_eq!(names, texts);
+    let happened = |topic: &str, word: &str| {
+        let mut messages = mcap::MessageStream::new(&bytes)
+            .unwrap()
+            .map(Result::unwrap);
+        let has = |data: &[u8]| data.windows(word.len()).any(|part| part == word.as_bytes());
+        messages.any(|message| message.channel.topic == topic && has(&message.data))
+    };
+    for (topic, word) in [
+        ("/takt/net_events", "started"),
+        ("/takt/net_events", "ended"),
+        ("/takt/machine_events", "added"),
+        ("/takt/machine_events", "B\0"),
+    ] {
+        assert!(happened(topic, word), "{topic}: {word}");
+    }
     // In the order of time, as viewers expect them.
     let messages = mcap::MessageStream::new(&bytes).unwrap();
     let times = messages.map(|message| message.unwrap().log_time);

@@ -13,11 +13,9 @@ use std::time::Duration;
 
 use common::{Cell, swing};
 use takt_core::Error;
+use takt_core::controller::{MachineRequest, RuleRequest};
 use takt_core::record::{LiveStream, Recorder, Sink, Stamp};
 use takt_tests::steady;
-
-/// Where the time of a message is.
-const STAMP: std::ops::Range<usize> = 4..12;
 
 /// Topics with their schemas, and messages by topic.
 #[derive(Debug, Default)]
@@ -74,16 +72,19 @@ fn recorded(path: &Path) -> Collected {
     found
 }
 
-/// Contents of messages without their time: a cycle is recorded with the time at which its thread woke up, and sent with that
-/// for which it was scheduled.
-fn without_times(messages: &[(u64, Vec<u8>)]) -> Vec<Vec<u8>> {
-    let cut = |(_, data): &(u64, Vec<u8>)| {
-        let mut data = data.clone();
-        data.drain(STAMP);
-        data
-    };
-    messages.iter().map(cut).collect()
-}
+/// A machine with one inside, without components.
+const MACHINE: &str = "machine Outer {
+      event go; event off;
+      initial state Idle { transition on go to Busy; }
+      state Busy { entry { activate Inner; start Inner; } transition on off to Done; }
+      final state Done { entry { stop Inner; deactivate Inner; } }
+      machine Inner {
+        event never;
+        initial state Low { entry { wait 40ms; } transition to High; }
+        state High { entry { wait 40ms; } transition on never to End; transition to Low; }
+        final state End { }
+      }
+    }";
 
 const VALUES: &str = "{clock=Core::Clock(),
     t=Core::DoubleNetcommOut(inValue=clock.outValue,Key='outt'),
@@ -119,13 +120,37 @@ fn live_stream_has_the_messages_of_recording() {
         stream.poll(&mut live, true).unwrap();
         let values = cell.load(VALUES);
         cell.controller.start_net(values).unwrap();
+        let machine = MachineRequest {
+            text: MACHINE.to_owned(),
+            ..MachineRequest::default()
+        };
+        let machine = cell.controller.load_machine(&machine).unwrap();
+        cell.controller.start_machine(&machine).unwrap();
         let net = cell.load(&swing("left", 30.0));
         cell.controller.start_net(net).unwrap();
         let enough = |of: &Collected| count(of, "/left/set_points") >= 500;
         assert_eq!(poll(&mut stream, &mut live, enough), 0, "no row is lost");
+        cell.controller
+            .command_machine(&machine, "raise go")
+            .unwrap();
+        poll(&mut stream, &mut live, |of| {
+            count(of, "/takt/machine_events") >= 6
+        });
+        let next = cell.load(VALUES);
+        let rule = RuleRequest {
+            condition: "t".to_owned(),
+            stop: vec![values],
+            start: vec![next],
+            ..RuleRequest::default()
+        };
+        cell.controller.schedule(rule).unwrap();
+        cell.wait_for_end(values);
+        cell.controller.cancel(next).unwrap();
+        cell.wait_for_end(next);
         cell.controller.abort(net).unwrap();
-        cell.controller.abort(values).unwrap();
-        let ended = |of: &Collected| count(of, "/takt/net_events") >= 4;
+        cell.controller.end_machine(&machine).unwrap();
+        // Started, by a rule, cancelled, and three ends.
+        let ended = |of: &Collected| count(of, "/takt/net_events") >= 7;
         poll(&mut stream, &mut live, ended);
         cell.controller.unload(values).unwrap();
         poll(&mut stream, &mut live, |of| of.closed > 0);
@@ -133,26 +158,54 @@ fn live_stream_has_the_messages_of_recording() {
         cell.controller.finish_recording().unwrap().unwrap();
 
         let file = recorded(&path);
-        let used = |topic: &&(String, _, _)| live.messages.contains_key(&topic.0);
-        for topic in live.topics.iter().filter(used) {
-            assert!(file.topics.contains(topic), "{topic:?}");
-        }
         let values = format!("/takt/nets/{values}");
-        for topic in [
-            "/left/joint_states",
-            "/right/joint_states",
-            "/left/set_points",
-            &values,
-        ] {
-            let [live, file] = [&live, &file].map(|of| without_times(&of.messages[topic]));
-            assert!(live.len() >= 400, "{topic}: {}", live.len());
-            let is_part = file.windows(live.len()).any(|part| part == live);
-            assert!(is_part, "{topic} differs from the recording");
-        }
-        for topic in ["/tf", "/diagnostics", "/takt/net_events"] {
-            assert!(count(&live, topic) > 0, "{topic}");
-        }
+        assert_part(&live, &file, &values);
     });
+}
+
+/// All live messages are in the file, one after the other in each topic, those of these values too.
+fn assert_part(live: &Collected, file: &Collected, values: &str) {
+    let used = |topic: &&(String, _, _)| live.messages.contains_key(&topic.0);
+    for topic in live.topics.iter().filter(used) {
+        assert!(file.topics.contains(topic), "{topic:?}");
+    }
+    let least = [
+        ("/left/joint_states", 400),
+        ("/right/joint_states", 400),
+        ("/left/set_points", 400),
+        (values, 400),
+        ("/takt/thread", 400),
+        ("/takt/net_events", 7),
+        ("/takt/machine_events", 7),
+        ("/tf", 10),
+        ("/diagnostics", 1),
+    ];
+    for (topic, least) in least {
+        // What a device is when the stream begins; a recording has it from its own begin.
+        let first = if topic == "/diagnostics" { 2 } else { 0 };
+        let (live, file) = (&live.messages[topic][first..], &file.messages[topic]);
+        assert!(live.len() >= least, "{topic}: {}", live.len());
+        let is_part = file.windows(live.len()).any(|part| part == live);
+        assert!(
+            is_part,
+            "{topic} differs from the recording: {}",
+            difference(live, file)
+        );
+    }
+}
+
+/// The first live message that the file lacks, for people.
+fn difference(live: &[(u64, Vec<u8>)], file: &[(u64, Vec<u8>)]) -> String {
+    let missing = live.iter().position(|message| !file.contains(message));
+    let Some(at) = missing else {
+        return "a message is missing between others".to_owned();
+    };
+    let (time, data) = &live[at];
+    let nearest = file.iter().min_by_key(|it| it.0.abs_diff(*time));
+    format!(
+        "message {at} of {}\n at {time}: {data:02x?}\nfile {nearest:02x?}",
+        live.len()
+    )
 }
 
 #[test]

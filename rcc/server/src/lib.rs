@@ -23,6 +23,8 @@ pub use http::fuzz as fuzz_http;
 #[doc(hidden)]
 pub use http::fuzz_head as fuzz_http_head;
 pub use live::LiveConfig;
+#[doc(hidden)]
+pub use live::fuzz as fuzz_live;
 pub use log::LogBook;
 pub use scope::SCOPES_MAX;
 #[doc(hidden)]

@@ -17,6 +17,8 @@ pub(crate) use actions::Actions;
 pub(crate) use drain::{Drain, Messages, Task};
 pub(crate) use hub::{Client, Hub};
 pub(crate) use udp::Datagrams;
+#[doc(hidden)]
+pub use wire::fuzz;
 
 /// What is sent to other tools.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

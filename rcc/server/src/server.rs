@@ -219,12 +219,13 @@ impl Server {
     fn start_live(
         &self,
         controller: &Controller,
+        counters: &Arc<Counters>,
     ) -> Result<(Option<Actions>, Option<Drain>), Error> {
         let config = &self.live_config;
         let every = config.every.max(1);
         let mut tasks: Vec<Box<dyn Task>> = Vec::new();
         let actions = self.live.is_some().then(|| {
-            let hub = Arc::new(Hub::default());
+            let hub = Arc::new(Hub::new(Arc::clone(counters)));
             let log = self.log.clone();
             tasks.push(Box::new(Messages::new(
                 controller,
@@ -238,8 +239,8 @@ impl Server {
             tasks.push(Box::new(Datagrams::new(
                 controller.clone(),
                 to,
-                &config.probes,
-                every,
+                (&config.probes, every),
+                Arc::clone(counters),
             )?));
         }
         let drain = (!tasks.is_empty())
@@ -254,7 +255,9 @@ impl Server {
         let streams = Arc::new(Semaphore::new(DEBUG_STREAMS_MAX));
         let scopes = Arc::new(Semaphore::new(SCOPES_MAX));
         let evaluations = Arc::new(Semaphore::new(EVALUATIONS_MAX));
-        let live = self.start_live(&controller).unwrap_or_else(|error| {
+        let counters = Arc::default();
+        let live = self.start_live(&controller, &counters);
+        let live = live.unwrap_or_else(|error| {
             tracing::error!("no live data: {error}");
             (None, None)
         });
@@ -268,6 +271,7 @@ impl Server {
             origins: Arc::new(self.origins),
             on_loss: self.on_loss,
             program: self.program,
+            counters,
             ..Site::new(controller, self.gate, self.log).with_stop(self.stop)
         };
         let (shutdown_sender, shutdown_receiver) = watch::channel(false);

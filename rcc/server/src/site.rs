@@ -99,6 +99,7 @@ impl Site {
             ("connections without a slot", &limits.slots),
             ("failed connections", &limits.failures),
             ("rejected clients", &limits.denials),
+            ("scopes that lose samples", &limits.scopes),
         ] {
             if let Some(more) = limit.flush(self.now()) {
                 tracing::warn!("{more} lines about {subject} suppressed");
@@ -116,6 +117,8 @@ pub(crate) struct Limits {
     pub(crate) failures: LineLimit,
     /// Tokens, hosts, origins and first lines that are rejected.
     pub(crate) denials: LineLimit,
+    /// Clients of the scope that lose samples.
+    pub(crate) scopes: LineLimit,
 }
 
 /// Counters of one server.
@@ -135,6 +138,16 @@ pub(crate) struct Counters {
     pub(crate) sent: AtomicU64,
     /// Tokens that were missing, wrong or sent too often; pages, hosts and first lines that were rejected.
     pub(crate) denied: AtomicU64,
+    /// Messages that slow clients of live data lost.
+    pub(crate) live_dropped: AtomicU64,
+    /// Rows that were overwritten before they were read for live data.
+    pub(crate) live_lost: AtomicU64,
+    /// Datagrams of samples that could not be sent.
+    pub(crate) datagrams_failed: AtomicU64,
+    /// Samples that are missing in datagrams.
+    pub(crate) datagrams_lost: AtomicU64,
+    /// Samples that clients of the scope lost.
+    pub(crate) scope_lost: AtomicU64,
 }
 
 impl Counters {

@@ -3,7 +3,9 @@
 //! the name of the file, the thread writes it. Files are bounded in number and bytes, the oldest are deleted first.
 
 use std::collections::BTreeMap;
+use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -105,9 +107,46 @@ struct State {
     is_stopped: bool,
 }
 
+/// Level of a line of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Level {
+    Info,
+    Error,
+}
+
+/// What became of triggers since the start of the controller.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FlightCounts {
+    /// Files that were written.
+    pub written: u64,
+    /// Files that could not be written.
+    pub failed: u64,
+    /// Triggers without a file, because there were too many within a short time.
+    pub limited: u64,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    written: AtomicU64,
+    failed: AtomicU64,
+    limited: AtomicU64,
+}
+
+/// Deletes a file that could not be written, unless it holds something that can be read: empty files would push out those
+/// of earlier faults.
+fn discard_unreadable(path: &Path) {
+    let found = crate::record::contents(path);
+    let holds_any = found.is_ok_and(|it| it.topics.values().any(|topic| topic.messages > 0));
+    if !holds_any {
+        // What cannot be deleted either is on a disk that reports it with the next file.
+        let _ = std::fs::remove_file(path);
+    }
+}
+
 #[derive(Debug)]
 struct Inner {
     settings: FlightSettings,
+    counts: Counts,
     state: Mutex<State>,
     changed: Condvar,
     log: FlightLog,
@@ -131,6 +170,7 @@ impl FlightRecorder {
         })?;
         Ok(Self(Arc::new(Inner {
             settings,
+            counts: Counts::default(),
             state: Mutex::new(State {
                 current: None,
                 faults: Credit::new(6, Duration::from_secs(600)),
@@ -171,6 +211,7 @@ impl FlightRecorder {
             Trigger::Request => None,
         };
         if let Some(Err(wait)) = credit.map(|credit| credit.take(now)) {
+            self.0.counts.limited.fetch_add(1, Ordering::Relaxed);
             return Answer::Limited(wait);
         }
         let unix = SystemTime::now().duration_since(UNIX_EPOCH);
@@ -223,7 +264,25 @@ impl FlightRecorder {
         &self,
         sources: impl Fn() -> Sources,
         texts: impl Fn(&Sources) -> Vec<(String, Arc<str>)>,
+        poll: impl FnMut(),
+    ) {
+        let report = |level: Level, text: &str| match level {
+            Level::Error => tracing::error!("{text}"),
+            Level::Info => tracing::info!("{text}"),
+        };
+        self.run_on(FlightFile::create, (sources, texts), poll, report);
+    }
+
+    /// The same with files that `open` creates, and lines of the log to `report`.
+    fn run_on<W: Write + Seek>(
+        &self,
+        open: impl Fn(&Path, &Sources, i64, u64) -> Result<FlightFile<W>, Error>,
+        (sources, texts): (
+            impl Fn() -> Sources,
+            impl Fn(&Sources) -> Vec<(String, Arc<str>)>,
+        ),
         mut poll: impl FnMut(),
+        mut report: impl FnMut(Level, &str),
     ) {
         // A full disk is reported once, until a file can be written again.
         let mut has_failed = false;
@@ -236,28 +295,69 @@ impl FlightRecorder {
                 continue;
             };
             let sources = sources();
-            let result = self.write(&capture, &sources, &texts);
+            let result = self.write(&open, &capture, (&sources, &texts));
+            if result.is_err() {
+                discard_unreadable(&capture.path);
+            }
             self.state().current = None;
             let path = capture.path.display();
             match result {
                 Ok((bytes, lost)) => {
                     has_failed = false;
                     let kib = bytes / 1024;
-                    tracing::info!(kib, lost, "flight recorder: {path} is complete");
+                    let loss = match lost {
+                        0 => String::new(),
+                        _ => format!(
+                            "; {lost} rows are missing: the disk was too slow, or this host stalled"
+                        ),
+                    };
+                    let text = format!("flight recorder: {path} is complete, {kib} KiB{loss}");
+                    report(Level::Info, &text);
                 }
-                Err(error) if !std::mem::replace(&mut has_failed, true) => tracing::error!(
-                    "flight recorder: {error}\nflight files that follow are not reported until one is written again"
-                ),
+                Err(error) if !std::mem::replace(&mut has_failed, true) => {
+                    let text = format!(
+                        "flight recorder: {error}\nflight files that follow are not reported until one is written again"
+                    );
+                    report(Level::Error, &text);
+                }
                 Err(_) => {}
             }
+            self.count(has_failed);
         }
     }
 
-    fn write(
+    /// Counts a file for `/metrics`.
+    fn count(&self, has_failed: bool) {
+        let counts = &self.0.counts;
+        let which = if has_failed {
+            &counts.failed
+        } else {
+            &counts.written
+        };
+        which.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Files written, files that could not be written, and triggers without a file.
+    pub(super) fn counts(&self) -> FlightCounts {
+        let Counts {
+            written,
+            failed,
+            limited,
+        } = &self.0.counts;
+        let [written, failed, limited] =
+            [written, failed, limited].map(|it| it.load(Ordering::Relaxed));
+        FlightCounts {
+            written,
+            failed,
+            limited,
+        }
+    }
+
+    fn write<W: Write + Seek>(
         &self,
+        open: &impl Fn(&Path, &Sources, i64, u64) -> Result<FlightFile<W>, Error>,
         capture: &Capture,
-        sources: &Sources,
-        texts: &impl Fn(&Sources) -> Vec<(String, Arc<str>)>,
+        (sources, texts): (&Sources, &impl Fn(&Sources) -> Vec<(String, Arc<str>)>),
     ) -> Result<(u64, u64), Error> {
         let settings = &self.0.settings;
         // What is written now: messages and texts.
@@ -275,7 +375,7 @@ impl FlightRecorder {
         }
         let ns = |time: Duration| i64::try_from(time.as_nanos()).unwrap_or(i64::MAX);
         let (since, until) = (capture.at - ns(BEFORE), capture.at + ns(AFTER));
-        let mut file = FlightFile::create(&capture.path, sources, since, file_max)?;
+        let mut file = open(&capture.path, sources, since, file_max)?;
         let mut is_whole;
         loop {
             let is_stopped = self.is_stopped();

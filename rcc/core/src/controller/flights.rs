@@ -6,10 +6,11 @@ use std::time::Duration;
 
 use crate::controller::Controller;
 use crate::controller::flight_recorder::{
-    Answer, Bursts, FlightInfo, FlightRecorder, FlightSettings, Trigger,
+    Answer, Bursts, FlightCounts, FlightInfo, FlightRecorder, FlightSettings, Trigger,
 };
 use crate::controller::registry::Registry;
 use crate::error::Error;
+use crate::executor::thread::NetThread;
 use crate::ids::NetId;
 use crate::record::FlightLog;
 use crate::record::flight::{FlightDevice, FlightNet, Sources};
@@ -95,13 +96,20 @@ impl Controller {
         flights.map_or_else(Vec::new, |flights| flights.files())
     }
 
+    /// What became of the triggers of the flight recorder; `None` if there is none.
+    #[must_use]
+    pub fn flight_counts(&self) -> Option<FlightCounts> {
+        let flights = self.inner.lock().flights.clone();
+        Some(flights?.counts())
+    }
+
     /// Bytes of memory in which the flight recorder keeps the last seconds.
     #[must_use]
     pub fn flight_memory(&self) -> usize {
         let registry = self.inner.lock();
         let devices = registry.devices.table.all();
         let devices = devices.filter_map(|(_, device)| Some(device.flight.get()?.bytes()));
-        let nets = registry.threads.iter().map(|thread| thread.flight.bytes());
+        let nets = registry.threads.iter().map(|thread| thread.rings().bytes());
         devices.chain(nets).sum()
     }
 }
@@ -123,13 +131,13 @@ impl Registry {
             .map(|(number, device)| FlightDevice {
                 number,
                 device: Arc::clone(device),
-                thread: self.threads.serving_thread(&device.name),
             });
-        let threads = self.threads.iter();
+        let machines = self.machines.that_ran();
         Sources {
             devices: devices.collect(),
-            threads: threads
-                .map(|thread| (thread.period, thread.flight.clone()))
+            threads: self.threads.iter().map(NetThread::rings).collect(),
+            machines: machines
+                .map(|(id, program, _)| (id, Arc::clone(program)))
                 .collect(),
             nets: self.nets.that_ran(),
             frames: self.devices.frames.clone(),

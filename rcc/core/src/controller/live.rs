@@ -2,10 +2,14 @@
 
 use std::sync::Arc;
 
+use takt_machine::Program;
+
 use crate::controller::Controller;
 use crate::controller::nets::LiveNet;
 use crate::device::Device;
-use crate::executor::flight::FlightReader;
+use crate::executor::thread::NetThread;
+use crate::record::Recorder;
+use crate::record::flight::ThreadRings;
 
 impl Controller {
     /// The devices by number, with the number of the thread that serves each.
@@ -25,13 +29,23 @@ impl Controller {
         registry.nets.iter().map(|(id, net)| net.live(id)).collect()
     }
 
-    /// The rings of out values, by thread.
-    pub(crate) fn live_values(&self) -> Vec<FlightReader> {
+    /// The rings of net threads.
+    pub(crate) fn live_threads(&self) -> Vec<ThreadRings> {
         let registry = self.inner.lock();
-        registry
-            .threads
-            .iter()
-            .map(|it| it.flight.clone())
+        registry.threads.iter().map(NetThread::rings).collect()
+    }
+
+    /// The machines by number.
+    pub(crate) fn live_machines(&self) -> Vec<(u32, Arc<Program>)> {
+        let registry = self.inner.lock();
+        let machines = registry.machines.that_ran();
+        machines
+            .map(|(id, program, _)| (id, Arc::clone(program)))
             .collect()
+    }
+
+    /// The Unix time to which a recording refers its messages, if there is one.
+    pub(crate) fn recording_epoch(&self) -> Option<u64> {
+        self.inner.lock().recorder.as_ref().map(Recorder::epoch)
     }
 }

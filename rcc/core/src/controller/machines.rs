@@ -16,9 +16,15 @@ use takt_machine::{Configuration, Program};
 use takt_rt::latest::LatestReader;
 
 use crate::error::Error;
+use crate::executor::flight::{AFTER, BEFORE};
 use crate::executor::machines::{InputError, MachineView};
 use crate::executor::{ResourceSet, StartError};
 use crate::ids::{NetId, SessionId};
+
+/// Maximum number of unloaded machines that are kept for flight files.
+const PAST_MAX: usize = 16;
+/// How long they are kept.
+const PAST_FOR: Duration = Duration::from_secs(BEFORE.as_secs() + AFTER.as_secs() + 1);
 
 /// A machine to be loaded.
 #[derive(Clone, Debug, Default)]
@@ -150,6 +156,8 @@ enum Job {
 pub(super) struct Machines {
     all: BTreeMap<u32, Loaded>,
     last: u32,
+    /// Machines that were unloaded within the time of a flight file, with when.
+    past: VecDeque<(Instant, u32, Arc<Program>, Arc<str>)>,
     jobs: VecDeque<Job>,
     /// The machine for which a net is being loaded.
     loading: Option<u32>,
@@ -159,15 +167,35 @@ pub(super) struct Machines {
 }
 
 impl Machines {
-    /// Their texts, by file name.
+    /// Those that are loaded or were within the time of a flight file: number, program, text.
+    pub(super) fn that_ran(&self) -> impl Iterator<Item = (u32, &Arc<Program>, &Arc<str>)> {
+        let all = self.all.iter();
+        let all = all.map(|(id, loaded)| (*id, &loaded.program, &loaded.text));
+        let past = self.past.iter();
+        past.map(|(_, id, program, text)| (*id, program, text))
+            .chain(all)
+    }
+
+    /// Their texts, by file name: of several of one name the last.
     pub(super) fn texts(&self) -> impl Iterator<Item = (String, Arc<str>)> {
-        let all = self.all.values();
-        all.map(|it| {
-            (
-                format!("machines/{}.machine", it.program.name()),
-                Arc::clone(&it.text),
-            )
-        })
+        let texts = self.that_ran().map(|(_, program, text)| {
+            let name = format!("machines/{}.machine", program.name());
+            (name, Arc::clone(text))
+        });
+        texts.collect::<BTreeMap<_, _>>().into_iter()
+    }
+
+    /// Removes a machine, and keeps what a flight file needs of it for a while.
+    fn remove(&mut self, id: u32) -> Option<Loaded> {
+        let loaded = self.all.remove(&id)?;
+        let kept = |at: &Instant| at.elapsed() <= PAST_FOR;
+        self.past.retain(|(at, ..)| kept(at));
+        if self.past.len() >= PAST_MAX {
+            self.past.pop_front();
+        }
+        let (program, text) = (Arc::clone(&loaded.program), Arc::clone(&loaded.text));
+        self.past.push_back((Instant::now(), id, program, text));
+        Some(loaded)
     }
 
     fn find(&self, name: &str) -> Result<(u32, &Loaded), Error> {

@@ -8,7 +8,7 @@ mod since;
 use std::time::Duration;
 
 use takt_net::ports::NULL;
-use takt_net::{Image, Moment};
+use takt_net::{Image, Moment, Nanos};
 use takt_rt::cycle::Tick;
 
 use super::{DeviceView, Running};
@@ -29,9 +29,9 @@ const WORDS_MAX: usize = 1 << 22;
 const NET_ROWS: usize = 1 << 17;
 /// Words of out values in one row of it; longer out-boxes take several rows.
 pub(crate) const NET_WORDS: usize = 6;
-/// Words of a device's row before those of its joints: cycle, begin of the cycle, status, number of faults, and when its driver
-/// measured.
-pub(crate) const HEAD: usize = 5;
+/// Words of a device's row before those of its joints: cycle, begin of the cycle, status, number of faults, when its driver
+/// measured, and when the thread woke.
+pub(crate) const HEAD: usize = 6;
 /// Words of a thread's row: cycle, begin of the cycle, latency of the wake-up, execution time, phase error, missed cycles, and the
 /// states of its machines.
 const THREAD_WORDS: usize = 6 + MACHINES_MAX;
@@ -43,8 +43,16 @@ pub(crate) const MACHINES_AT: usize = 6;
 pub(crate) const JOINT_WORDS: usize = 5;
 /// The word of a device's row that is the begin of its cycle, ns.
 pub(crate) const DEVICE_BEGIN: usize = 1;
+/// The word of a device's row that is when the thread woke for its cycle, ns: the time of its messages.
+pub(crate) const DEVICE_WOKEN: usize = 5;
 /// The word of a row of out values that is the begin of its cycle, ns.
 pub(crate) const NET_BEGIN: usize = 0;
+/// Words of a row of out values before these: begin of the cycle, net and part, and when the thread woke.
+pub(crate) const NET_HEAD: usize = 3;
+/// The word of a row of out values that is when the thread woke for its cycle, ns.
+pub(crate) const NET_WOKEN: usize = 2;
+/// The word of a thread's row that is the begin of its cycle, ns.
+pub(crate) const THREAD_BEGIN: usize = 1;
 
 /// The ring of a device for the last seconds of a thread with that period.
 #[must_use]
@@ -66,7 +74,7 @@ pub fn of_thread(period: Duration) -> (FlightWriter, FlightReader) {
 /// The ring for out values of all nets of a thread.
 #[must_use]
 pub fn of_nets() -> (FlightWriter, FlightReader) {
-    ring(NET_WORDS + 2, NET_ROWS)
+    ring(NET_WORDS + NET_HEAD, NET_ROWS)
 }
 
 impl FlightWriter {
@@ -81,7 +89,8 @@ impl FlightWriter {
         let begin = begin.0.cast_unsigned();
         let status = view.status as u64;
         let stamp = stamp.0.cast_unsigned();
-        let head = [moment.cycle, begin, status, view.faults, stamp];
+        let woken = moment.wall.0.cast_unsigned();
+        let head = [moment.cycle, begin, status, view.faults, stamp, woken];
         let joints = image
             .joints
             .iter()
@@ -126,8 +135,8 @@ impl FlightWriter {
         self.write(head.into_iter().chain(machines));
     }
 
-    /// Writes the out values of a net, which changed in the cycle that began then.
-    pub(super) fn write_net(&mut self, net: &Running, begin: takt_rt::Nanos) {
+    /// Writes the out values of a net, which changed in the cycle that began then and for which the thread woke then.
+    pub(super) fn write_net(&mut self, net: &Running, begin: takt_rt::Nanos, woken: Nanos) {
         let mut words = net.plan.outbox_words();
         for part in 0.. {
             let mut row = [0; NET_WORDS];
@@ -139,7 +148,8 @@ impl FlightWriter {
             if given == 0 {
                 break;
             }
-            let head = [begin.0.cast_unsigned(), (u64::from(net.id) << 32) | part];
+            let source = (u64::from(net.id) << 32) | part;
+            let head = [begin.0.cast_unsigned(), source, woken.0.cast_unsigned()];
             self.write(head.into_iter().chain(row));
         }
     }
@@ -151,7 +161,7 @@ impl FlightReader {
     pub fn rows_of_net(&self, net: u32, words: usize, since: i64) -> Vec<(i64, Vec<u64>)> {
         let mut found: Vec<(i64, Vec<u64>)> = Vec::new();
         for row in self.rows_since(since, NET_BEGIN) {
-            let [begin, source, ref values @ ..] = row[..] else {
+            let [begin, source, _, ref values @ ..] = row[..] else {
                 continue;
             };
             if source >> 32 != u64::from(net) {
@@ -185,7 +195,7 @@ mod tests {
         let mut net = crate::executor::tests::net(7, text);
         net.plan.evaluate(&Image::default(), Moment::default());
         let words = net.plan.outbox().words();
-        writer.write_net(&net, takt_rt::Nanos(5));
+        writer.write_net(&net, takt_rt::Nanos(5), Nanos(6));
         let rows = reader.rows_of_net(7, words, 0);
         assert_eq!(rows.len(), 1);
         assert_eq!((rows[0].0, rows[0].1.len()), (5, words));

@@ -157,7 +157,7 @@ impl Executor {
         &mut self,
         moment: Moment,
         clock: &mut impl FnMut() -> Nanos,
-        mut stepped: impl FnMut(&Hosted),
+        mut stepped: impl FnMut(&mut Hosted),
     ) {
         for at in 0..self.machines.len() {
             let before = clock();
@@ -175,7 +175,7 @@ impl Executor {
                 hosted.view.stepped(outcome, took);
             }
             self.publish_machine(at);
-            if let Some(hosted) = self.machines.get(at) {
+            if let Some(hosted) = self.machines.get_mut(at) {
                 stepped(hosted);
             }
         }

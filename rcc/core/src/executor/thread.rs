@@ -24,7 +24,8 @@ use crate::executor::rules::{Literal, Rule, RuleError, WORK_MAX};
 use crate::executor::serve::{DeviceEnd, Served};
 use crate::executor::stop::StopPart;
 use crate::executor::{Effect, End, Executor, Running, StartError};
-use crate::record::Tap;
+use crate::record::flight::ThreadRings;
+use crate::record::{Journal, Tap};
 use slot::Slot;
 
 /// Commands of the controller to the thread.
@@ -186,6 +187,8 @@ pub struct NetThread {
     pub flight: FlightReader,
     /// Timing of its last cycles, and the states of its machines.
     pub timing: FlightReader,
+    /// What happened to its nets and machines last.
+    pub happened: FlightReader,
     /// Its name at the system, such as `takt-nets`.
     pub name: String,
     /// The instant to which the times of its cycles refer.
@@ -214,12 +217,13 @@ impl NetThread {
         let stop = Arc::new(AtomicBool::new(false));
         let (flight, flight_reader) = flight::of_nets();
         let (timing, timing_reader) = flight::of_thread(config.period);
+        let (journal, event_reader) = Journal::new(tap);
         let mut cycle = Box::new(Cycle {
             executor: Executor::within(budget(config.period).into()),
             served: Served::new(config.period.into(), hand_over).under(config.stop),
             commands: command_end,
             events: Reports::new(event_end, config.notifier),
-            tap,
+            journal,
             flight,
             timing,
             clock: takt_rt::monotonic,
@@ -248,11 +252,23 @@ impl NetThread {
             period,
             flight: flight_reader,
             timing: timing_reader,
+            happened: event_reader,
             name,
             base,
             thread,
             stop,
         })
+    }
+
+    /// The rings that it writes.
+    #[must_use]
+    pub(crate) fn rings(&self) -> ThreadRings {
+        ThreadRings {
+            period: self.period,
+            values: self.flight.clone(),
+            timing: self.timing.clone(),
+            happened: self.happened.clone(),
+        }
     }
 
     /// Settings that the host granted to the thread.
@@ -306,7 +322,7 @@ struct Cycle {
     served: Served,
     commands: Consumer<Command>,
     events: Reports,
-    tap: Option<Tap>,
+    journal: Journal,
     flight: FlightWriter,
     timing: FlightWriter,
     clock: fn() -> takt_rt::Nanos,
@@ -315,40 +331,34 @@ struct Cycle {
 impl Cycle {
     fn run(&mut self, slot: &Slot) {
         let moment = slot.moment;
+        self.journal.begin(moment);
         self.served.poll(slot.begin);
         self.served.read(&mut self.executor);
         let halted = self.halt();
         self.handle_commands();
         for net in self.executor.running() {
-            let received = net.receive();
-            if let (true, Some(tap)) = (received, &mut self.tap) {
-                tap.inbox(net);
+            if net.receive() {
+                self.journal.inbox(net);
             }
         }
         if self.executor.fire_decided() {
             self.report_effects();
         }
-        let tap = &mut self.tap;
+        let journal = &mut self.journal;
         self.executor.announce_takeovers(|id, waits| {
-            if let Some(tap) = tap {
-                tap.takeover(id, waits);
-            }
+            journal.takeover(id, waits);
         });
-        if let Some(tap) = &mut self.tap {
-            tap.inputs(moment, &self.executor);
-        }
+        self.journal.inputs(moment, &self.executor);
         self.executor.cycle_timed(moment, self.clock);
         self.served.write(&mut self.executor, moment, slot.begin);
         self.served.stop().answer(halted, self.clock);
-        let (tap, flight, events) = (&mut self.tap, &mut self.flight, &mut self.events);
+        let (journal, flight, events) = (&mut self.journal, &mut self.flight, &mut self.events);
         self.executor.publish(|net| {
             if net.plan.take_results_changed() {
                 events.note_results();
             }
-            flight.write_net(net, slot.begin);
-            if let Some(tap) = tap {
-                tap.outbox(net);
-            }
+            flight.write_net(net, slot.begin, moment.wall);
+            journal.outbox(net);
         });
         self.step_machines(moment);
         self.executor.fire_rules();
@@ -356,9 +366,7 @@ impl Cycle {
         if !self.executor.running().is_empty() && (self.clock)() >= slot.end {
             self.executor.overran();
         }
-        if let Some(tap) = &mut self.tap {
-            tap.outputs(moment, &self.executor);
-        }
+        self.journal.outputs(moment, &self.executor);
         // Before the end of a net is reported, and after its successors are known.
         if self.executor.withdraw() {
             self.served.retract(&self.executor);
@@ -366,9 +374,7 @@ impl Cycle {
         self.hand_back();
         self.report_rules();
         self.report_machines();
-        if let Some(tap) = &mut self.tap {
-            tap.finish();
-        }
+        self.journal.finish();
         // Last of all: nothing of the cycle waits for it.
         self.events.flush();
     }
@@ -383,12 +389,10 @@ impl Cycle {
     fn halt(&mut self) -> u32 {
         let mut count = 0;
         if self.served.stop().ends_nets() {
-            let tap = &mut self.tap;
+            let journal = &mut self.journal;
             self.executor.halt(|id| {
                 count += 1;
-                if let Some(tap) = tap {
-                    tap.aborted(id);
-                }
+                journal.aborted(id);
             });
         }
         count
@@ -418,17 +422,13 @@ impl Cycle {
             }
             Command::Cancel(id) => {
                 if self.executor.cancel(id) {
-                    if let Some(tap) = &mut self.tap {
-                        tap.cancelled(id);
-                    }
+                    self.journal.cancelled(id);
                     self.report(Event::Cancelling(id));
                 }
             }
             Command::Abort(id) => {
-                if self.executor.abort(id)
-                    && let Some(tap) = &mut self.tap
-                {
-                    tap.aborted(id);
+                if self.executor.abort(id) {
+                    self.journal.aborted(id);
                 }
             }
             rule @ (Command::Schedule(_)
@@ -457,9 +457,7 @@ impl Cycle {
         }
         match self.executor.start(net) {
             Ok(()) => {
-                if let Some(tap) = &mut self.tap {
-                    tap.started(id);
-                }
+                self.journal.started(id);
                 self.report(Event::Started(id));
             }
             Err((net, error)) => self.report(Event::StartRejected(net, error)),
@@ -511,17 +509,15 @@ impl Cycle {
         let Self {
             executor,
             events,
-            tap,
+            journal,
             ..
         } = self;
         executor.effects(|id, effect| {
-            if let Some(tap) = tap {
-                match effect {
-                    Effect::RanAway => tap.ran_away(id),
-                    Effect::Stopped => tap.stopped(id),
-                    Effect::Cancelled => tap.cancelled(id),
-                    Effect::Started => tap.succeeded(id),
-                }
+            match effect {
+                Effect::RanAway => journal.ran_away(id),
+                Effect::Stopped => journal.stopped(id),
+                Effect::Cancelled => journal.cancelled(id),
+                Effect::Started => journal.succeeded(id),
             }
             if effect == Effect::Cancelled {
                 let pushed = events.push(Event::Cancelling(id));
@@ -557,7 +553,7 @@ impl Cycle {
         let Self {
             executor,
             events,
-            tap,
+            journal,
             ..
         } = self;
         while executor.take_ended(|mut net, end| {
@@ -568,9 +564,7 @@ impl Cycle {
             }
             match events.push(Event::Ended(net, end)) {
                 Ok(()) => {
-                    if let Some(tap) = tap {
-                        tap.ended(id, end);
-                    }
+                    journal.ended(id, end);
                     Ok(())
                 }
                 Err(Event::Ended(net, _)) => Err(net),

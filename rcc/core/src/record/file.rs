@@ -229,6 +229,11 @@ impl<W: Write + Seek> Writer<W> {
         })
     }
 
+    /// Unix time at the zero of the host's monotonic clock, ns.
+    pub(super) const fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
     /// Unix time of a reading of the host's monotonic clock.
     pub(super) fn stamp(&self, time: takt_rt::Nanos) -> Stamp {
         Stamp(self.epoch.saturating_add(since_boot(time)))
@@ -361,7 +366,7 @@ impl<W: Write + Seek> Writer<W> {
     pub(super) fn cycle(&mut self, words: &[u64]) -> Result<(), Error> {
         let [cycles, ..] = self.channels;
         self.written += 1;
-        let at = start(words).map_or_else(monotonic, |time| takt_rt::Nanos(time.0));
+        let at = start(words).map_or_else(monotonic, |moment| takt_rt::Nanos(moment.wall.0));
         let at = self.stamp(at);
         let mut cdr = std::mem::take(&mut self.cdr);
         let bytes = cdr.begin().words(words).bytes();
@@ -408,7 +413,8 @@ fn ended(words: &[u64], in_use: &mut InUse) {
             | Entry::Inputs(_)
             | Entry::Outbox(..)
             | Entry::Outputs(_)
-            | Entry::Stepped(..) => {}
+            | Entry::Stepped(..)
+            | Entry::Changed(..) => {}
         }
     }
 }

@@ -8,16 +8,19 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use takt_machine::Program;
 use takt_net::netcomm::Directory;
 use takt_rt::Nanos;
 
 use crate::cell::CellFrames;
 use crate::device::Device;
 use crate::error::Error;
-use crate::executor::flight::{DEVICE_BEGIN, FlightReader, NET_BEGIN};
+use crate::executor::flight::{DEVICE_WOKEN, FlightReader, NET_WOKEN, THREAD_BEGIN};
 use crate::record::file::Writer;
 use crate::record::flight_log::FlightLog;
+use crate::record::journal::{EVENT_WOKEN, EventRow, is_after};
 use crate::record::ros2::{FlightRow, ShownDevice};
+use crate::record::words::Entry;
 
 /// Rows that are read from a ring at once.
 const ROWS_AT_ONCE: usize = 128;
@@ -27,8 +30,6 @@ const ROWS_AT_ONCE: usize = 128;
 pub(crate) struct FlightDevice {
     pub(crate) number: usize,
     pub(crate) device: Arc<Device>,
-    /// Number of the net thread that serves it.
-    pub(crate) thread: usize,
 }
 
 /// A net that ran within the time of a flight file.
@@ -39,12 +40,33 @@ pub(crate) struct FlightNet {
     pub(crate) directory: Arc<Directory>,
 }
 
+/// The rings of a net thread.
+#[derive(Clone, Debug)]
+pub(crate) struct ThreadRings {
+    pub(crate) period: Duration,
+    /// Out values of its nets.
+    pub(crate) values: FlightReader,
+    /// Timing of its cycles.
+    pub(crate) timing: FlightReader,
+    /// What happened to its nets and machines.
+    pub(crate) happened: FlightReader,
+}
+
+impl ThreadRings {
+    /// Bytes of them together.
+    pub(crate) fn bytes(&self) -> usize {
+        self.values.bytes() + self.timing.bytes() + self.happened.bytes()
+    }
+}
+
 /// What a flight file is written from.
 #[derive(Debug)]
 pub(crate) struct Sources {
     pub(crate) devices: Vec<FlightDevice>,
-    /// By net thread, its period and the ring of its nets.
-    pub(crate) threads: Vec<(Duration, FlightReader)>,
+    /// By net thread.
+    pub(crate) threads: Vec<ThreadRings>,
+    /// Machines by number.
+    pub(crate) machines: Vec<(u32, Arc<Program>)>,
     pub(crate) nets: Vec<FlightNet>,
     pub(crate) frames: CellFrames,
     pub(crate) log: FlightLog,
@@ -53,14 +75,40 @@ pub(crate) struct Sources {
 /// What the rows of a ring are.
 #[derive(Debug)]
 enum Rows {
-    /// Of a device with so many joints; the thread whose cycles it shows.
-    Device {
-        number: usize,
-        joints: usize,
-        thread: Option<usize>,
-    },
+    /// Of a device with so many joints.
+    Device { number: usize, joints: usize },
     /// Out values of the nets of a thread.
     Nets,
+    /// Cycles of a thread.
+    Thread(usize),
+    /// What happened to the nets and machines of a thread.
+    Events,
+}
+
+impl Rows {
+    /// The word by which the first row is found.
+    const fn key(&self) -> usize {
+        match self {
+            Self::Device { .. } => DEVICE_WOKEN,
+            Self::Nets => NET_WOKEN,
+            Self::Thread(_) => THREAD_BEGIN,
+            Self::Events => EVENT_WOKEN,
+        }
+    }
+
+    /// When the thread woke for the cycle of a row, ns, and where in its cycle the row is.
+    fn place(&self, row: &[u64]) -> Option<(i64, u8)> {
+        let word = |at: usize| row.get(at).map(|word| word.cast_signed());
+        Some(match self {
+            Self::Device { .. } => (word(DEVICE_WOKEN)?, 2),
+            Self::Nets => (word(NET_WOKEN)?, 2),
+            Self::Thread(_) => (thread_woken(row)?, 1),
+            Self::Events => {
+                let after = is_after(*row.get(EVENT_WOKEN + 1)?);
+                (word(EVENT_WOKEN)?, if after { 3 } else { 0 })
+            }
+        })
+    }
 }
 
 /// A ring that is read.
@@ -77,13 +125,9 @@ struct Feed {
 
 impl Feed {
     fn new(rows: Rows, reader: &FlightReader, since: i64) -> Self {
-        let key = match rows {
-            Rows::Device { .. } => DEVICE_BEGIN,
-            Rows::Nets => NET_BEGIN,
-        };
         Self {
+            next: reader.cursor_at(since, rows.key()),
             rows,
-            next: reader.cursor_at(since, key),
             reader: reader.clone(),
             lost: 0,
             words: Vec::new(),
@@ -91,8 +135,8 @@ impl Feed {
         }
     }
 
-    /// Begin of the cycle of its next row, ns; `None` if there is none yet.
-    fn peek(&mut self) -> Option<i64> {
+    /// When the thread woke for the cycle of its next row, ns, and where the row is in that; `None` if there is none yet.
+    fn peek(&mut self) -> Option<(i64, u8)> {
         if self.at >= self.words.len() {
             let Self {
                 reader,
@@ -104,12 +148,8 @@ impl Feed {
             self.lost += reader.read_since(next, ROWS_AT_ONCE, words);
             self.at = 0;
         }
-        let key = match self.rows {
-            Rows::Device { .. } => DEVICE_BEGIN,
-            Rows::Nets => NET_BEGIN,
-        };
-        let word = self.words.get(self.at + key)?;
-        Some(word.cast_signed())
+        let row = self.words.get(self.at..self.at + self.reader.width())?;
+        self.rows.place(row)
     }
 }
 
@@ -148,6 +188,15 @@ impl FlightFile {
 }
 
 impl<W: Write + Seek> FlightFile<W> {
+    /// Begins a file on what is not a file of this host.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    #[cfg(test)]
+    pub(crate) fn create_on(to: W, path: &Path, sources: &Sources) -> Result<Self, Error> {
+        Self::begin(Writer::on(to, path)?, sources, 0, u64::MAX)
+    }
+
     fn begin(
         mut writer: Writer<W>,
         sources: &Sources,
@@ -156,13 +205,7 @@ impl<W: Write + Seek> FlightFile<W> {
     ) -> Result<Self, Error> {
         let at = writer.stamp(Nanos(since));
         let mut feeds = Vec::new();
-        let mut threads: Vec<_> = sources.threads.iter().map(|_| false).collect();
-        for FlightDevice {
-            number,
-            device,
-            thread,
-        } in &sources.devices
-        {
+        for FlightDevice { number, device } in &sources.devices {
             let Some(reader) = device.flight.get() else {
                 continue;
             };
@@ -174,19 +217,27 @@ impl<W: Write + Seek> FlightFile<W> {
                 kinematics: device.kinematics.clone(),
             };
             writer.show(|messages, file| messages.device(file, *number, shown))?;
-            let shows = threads.get_mut(*thread).filter(|shown| !**shown);
-            let rows = Rows::Device {
-                number: *number,
-                joints,
-                thread: shows.map(|shown| {
-                    *shown = true;
-                    *thread
-                }),
-            };
+            let number = *number;
+            let rows = Rows::Device { number, joints };
             feeds.push(Feed::new(rows, reader, since));
         }
-        for (_, reader) in &sources.threads {
-            feeds.push(Feed::new(Rows::Nets, reader, since));
+        for (number, rings) in sources.threads.iter().enumerate() {
+            feeds.push(Feed::new(Rows::Nets, &rings.values, since));
+            feeds.push(Feed::new(Rows::Thread(number), &rings.timing, since));
+            feeds.push(Feed::new(Rows::Events, &rings.happened, since));
+        }
+        for (id, program) in &sources.machines {
+            writer.show(|messages, _| {
+                messages.machine(*id, program);
+                Ok(())
+            })?;
+        }
+        for rings in &sources.threads {
+            for (machine, state) in states_at(&rings.happened, since) {
+                let (cycle, number, word) = state;
+                let entry = Entry::Changed(machine, number, word);
+                writer.show(|messages, file| messages.entry(file, (cycle, entry), at))?;
+            }
         }
         for net in &sources.nets {
             let shown = (net.id, &net.directory);
@@ -194,9 +245,9 @@ impl<W: Write + Seek> FlightFile<W> {
         }
         writer.show(|messages, file| messages.frames(file, &sources.frames, at))?;
         let names = sources.threads.iter().enumerate();
-        let names = names.map(|(number, (period, _))| match number {
+        let names = names.map(|(number, rings)| match number {
             0 => "/takt/thread".to_owned(),
-            _ => format!("/takt/thread_{}us", period.as_micros()),
+            _ => format!("/takt/thread_{}us", rings.period.as_micros()),
         });
         let threads = names.map(|name| ThreadTopic { name, before: None });
         Ok(Self {
@@ -209,7 +260,7 @@ impl<W: Write + Seek> FlightFile<W> {
         })
     }
 
-    /// Writes all rows of cycles that began before that instant, in their order; false if the file has reached its bound.
+    /// Writes all rows of cycles for which their thread woke before that instant, in their order; false if the file has reached its bound.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -219,9 +270,9 @@ impl<W: Write + Seek> FlightFile<W> {
                 return Ok(false);
             }
             let begins = self.feeds.iter_mut().map(Feed::peek).enumerate();
-            let begins = begins.filter_map(|(number, begin)| Some((begin?, number)));
-            let row = begins.min().filter(|(begin, _)| *begin < until);
-            let before = row.map_or(until, |(begin, _)| begin);
+            let begins = begins.filter_map(|(number, place)| Some((place?, number)));
+            let row = begins.min().filter(|((begin, _), _)| *begin < until);
+            let before = row.map_or(until, |((begin, _), _)| begin);
             while let Some(line) = self.log.line(&mut self.line, before) {
                 let at = self.writer.stamp(Nanos(line.at));
                 let texts = (line.level, line.name.as_str(), line.text.as_str());
@@ -249,23 +300,34 @@ impl<W: Write + Seek> FlightFile<W> {
         let row = feed.words.get(feed.at..feed.at + width);
         feed.at += width;
         let row = row.unwrap_or_default();
+        let woken = feed.rows.place(row).map_or(0, |(woken, _)| woken);
+        let at = writer.stamp(Nanos(woken));
         match feed.rows {
             Rows::Nets => {
-                let &[begin, source, ..] = row else {
+                let &[_, source, ..] = row else {
                     return Ok(());
                 };
                 let net = u32::try_from(source >> 32).unwrap_or(0);
-                let at = writer.stamp(Nanos(begin.cast_signed()));
                 writer.show(|messages, file| messages.values_row(file, net, row, at))
             }
-            Rows::Device {
-                number,
-                joints,
-                thread,
-            } => {
-                let thread = thread.and_then(|thread| threads.get_mut(thread));
-                write_device(writer, (number, joints), row, thread)
+            Rows::Device { number, joints } => match FlightRow::of(row, joints) {
+                Some(row) => writer.show(|messages, file| messages.row(file, number, &row, at)),
+                None => Ok(()),
+            },
+            Rows::Thread(number) => {
+                let (&[cycle, ..], Some(topic)) = (row, threads.get_mut(number)) else {
+                    return Ok(());
+                };
+                let before = topic.before.replace((cycle, woken));
+                let shown = (topic.name.as_str(), before);
+                writer.show(|messages, file| messages.thread_cycle(file, shown, (cycle, woken), at))
             }
+            Rows::Events => match EventRow::of(row) {
+                Some(EventRow { cycle, entry, .. }) => {
+                    writer.show(|messages, file| messages.entry(file, (cycle, entry), at))
+                }
+                None => Ok(()),
+            },
         }
     }
 
@@ -295,22 +357,28 @@ impl<W: Write + Seek> FlightFile<W> {
     }
 }
 
-/// Writes a row of a device, and the cycle of its thread that it shows, if any.
-fn write_device<W: Write + Seek>(
-    writer: &mut Writer<W>,
-    (number, joints): (usize, usize),
-    row: &[u64],
-    thread: Option<&mut ThreadTopic>,
-) -> Result<(), Error> {
-    let Some(row) = FlightRow::of(row, joints) else {
-        return Ok(());
-    };
-    let (cycle, begin) = (row.cycle, row.begin.0);
-    let at = writer.stamp(Nanos(begin));
-    if let Some(topic) = thread {
-        let before = topic.before.replace((cycle, begin));
-        let shown = (topic.name.as_str(), before);
-        writer.show(|messages, file| messages.thread_cycle(file, shown, (cycle, begin), at))?;
+/// The states of machines at an instant: machine, and cycle, number and word of its last change before.
+fn states_at(happened: &FlightReader, since: i64) -> Vec<(u32, (u64, usize, u64))> {
+    let mut states: Vec<(u32, (u64, usize, u64))> = Vec::new();
+    for row in happened.rows() {
+        let woken = row.get(EVENT_WOKEN).map_or(since, |it| it.cast_signed());
+        let Some(EventRow { cycle, entry, .. }) = EventRow::of(&row).filter(|_| woken < since)
+        else {
+            continue;
+        };
+        if let Entry::Changed(machine, number, word) = entry {
+            states.retain(|(it, (_, inside, _))| (*it, *inside) != (machine, number));
+            states.push((machine, (cycle, number, word)));
+        } else if let Entry::MachineRemoved(machine) = entry {
+            states.retain(|(it, _)| *it != machine);
+        }
     }
-    writer.show(|messages, file| messages.row(file, number, &row, at))
+    states
+}
+
+/// When the thread woke for the cycle of a row of its timing, ns: its begin and the latency.
+pub(super) fn thread_woken(row: &[u64]) -> Option<i64> {
+    let begin = row.get(THREAD_BEGIN)?.cast_signed();
+    let latency = row.get(THREAD_BEGIN + 1)?.cast_signed();
+    Some(begin.saturating_add(latency))
 }

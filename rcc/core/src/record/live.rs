@@ -1,7 +1,7 @@
 //! The messages of a recording while the controller runs: derived from the flight recorder, for clients that look at a running
 //! cell. It runs in a thread of its own and calls no real-time thread; how messages get to clients is not known here.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -11,35 +11,105 @@ use crate::cell::CellFrames;
 use crate::controller::{Controller, LiveNet, Watch};
 use crate::device::Device;
 use crate::error::Error;
-use crate::executor::flight::FlightReader;
+use crate::executor::flight::{DEVICE_WOKEN, FlightReader, NET_WOKEN};
 use crate::ids::{NetId, NetState};
 use crate::record::file::{epoch, since_boot};
+use crate::record::flight::{ThreadRings, thread_woken};
+use crate::record::journal::{EVENT_WOKEN, EventRow, is_after};
 use crate::record::ros2::{FlightRow, Messages, ShownDevice, Sink, Stamp};
 
-/// Rows of a ring that are read at once.
-const ROWS_MAX: usize = 1024;
+/// Cycles of a thread that are read at once.
+const CYCLES_MAX: usize = 1024;
 
 /// A device and the rows of it that were read.
 #[derive(Debug)]
 struct LiveDevice {
     device: Arc<Device>,
-    /// Whether the first net thread serves it.
-    is_first: bool,
+    /// The net thread that serves it.
+    thread: usize,
     cursor: Option<u64>,
 }
 
-/// The out values of the nets of a thread.
+/// The rings of a net thread, and what was read of them.
 #[derive(Debug)]
-struct LiveNets {
-    flight: FlightReader,
-    cursor: u64,
+struct LiveThread {
+    rings: ThreadRings,
+    values: u64,
+    timing: u64,
+    happened: u64,
+    /// When it woke for the last cycle that was read, ns: of rows of later cycles, others may not be written yet.
+    until: i64,
 }
 
-/// Where the rows of a cycle come from.
+impl LiveThread {
+    /// From now on.
+    fn new(rings: ThreadRings) -> Self {
+        let mut live = Self {
+            happened: rings.happened.end(),
+            rings,
+            values: 0,
+            timing: 0,
+            until: i64::MIN,
+        };
+        live.skip();
+        live
+    }
+
+    /// Passes over the cycles that wait; returns the last one, if there is one: its number, and when the thread woke, ns.
+    fn skip(&mut self) -> Option<(u64, i64)> {
+        self.timing = self.rings.timing.end();
+        let last = self.rings.timing.last();
+        self.values = self.rings.values.end();
+        let woken = thread_woken(&last)?;
+        self.until = woken;
+        Some((*last.first()?, woken))
+    }
+}
+
+/// Where the rows of a cycle come from, in the order of their messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Source {
+    /// What happened before the evaluation.
+    Before,
+    Thread,
     Device(usize),
     Net(u32),
+    /// What happened after it.
+    After,
+}
+
+impl Source {
+    const fn is_event(self) -> bool {
+        matches!(self, Self::Before | Self::After)
+    }
+}
+
+/// Rows on their way to messages: when the thread woke, where they come from, and where they are among the words.
+type Rows = Vec<(i64, Source, usize)>;
+
+/// Appends the rows since a cursor of cycles for which the thread woke at most then; returns the number of those that were
+/// overwritten.
+fn take_rows(
+    (reader, cursor): (&FlightReader, &mut u64),
+    until: i64,
+    place: impl Fn(&[u64]) -> Option<(i64, Source)>,
+    (words, rows): (&mut Vec<u64>, &mut Rows),
+) -> u64 {
+    let (from, width) = (words.len(), reader.width());
+    let lost = reader.read_since(cursor, reader.rows_max(), words);
+    for at in (from..words.len()).step_by(width) {
+        let row = words.get(at..).and_then(|row| row.get(..width));
+        match row.and_then(&place) {
+            Some((woken, source)) if woken <= until => rows.push((woken, source, at)),
+            Some(_) => {
+                *cursor -= ((words.len() - at) / width) as u64;
+                words.truncate(at);
+                break;
+            }
+            None => {}
+        }
+    }
+    lost
 }
 
 /// The messages of a running controller, since the stream began.
@@ -48,14 +118,14 @@ pub struct LiveStream {
     controller: Controller,
     messages: Messages,
     devices: BTreeMap<usize, LiveDevice>,
-    nets: Vec<LiveNets>,
+    threads: Vec<LiveThread>,
+    /// Machines that were seen.
+    machines: BTreeSet<u32>,
     /// Nets that were seen, and how many of their states.
     seen: BTreeMap<NetId, usize>,
     frames: Option<CellFrames>,
     /// Only each n-th cycle is sent.
     every: u64,
-    /// The last cycle of the first thread.
-    cycle: u64,
     epoch: u64,
     changed: Arc<AtomicBool>,
     _watch: Watch,
@@ -73,12 +143,13 @@ impl LiveStream {
             controller: controller.clone(),
             messages: Messages::default(),
             devices: BTreeMap::new(),
-            nets: Vec::new(),
+            threads: Vec::new(),
+            machines: BTreeSet::new(),
             seen: BTreeMap::new(),
             frames: None,
             every: every.max(1),
-            cycle: 0,
-            epoch: epoch(),
+            // One recording and its live messages have the same times.
+            epoch: controller.recording_epoch().unwrap_or_else(epoch),
             _watch: controller.on_change(move |_| flag.store(true, Ordering::Relaxed)),
             changed,
             words: Vec::new(),
@@ -132,9 +203,11 @@ impl LiveStream {
         if was_quiet || !wants_rows {
             self.skip();
         }
-        let lost = if wants_rows { self.send_rows(to)? } else { 0 };
+        let lost = self.send_rows(to, wants_rows)?;
         // After the rows of their last cycles.
-        nets.map_or(Ok(()), |nets| self.send_events(to, &nets))?;
+        if let Some(nets) = nets {
+            self.close_nets(to, &nets);
+        }
         Ok(lost)
     }
 
@@ -143,8 +216,13 @@ impl LiveStream {
         for live in self.devices.values_mut() {
             live.cursor = live.device.flight.get().map(FlightReader::end);
         }
-        for nets in &mut self.nets {
-            nets.cursor = nets.flight.end();
+        let mut first = None;
+        for live in &mut self.threads {
+            let last = live.skip();
+            first = first.or(last);
+        }
+        if let Some((cycle, woken)) = first {
+            self.messages.goes_on_after(cycle, Nanos(woken));
         }
     }
 
@@ -176,21 +254,41 @@ impl LiveStream {
             let live = LiveDevice {
                 cursor: device.flight.get().map(FlightReader::end),
                 device,
-                is_first: thread == 0,
+                thread,
             };
             self.devices.insert(number, live);
         }
+        self.take_machines();
         self.messages.announce(to)?;
-        if self.nets.is_empty() {
-            let flights = self.controller.live_values().into_iter();
-            self.nets = flights
-                .map(|flight| LiveNets {
-                    cursor: flight.end(),
-                    flight,
-                })
-                .collect();
+        if self.threads.is_empty() {
+            let threads = self.controller.live_threads().into_iter();
+            self.threads = threads.map(LiveThread::new).collect();
+            for net in self.controller.live_nets() {
+                let state = net.states.last();
+                if state.is_some_and(|it| matches!(it, NetState::Running | NetState::Cancelling)) {
+                    self.messages.net_runs(net.id.0);
+                }
+            }
         }
         Ok(())
+    }
+
+    /// Takes the programs of new machines, which name their states.
+    fn take_machines(&mut self) {
+        let machines = self.controller.live_machines();
+        for (id, program) in &machines {
+            if self.machines.insert(*id) {
+                self.messages.machine(*id, program);
+            }
+        }
+        let messages = &mut self.messages;
+        self.machines.retain(|id| {
+            let stays = machines.iter().any(|(it, _)| it == id);
+            if !stays {
+                messages.machine_gone(*id);
+            }
+            stays
+        });
     }
 
     /// Adds the topics of new nets; returns all nets.
@@ -215,9 +313,8 @@ impl LiveStream {
         net.states.split_at(seen.min(net.states.len()))
     }
 
-    /// Sends what happened to nets, and ends the topics of those that were unloaded.
-    fn send_events(&mut self, to: &mut impl Sink, present: &[LiveNet]) -> Result<(), Error> {
-        let at = self.now();
+    /// Ends the topics of nets that were unloaded.
+    fn close_nets(&mut self, to: &mut impl Sink, present: &[LiveNet]) {
         let gone: Vec<_> = self.seen.keys().copied().collect();
         for id in gone {
             if !present.iter().any(|net| net.id == id) {
@@ -226,17 +323,8 @@ impl LiveStream {
             }
         }
         for net in present {
-            let (_, new) = self.split(net);
-            for state in new {
-                let Some((event, cause)) = happened(*state, net.end.as_deref()) else {
-                    continue;
-                };
-                let of = (self.cycle, net.id.0);
-                self.messages.net_event(to, of, (event, cause), at)?;
-            }
             self.seen.insert(net.id, net.states.len());
         }
-        Ok(())
     }
 
     fn take_frames(&mut self, to: &mut impl Sink) -> Result<(), Error> {
@@ -249,37 +337,40 @@ impl LiveStream {
         Ok(())
     }
 
-    /// Sends the rows of all rings in the order of their cycles, so that the times of no topic go back.
-    fn send_rows(&mut self, to: &mut impl Sink) -> Result<u64, Error> {
+    /// Sends the rows of all rings in the order of their cycles, so that the times of no topic go back; without `wants_rows`
+    /// those of events only, by which the running nets are known.
+    fn send_rows(&mut self, to: &mut impl Sink, wants_rows: bool) -> Result<u64, Error> {
         let mut words = std::mem::take(&mut self.words);
         words.clear();
-        let (mut rows, mut lost) = (Vec::new(), 0);
-        for (number, live) in &mut self.devices {
-            // A net thread serves a device some cycles after it was added.
-            let (Some(flight), cursor) = (live.device.flight.get(), &mut live.cursor) else {
-                continue;
-            };
-            let from = words.len();
-            lost += flight.read_since(cursor.get_or_insert(0), ROWS_MAX, &mut words);
-            let ends = (from..words.len()).step_by(flight.width());
-            rows.extend(ends.map(|at| {
-                let begin = words.get(at + 1).copied().unwrap_or(0);
-                (begin.cast_signed(), Source::Device(*number), at)
-            }));
+        let (mut rows, mut lost) = (Rows::new(), 0);
+        for (number, live) in self.threads.iter_mut().enumerate() {
+            if wants_rows {
+                // As in a recording: the cycles of the first thread.
+                lost += live.take_cycles((&mut words, &mut rows), number == 0);
+            }
+            lost += live.take_events((&mut words, &mut rows));
         }
-        for nets in &mut self.nets {
-            let from = words.len();
-            lost += nets
-                .flight
-                .read_since(&mut nets.cursor, ROWS_MAX, &mut words);
-            let ends = (from..words.len()).step_by(nets.flight.width());
-            rows.extend(ends.map(|at| {
-                let word = |n: usize| words.get(at + n).copied().unwrap_or(0);
-                let net = u32::try_from(word(1) >> 32).unwrap_or(0);
-                (word(0).cast_signed(), Source::Net(net), at)
-            }));
+        if wants_rows {
+            for (number, live) in &mut self.devices {
+                // A net thread serves a device some cycles after it was added.
+                let (Some(flight), cursor) = (live.device.flight.get(), &mut live.cursor) else {
+                    continue;
+                };
+                let until = self
+                    .threads
+                    .get(live.thread)
+                    .map_or(i64::MIN, |it| it.until);
+                let place = |row: &[u64]| {
+                    let woken = row.get(DEVICE_WOKEN)?.cast_signed();
+                    Some((woken, Source::Device(*number)))
+                };
+                let from = (flight, cursor.get_or_insert(0));
+                lost += take_rows(from, until, place, (&mut words, &mut rows));
+            }
         }
-        // Rows of one source stay in order: the sort is stable, and places grow.
+        if rows.iter().any(|(_, source, _)| source.is_event()) {
+            self.take_machines();
+        }
         rows.sort_unstable();
         let result = self.send(to, &rows, &words);
         self.words = words;
@@ -292,10 +383,19 @@ impl LiveStream {
         rows: &[(i64, Source, usize)],
         words: &[u64],
     ) -> Result<(), Error> {
-        for (begin, source, at) in rows {
+        for (woken, source, at) in rows {
             let row = words.get(*at..).unwrap_or_default();
-            let stamp = self.stamp(Nanos(*begin));
+            let stamp = self.stamp(Nanos(*woken));
             match source {
+                Source::Before | Source::After => {
+                    if let Some(EventRow { cycle, entry, .. }) = EventRow::of(row) {
+                        self.messages.entry(to, (cycle, entry), stamp)?;
+                    }
+                }
+                Source::Thread => {
+                    let cycle = row.first().copied().unwrap_or(0);
+                    self.messages.thread(to, (cycle, Nanos(*woken)), stamp)?;
+                }
                 Source::Device(number) => self.device_row(to, *number, row, stamp)?,
                 Source::Net(net) => self.messages.values_row(to, *net, row, stamp)?,
             }
@@ -315,32 +415,40 @@ impl LiveStream {
         };
         let width = live.device.flight.get().map_or(0, FlightReader::width);
         let row = row.get(..width).unwrap_or_default();
-        let Some(row) = FlightRow::of(row, live.device.place.joints) else {
-            return Ok(());
-        };
-        // The rings of all devices of a thread have a row of each cycle.
-        let is_first = live.is_first && (self.cycle < row.cycle || self.cycle == 0);
-        if is_first {
-            self.cycle = row.cycle;
-            self.messages.thread(to, (row.cycle, row.begin), at)?;
+        match FlightRow::of(row, live.device.place.joints) {
+            Some(row) if row.cycle % self.every == 0 => self.messages.row(to, number, &row, at),
+            _ => Ok(()),
         }
-        if row.cycle % self.every == 0 {
-            self.messages.row(to, number, &row, at)?;
-        }
-        Ok(())
     }
 }
 
-/// The event of a net that came to a state, as recordings have it.
-fn happened(state: NetState, end: Option<&str>) -> Option<(&'static str, &str)> {
-    Some(match state {
-        NetState::Running => ("started", ""),
-        NetState::Cancelling => ("cancel requested", ""),
-        NetState::Terminated => ("ended", end.unwrap_or("terminated")),
-        NetState::Loading
-        | NetState::Rejected
-        | NetState::Ready
-        | NetState::Scheduled
-        | NetState::Unloaded => return None,
-    })
+impl LiveThread {
+    /// Appends the cycles that have ended, if they are shown, and the out values of their nets.
+    fn take_cycles(&mut self, (words, rows): (&mut Vec<u64>, &mut Rows), is_shown: bool) -> u64 {
+        let (from, timing) = (words.len(), &self.rings.timing);
+        let lost = timing.read_since(&mut self.timing, CYCLES_MAX, words);
+        for at in (from..words.len()).step_by(timing.width()) {
+            if let Some(woken) = words.get(at..).and_then(thread_woken) {
+                self.until = woken;
+                rows.extend(is_shown.then_some((woken, Source::Thread, at)));
+            }
+        }
+        let place = |row: &[u64]| {
+            let net = u32::try_from(row.get(1)? >> 32).ok()?;
+            Some((row.get(NET_WOKEN)?.cast_signed(), Source::Net(net)))
+        };
+        let from = (&self.rings.values, &mut self.values);
+        lost + take_rows(from, self.until, place, (words, rows))
+    }
+
+    /// Appends what happened in the cycles that have ended.
+    fn take_events(&mut self, (words, rows): (&mut Vec<u64>, &mut Rows)) -> u64 {
+        let place = |row: &[u64]| {
+            let woken = row.get(EVENT_WOKEN)?.cast_signed();
+            let after = is_after(*row.get(EVENT_WOKEN + 1)?);
+            Some((woken, if after { Source::After } else { Source::Before }))
+        };
+        let from = (&self.rings.happened, &mut self.happened);
+        take_rows(from, self.until, place, (words, rows))
+    }
 }

@@ -352,7 +352,8 @@ impl Stage {
             | Entry::Outbox(..)
             | Entry::Ended(..)
             | Entry::Outputs(..)
-            | Entry::Stepped(..) => {}
+            | Entry::Stepped(..)
+            | Entry::Changed(..) => {}
         }
         Ok(())
     }
@@ -415,7 +416,11 @@ impl Stage {
                 self.executor.machine_events(|_, _| {});
             }
             // What the thread computed, the replay computes again.
-            Entry::Outbox(..) | Entry::Ended(..) | Entry::Outputs(..) | Entry::Stepped(..) => {}
+            Entry::Outbox(..)
+            | Entry::Ended(..)
+            | Entry::Outputs(..)
+            | Entry::Stepped(..)
+            | Entry::Changed(..) => {}
         }
         Ok(())
     }

@@ -19,7 +19,7 @@ use crate::error::Error;
 use crate::executor::flight::NET_WORDS;
 use crate::ids::NetId;
 use crate::record::notes::LEVEL_WARN;
-use crate::record::words::{Entry, Inputs, Reader};
+use crate::record::words::{Entry, Inputs, Reader, start};
 use cdr::Cdr;
 pub(super) use device::ShownDevice;
 use device::{DeviceTopics, Reported, transform};
@@ -147,7 +147,12 @@ impl Messages {
     pub(super) fn announce(&mut self, to: &mut impl Sink) -> Result<(), Error> {
         let places = self.devices.values().any(DeviceTopics::is_placed);
         let all = [
-            ("/takt/thread", schemas::CYCLE, !self.devices.is_empty()),
+            ("/takt/thread", schemas::CYCLE, true),
+            (
+                "/takt/machine_events",
+                schemas::MACHINE_EVENT,
+                !self.machines.is_empty(),
+            ),
             ("/takt/net_events", schemas::NET_EVENT, true),
             ("/rosout", schemas::LOG, true),
             (
@@ -217,6 +222,16 @@ impl Messages {
             }
         });
         Ok(())
+    }
+
+    /// A net runs already.
+    pub(super) fn net_runs(&mut self, id: u32) {
+        self.running.insert(id);
+    }
+
+    /// The cycle before the next one that is shown: number and begin.
+    pub(super) fn goes_on_after(&mut self, cycle: u64, begin: Nanos) {
+        self.before = Some((cycle, begin));
     }
 
     /// A net was unloaded.
@@ -289,55 +304,56 @@ impl Messages {
         at: Stamp,
     ) -> Result<(), Error> {
         let mut reader = Reader(words);
-        let mut cycle = self.before.map_or(0, |(cycle, _)| cycle + 1);
+        let next = self.before.map_or(0, |(cycle, _)| cycle + 1);
+        let cycle = start(words).map_or(next, |moment| moment.cycle);
         // Words of the thread are whole; what follows a damaged entry would be guessed.
         while let Ok(Some(entry)) = reader.next() {
-            let (net, event, cause) = match entry {
-                Entry::Inputs(inputs) => {
-                    cycle = inputs.moment.cycle;
-                    self.inputs(to, &inputs, at)?;
-                    continue;
-                }
-                Entry::Outputs(joints) => {
-                    self.set_points(to, joints, at)?;
-                    continue;
-                }
-                Entry::Outbox(net, words) => {
-                    self.values(to, net, words, at)?;
-                    continue;
-                }
-                Entry::Stepped(machine, states) => {
-                    self.stepped(to, (cycle, machine), states, at)?;
-                    continue;
-                }
-                Entry::MachineAdded(machine) => {
-                    self.machine_event(to, (cycle, machine), "added", at)?;
-                    continue;
-                }
-                Entry::MachineRemoved(machine) => {
-                    self.machine_event(to, (cycle, machine), "removed", at)?;
-                    continue;
-                }
-                Entry::Started(net) | Entry::Seated(net, ..) => (net, "started", String::new()),
-                Entry::Succeeded(net) => (net, "started", "by a rule".to_owned()),
-                Entry::Cancelled(net) => (net, "cancel requested", String::new()),
-                Entry::Takeover(net, true) => (net, "successor waits", String::new()),
-                Entry::Takeover(net, false) => (net, "successor withdrawn", String::new()),
-                Entry::Ended(net, code, device) => (net, "ended", self.cause(code, device)),
-                Entry::Aborted(_)
-                | Entry::Stopped(_)
-                | Entry::RanAway(_)
-                | Entry::SeatFailed(..)
-                | Entry::MachineInput(..)
-                | Entry::Inbox(..) => continue,
-            };
-            self.net_event(to, (cycle, net), (event, &cause), at)?;
+            self.entry(to, (cycle, entry), at)?;
         }
         Ok(())
     }
 
+    /// An entry of that cycle.
+    pub(super) fn entry(
+        &mut self,
+        to: &mut impl Sink,
+        (cycle, entry): (u64, Entry<'_>),
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let (net, event, cause) = match entry {
+            Entry::Inputs(inputs) => return self.inputs(to, &inputs, at),
+            Entry::Outputs(joints) => return self.set_points(to, joints, at),
+            Entry::Outbox(net, words) => return self.values(to, net, words, at),
+            Entry::Stepped(machine, states) => {
+                return self.stepped(to, (cycle, machine), states, at);
+            }
+            Entry::Changed(machine, number, word) => {
+                return self.changed(to, (cycle, machine), (number, word), at);
+            }
+            Entry::MachineAdded(machine) => {
+                return self.machine_event(to, (cycle, machine), "added", at);
+            }
+            Entry::MachineRemoved(machine) => {
+                return self.machine_event(to, (cycle, machine), "removed", at);
+            }
+            Entry::Started(net) | Entry::Seated(net, ..) => (net, "started", String::new()),
+            Entry::Succeeded(net) => (net, "started", "by a rule".to_owned()),
+            Entry::Cancelled(net) => (net, "cancel requested", String::new()),
+            Entry::Takeover(net, true) => (net, "successor waits", String::new()),
+            Entry::Takeover(net, false) => (net, "successor withdrawn", String::new()),
+            Entry::Ended(net, code, device) => (net, "ended", self.cause(code, device)),
+            Entry::Aborted(_)
+            | Entry::Stopped(_)
+            | Entry::RanAway(_)
+            | Entry::SeatFailed(..)
+            | Entry::MachineInput(..)
+            | Entry::Inbox(..) => return Ok(()),
+        };
+        self.net_event(to, (cycle, net), (event, &cause), at)
+    }
+
     /// Something happened to a net.
-    pub(super) fn net_event(
+    fn net_event(
         &mut self,
         to: &mut impl Sink,
         (cycle, net): (u64, u32),
@@ -437,7 +453,7 @@ impl Messages {
             signals: row.signals,
             status: row.status,
             faults: row.faults,
-            wall: row.begin.0,
+            wall: row.woken.0,
         };
         device.reported(&mut self.topics, to, reported, at)?;
         let set_points = row.joints().map(|joint| joint.set_point);
@@ -487,7 +503,7 @@ impl Messages {
         Ok(())
     }
 
-    /// A row of the flight recorder with out values of a net: the begin of the cycle, net and part, and words.
+    /// A row of the flight recorder with out values of a net: its head and words.
     pub(super) fn values_row(
         &mut self,
         to: &mut impl Sink,
@@ -495,7 +511,7 @@ impl Messages {
         row: &[u64],
         at: Stamp,
     ) -> Result<(), Error> {
-        let ([_, source, words @ ..], Some(topic)) = (row, self.nets.get_mut(&net)) else {
+        let ([_, source, _, words @ ..], Some(topic)) = (row, self.nets.get_mut(&net)) else {
             return Ok(());
         };
         let (part, wanted) = (source & u64::from(u32::MAX), topic.directory.words());

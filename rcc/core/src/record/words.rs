@@ -29,6 +29,8 @@ mod kind {
     pub(super) const SEAT_FAILED: u64 = 16;
     pub(super) const MACHINE_INPUT: u64 = 17;
     pub(super) const STEPPED: u64 = 18;
+    /// In the flight recorder only.
+    pub(super) const CHANGED: u64 = 19;
 }
 
 /// A cycle being written into a buffer whose capacity is its bound.
@@ -121,6 +123,11 @@ impl Words {
         self.entry(input.words());
     }
 
+    /// The state of a machine, or of one inside, has changed.
+    pub(super) fn changed(&mut self, machine: u32, number: usize, word: u64) {
+        self.entry([kind::CHANGED, machine.into(), number as u64, word]);
+    }
+
     pub(super) fn stepped(&mut self, hosted: &Hosted) {
         let view = hosted.view();
         let (outcome, states) = (view.outcome, &view.machines);
@@ -131,8 +138,7 @@ impl Words {
         ]);
         self.entry([outcome.transitions.into(), outcome.operations as u64]);
         for state in states {
-            let place = state.state.map_or(0, |state| state as u64 + 1);
-            self.push((state.status as u64) | (place << 8));
+            self.push(state.word());
         }
         for value in &view.variables {
             self.push(value.word());
@@ -265,6 +271,8 @@ pub(super) enum Entry<'w> {
     Outputs(&'w [u64]),
     /// A machine, and words of its states and then of its variables.
     Stepped(u32, &'w [u64]),
+    /// A machine, the number of it or of one inside, and the word of its state.
+    Changed(u32, usize, u64),
 }
 
 /// Inputs of a cycle.
@@ -387,6 +395,11 @@ impl<'w> Reader<'w> {
                 let words = self.body(size_of::<InputWords>() as u64 / 8)?;
                 Entry::MachineInput(machine, MachineInput::of_words(words)?)
             }
+            kind::CHANGED => {
+                let machine = self.id()?;
+                let number = usize::try_from(self.word()?).ok()?;
+                Entry::Changed(machine, number, self.word()?)
+            }
             kind::STEPPED => {
                 let (machine, len) = (self.id()?, self.word()?);
                 let (_, states) = self.body(len.checked_add(2)?)?.split_at_checked(2)?;
@@ -480,12 +493,12 @@ fn joint_state(words: &[u64]) -> Option<JointState> {
     })
 }
 
-/// When a recorded cycle started, on the host's monotonic clock; `None` without inputs.
-pub(super) fn start(words: &[u64]) -> Option<Nanos> {
+/// The number of a recorded cycle and when it started, on the host's monotonic clock; `None` without inputs.
+pub(super) fn start(words: &[u64]) -> Option<Moment> {
     let mut reader = Reader(words);
     while let Ok(Some(entry)) = reader.next() {
         if let Entry::Inputs(inputs) = entry {
-            return Some(inputs.moment.wall);
+            return Some(inputs.moment);
         }
     }
     None

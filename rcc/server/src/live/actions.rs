@@ -1,7 +1,6 @@
 //! Parameters and services of the Foxglove WebSocket. Whether a client is admitted was decided before.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde_json::{Value, json};
@@ -10,6 +9,7 @@ use takt_core::{Controller, NetId};
 
 use crate::live::hub::Hub;
 use crate::live::wire::{self, Call};
+use crate::site::Counters;
 
 /// Services by number, from 1 on: name, and whether the request names a net.
 const SERVICES: [(&str, bool); 4] = [
@@ -124,6 +124,7 @@ impl Actions {
             .map(|it| it.period.as_secs_f64())
             .collect();
         let devices = self.controller.device_details();
+        let counters = &self.hub.counters;
         let mut all = vec![
             json!({"name": "takt.version", "value": env!("CARGO_PKG_VERSION")}),
             number("takt.period_s", self.controller.period().as_secs_f64()),
@@ -131,11 +132,8 @@ impl Actions {
             json!({"name": "takt.stopped", "value": self.controller.is_stopped()}),
             count("takt.live.every", self.every),
             count("takt.live.clients", self.hub.clients() as u64),
-            count(
-                "takt.live.dropped",
-                self.hub.dropped.load(Ordering::Relaxed),
-            ),
-            count("takt.live.lost", self.hub.lost.load(Ordering::Relaxed)),
+            count("takt.live.dropped", Counters::read(&counters.live_dropped)),
+            count("takt.live.lost", Counters::read(&counters.live_lost)),
         ];
         for device in devices {
             let name = |what: &str| format!("takt.device.{}.{what}", device.info.name);

@@ -1,5 +1,6 @@
 //! The thread that drains the rings of the controller about 50 times a second, for all clients. It sends nothing over TCP.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -10,6 +11,7 @@ use takt_core::record::LiveStream;
 use crate::error::Error;
 use crate::live::hub::{Batch, Hub};
 use crate::log::LogBook;
+use crate::site::Counters;
 
 /// Time between two polls.
 const INTERVAL: Duration = Duration::from_millis(20);
@@ -48,9 +50,15 @@ impl Drain {
         let work = move || {
             let mut next = Instant::now();
             while !ends.load(Ordering::Relaxed) {
-                for task in &mut tasks {
-                    task.poll(Instant::now());
-                }
+                tasks.retain_mut(|task| {
+                    let polled = catch_unwind(AssertUnwindSafe(|| task.poll(Instant::now())));
+                    if polled.is_err() {
+                        tracing::error!(
+                            "live data: one of its tasks panicked and is off until the controller is started again"
+                        );
+                    }
+                    polled.is_ok()
+                });
                 next += INTERVAL;
                 let now = Instant::now();
                 // A stall is not made up for: the rings hold what was missed.
@@ -138,7 +146,7 @@ impl Messages {
         batch.deliver();
         match result {
             Ok(lost) => {
-                hub.lost.fetch_add(lost, Ordering::Relaxed);
+                Counters::add(&hub.counters.live_lost, lost);
                 if self.lost.add(lost, now) {
                     tracing::warn!(
                         "live data: {lost} rows were overwritten before they were read: this host stalled; {} in all",
@@ -151,7 +159,7 @@ impl Messages {
             }
             Err(_) => {}
         }
-        let dropped = hub.dropped.load(Ordering::Relaxed) - self.dropped.total;
+        let dropped = Counters::read(&hub.counters.live_dropped) - self.dropped.total;
         if self.dropped.add(dropped, now) {
             tracing::warn!(
                 "live data: a client is too slow and lost {dropped} messages\nhint: subscribe fewer topics, or send fewer cycles \

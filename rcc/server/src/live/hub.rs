@@ -1,7 +1,6 @@
 //! Channels, the clients that subscribed them, and a bounded queue for each client. It moves no bytes and derives no message.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
@@ -10,6 +9,7 @@ use takt_core::record::{Sink, Stamp};
 use tokio::sync::Notify;
 
 use crate::live::wire;
+use crate::site::Counters;
 
 /// Most subscriptions of a client.
 pub(crate) const SUBSCRIPTIONS_MAX: usize = 4096;
@@ -19,6 +19,8 @@ pub(crate) const QUEUE_MAX: usize = 32_768;
 pub(crate) const QUEUE_BYTES_MAX: usize = 8 << 20;
 /// Most texts, such as announcements of channels, that wait for a client; one with more is disconnected.
 const TEXTS_MAX: usize = 16_384;
+/// Most bytes of such texts that wait for a client.
+const TEXT_BYTES_MAX: usize = 32 << 20;
 /// The topic whose last message is sent to each new subscriber: it does not come again.
 const LATCHED: &str = "/tf_static";
 
@@ -37,6 +39,7 @@ struct Queue {
     messages: VecDeque<Outgoing>,
     bytes: usize,
     texts: VecDeque<String>,
+    text_bytes: usize,
     /// Messages dropped since the last report.
     dropped: u64,
     /// It did not take its texts.
@@ -68,9 +71,11 @@ impl Mailbox {
 
     fn text(&self, text: String) {
         let mut queue = self.lock();
-        if queue.texts.len() >= TEXTS_MAX {
+        let bytes = queue.text_bytes + text.len();
+        if queue.texts.len() >= TEXTS_MAX || bytes > TEXT_BYTES_MAX {
             queue.is_over = true;
         } else {
+            queue.text_bytes = bytes;
             queue.texts.push_back(text);
         }
         drop(queue);
@@ -110,10 +115,8 @@ struct State {
 #[derive(Debug, Default)]
 pub(crate) struct Hub {
     state: Mutex<State>,
-    /// Messages that slow clients lost.
-    pub(crate) dropped: AtomicU64,
-    /// Rows that were overwritten before they were read.
-    pub(crate) lost: AtomicU64,
+    /// Messages that slow clients lost, and rows that were overwritten before they were read.
+    pub(crate) counters: Arc<Counters>,
 }
 
 /// A connected client; dropping it ends its subscriptions.
@@ -131,6 +134,14 @@ impl Drop for Client {
 }
 
 impl Hub {
+    /// A hub that counts there what is lost.
+    pub(crate) fn new(counters: Arc<Counters>) -> Self {
+        Self {
+            state: Mutex::default(),
+            counters,
+        }
+    }
+
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -222,8 +233,7 @@ impl Hub {
                     });
                 }
             }
-            self.dropped
-                .fetch_add(queue.dropped - dropped, Ordering::Relaxed);
+            Counters::add(&self.counters.live_dropped, queue.dropped - dropped);
             let is_filled = !queue.messages.is_empty();
             drop(queue);
             if is_filled {
@@ -243,11 +253,12 @@ impl Client {
     pub(crate) fn take(&self, bytes: usize) -> Waiting {
         let mut queue = self.mailbox.lock();
         let mut waiting = Waiting {
-            texts: queue.texts.drain(..).collect(),
+            texts: std::mem::take(&mut queue.texts).into(),
             messages: Vec::new(),
             dropped: std::mem::take(&mut queue.dropped),
             is_over: queue.is_over,
         };
+        queue.text_bytes = 0;
         let mut taken = 0;
         while taken < bytes
             && let Some(message) = queue.messages.pop_front()

@@ -3,6 +3,7 @@
 
 use std::fmt::Write as _;
 use std::net::{SocketAddr, UdpSocket};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use takt_core::Controller;
@@ -10,6 +11,7 @@ use takt_core::probe::{Scope, ScopeEvent, ScopeRequest};
 
 use crate::error::Error;
 use crate::live::drain::{Loss, Task};
+use crate::site::Counters;
 
 /// Most bytes of a datagram: an Ethernet frame without the heads of IPv6 and UDP.
 const BYTES_MAX: usize = 1452;
@@ -29,6 +31,9 @@ pub(crate) struct Datagrams {
     begin: Instant,
     /// Whether it is incomplete: some probes do not exist yet.
     is_incomplete: bool,
+    /// Whether a probe of the scope ended.
+    has_ended: bool,
+    counters: Arc<Counters>,
     failed: Loss,
     lost: Loss,
     last_error: Option<String>,
@@ -39,8 +44,8 @@ impl Datagrams {
     pub(crate) fn new(
         controller: Controller,
         to: SocketAddr,
-        probes: &[String],
-        every: u64,
+        (probes, every): (&[String], u64),
+        counters: Arc<Counters>,
     ) -> Result<Self, Error> {
         let any: SocketAddr = if to.is_ipv4() {
             ([0, 0, 0, 0], 0).into()
@@ -69,6 +74,8 @@ impl Datagrams {
             tried: None,
             begin: Instant::now(),
             is_incomplete: true,
+            has_ended: false,
+            counters,
             failed: Loss::default(),
             lost: Loss::default(),
             last_error: None,
@@ -91,12 +98,7 @@ impl Datagrams {
         while let Some(event) = scope.poll_event() {
             match event {
                 ScopeEvent::Frame(frame) => {
-                    if self.lost.add(frame.lost, now) {
-                        tracing::warn!(
-                            "live data: {} samples are missing in datagrams: this host stalled",
-                            frame.lost
-                        );
-                    }
+                    self.note_loss(frame.lost, now);
                     let names = scope.groups().get(frame.group);
                     for (time, values) in frame.iter() {
                         let names = names.iter().flat_map(|group| &group.probes);
@@ -109,16 +111,25 @@ impl Datagrams {
                     }
                 }
                 // A net that ended may be loaded again.
-                ScopeEvent::Ended { .. } => self.is_incomplete = true,
-                ScopeEvent::Lost { samples, .. } => {
-                    self.lost.add(samples, now);
-                }
+                ScopeEvent::Ended { .. } => (self.is_incomplete, self.has_ended) = (true, true),
+                ScopeEvent::Lost { samples, .. } => self.note_loss(samples, now),
                 ScopeEvent::Triggered { .. } => {}
             }
         }
         self.scope = Some(scope);
     }
 
+    fn note_loss(&mut self, samples: u64, now: Instant) {
+        Counters::add(&self.counters.datagrams_lost, samples);
+        if self.lost.add(samples, now) {
+            tracing::warn!(
+                "live data: {samples} samples are missing in datagrams: this host stalled; {} in all",
+                self.lost.total
+            );
+        }
+    }
+
+    /// Begins a scope of all probes that exist by now; one that has no more than the present one does not replace it.
     fn begin_scope(&mut self) {
         let made = self.controller.scope(&self.request);
         let (scope, error) = match made {
@@ -137,13 +148,23 @@ impl Datagrams {
             tracing::warn!("live data: no datagrams of a probe: {error}");
         }
         self.last_error = error;
-        self.scope = scope;
+        let names = |scope: &Scope| -> Vec<String> {
+            let rejected = scope.rejected().iter();
+            rejected.map(|it| it.probe.clone()).collect()
+        };
+        let same = self.scope.as_ref().map(names) == scope.as_ref().map(names);
+        if !same || self.has_ended {
+            self.scope = scope;
+            self.has_ended = false;
+        }
     }
 
     fn send(&mut self, datagram: &[u8], now: Instant) {
-        if let Err(error) = self.socket.send_to(datagram, self.to)
-            && self.failed.add(1, now)
-        {
+        let Err(error) = self.socket.send_to(datagram, self.to) else {
+            return;
+        };
+        Counters::add(&self.counters.datagrams_failed, 1);
+        if self.failed.add(1, now) {
             tracing::warn!(
                 "live data: cannot send a datagram to {}: {error}; {} failed in all\nhint: check udp under [live] of cell.toml, and \
                  that a program listens there",

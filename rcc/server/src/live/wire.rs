@@ -183,6 +183,32 @@ pub(crate) fn message(subscription: u32, time: u64, data: &[u8], out: &mut Vec<u
     out.extend_from_slice(data);
 }
 
+/// Feeds any bytes to the reader of messages, and checks what it accepts.
+///
+/// # Panics
+/// If an answer would be longer than what a client may cause, or no JSON.
+#[doc(hidden)]
+pub fn fuzz(data: &[u8]) {
+    let bound = |text: &str| assert!(text.len() <= 2 * 4 * ECHO_CHARS_MAX, "{text}");
+    match decode(data) {
+        Request::Subscribe(pairs) => assert!(pairs.len() <= data.len() / 4),
+        Request::Unsubscribe(numbers) => assert!(numbers.len() <= data.len()),
+        Request::GetParameters(names, id) | Request::SetParameters(names, id) => {
+            names.iter().chain(&id).for_each(|text| bound(text));
+            let answer = parameter_values(&[], id.as_deref()).to_string();
+            assert!(serde_json::from_str::<Value>(&answer).is_ok(), "{answer}");
+        }
+        Request::Call(call) => {
+            // A byte that is no UTF-8 becomes a character of three.
+            assert!(call.encoding.len() <= 3 * data.len());
+            let response = call_response(call.service, call.call, &json!({"ok": true}));
+            assert_eq!(data.get(1..9), response.get(1..9), "numbers are repeated");
+        }
+        Request::Unknown(text) => bound(&text),
+        Request::Ignored => {}
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

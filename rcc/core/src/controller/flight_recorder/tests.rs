@@ -22,6 +22,7 @@ fn nothing(log: FlightLog) -> Sources {
     Sources {
         devices: Vec::new(),
         threads: Vec::new(),
+        machines: Vec::new(),
         nets: Vec::new(),
         frames: crate::cell::CellFrames::default(),
         log,
@@ -138,4 +139,92 @@ fn overruns_are_burst_if_ten_within_second() {
     assert_eq!(bursts.poll(6), None);
     assert_eq!(bursts.poll(11), Some(11));
     assert_eq!(bursts.poll(12), None, "it begins again");
+}
+
+/// A disk whose room grows.
+#[derive(Clone, Debug, Default)]
+struct Disk {
+    room: Arc<AtomicU64>,
+    bytes: Arc<Mutex<Vec<u8>>>,
+}
+
+impl Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let mut on_disk = self.bytes.lock().unwrap();
+        let room = usize::try_from(self.room.load(Ordering::Relaxed)).unwrap();
+        let len = bytes.len().min(room.saturating_sub(on_disk.len()));
+        on_disk.extend(&bytes[..len]);
+        if len == 0 && !bytes.is_empty() {
+            return Err(std::io::ErrorKind::StorageFull.into());
+        }
+        Ok(len)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Seek for Disk {
+    fn seek(&mut self, _: std::io::SeekFrom) -> std::io::Result<u64> {
+        // Nothing of a flight file is written out of order.
+        Ok(self.bytes.lock().unwrap().len() as u64)
+    }
+}
+
+#[test]
+fn full_disk_is_reported_once_until_file_fits() {
+    let flights = recorder("full", 16);
+    let disk = Disk::default();
+    let lines = Mutex::new(Vec::new());
+    let open = |path: &Path, sources: &Sources, _, _| {
+        disk.bytes.lock().unwrap().clear();
+        FlightFile::create_on(disk.clone(), path, sources)
+    };
+    let report = |level, text: &str| lines.lock().unwrap().push((level, text.to_owned()));
+    let work = (|| nothing(flights.log()), |_: &Sources| Vec::new());
+    std::thread::scope(|scope| {
+        scope.spawn(|| flights.run_on(open, work, || {}, report));
+        // The second after the fault is over.
+        let long_ago = monotonic().0 - 2_000_000_000;
+        let fault = || {
+            let answer = flights.trigger_at(Trigger::Fault, ("left", "it faulted"), long_ago);
+            assert!(matches!(answer, Answer::Written(_)), "{answer:?}");
+            let until = monotonic().0 + 30_000_000_000;
+            while flights.state().current.is_some() && monotonic().0 < until {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        };
+        for room in [0, 300, 300, u64::MAX / 2, u64::MAX / 2, 300] {
+            disk.room.store(room, Ordering::Relaxed);
+            fault();
+        }
+        flights.stop();
+    });
+    let lines = lines.into_inner().unwrap();
+    let levels: Vec<_> = lines.iter().map(|(level, _)| *level).collect();
+    let (full, written) = (Level::Error, Level::Info);
+    assert_eq!(levels, [full, written, written, full], "{lines:?}");
+    for part in ["-left.mcap: ", "\nhint: free space on that disk"] {
+        assert!(lines[0].1.contains(part), "{}", lines[0].1);
+    }
+    let counts = FlightCounts {
+        written: 2,
+        failed: 4,
+        limited: 0,
+    };
+    assert_eq!(flights.counts(), counts);
+    std::fs::remove_dir_all(flights.directory()).unwrap();
+}
+
+#[test]
+fn flight_file_that_failed_leaves_no_empty_file() {
+    let directory = folder("empty");
+    std::fs::create_dir_all(&directory).unwrap();
+    let empty = directory.join("flight-1.mcap");
+    std::fs::write(&empty, b"").unwrap();
+    discard_unreadable(&empty);
+    assert!(!empty.exists(), "it would push out an earlier one");
+    discard_unreadable(&empty);
+    std::fs::remove_dir_all(directory).unwrap();
 }

@@ -130,7 +130,7 @@ impl Registry {
             }
         }
         self.nets.free_machine(id);
-        if let Some(loaded) = self.machines.all.remove(&id) {
+        if let Some(loaded) = self.machines.remove(id) {
             tracing::info!(machine = loaded.program.name(), "machine ended");
         }
     }

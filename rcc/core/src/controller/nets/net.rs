@@ -43,8 +43,6 @@ pub struct NetInfo {
 pub(crate) struct LiveNet {
     pub(crate) id: NetId,
     pub(crate) states: Vec<NetState>,
-    /// Reason of its end, unless it terminated by itself.
-    pub(crate) end: Option<String>,
     /// Its out values, once it is ready.
     pub(crate) values: Option<Arc<Directory>>,
 }
@@ -425,18 +423,9 @@ impl Net {
 
     /// What a stream of live messages needs of it.
     pub(in crate::controller) fn live(&self, id: NetId) -> LiveNet {
-        let end = match &self.life {
-            Life::Terminated { why } => why.clone(),
-            Life::Loading { .. }
-            | Life::Rejected(_)
-            | Life::Waiting { .. }
-            | Life::Running
-            | Life::Cancelling => None,
-        };
         LiveNet {
             id,
             states: self.states.clone(),
-            end,
             values: self.values().map(|it| Arc::clone(&it.out_directory)),
         }
     }

@@ -31,6 +31,14 @@ impl FlightReader {
         low
     }
 
+    /// The last row; empty if there is none.
+    #[must_use]
+    pub fn last(&self) -> Vec<u64> {
+        let (mut cursor, mut words) = (self.end().saturating_sub(1), Vec::new());
+        self.read_since(&mut cursor, 1, &mut words);
+        words
+    }
+
     /// The rows whose word `key` is at least `since`, oldest first; these words never decrease.
     #[must_use]
     pub fn rows_since(&self, since: i64, key: usize) -> Vec<Vec<u64>> {

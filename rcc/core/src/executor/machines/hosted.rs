@@ -10,7 +10,7 @@ use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
 use super::seat::{self, Seat};
-use super::view::MachineView;
+use super::view::{MachineState, MachineView};
 use crate::executor::{ResourceSet, Running};
 use crate::stop_channel::Generation;
 
@@ -64,6 +64,8 @@ pub struct Hosted {
     pub(super) view: MachineView,
     /// Its status at the last report.
     pub(super) reported: Status,
+    /// The states that [`Self::changes`] returned last, as words.
+    noted: Box<[u64]>,
 }
 
 impl Hosted {
@@ -99,6 +101,7 @@ impl Hosted {
             returned: Vec::with_capacity(2 * SPARES * slots.len() + 1),
             slots,
             published,
+            noted: view.machines.iter().map(MachineState::word).collect(),
             view,
             reported: Status::Inactive,
         };
@@ -115,6 +118,18 @@ impl Hosted {
     #[must_use]
     pub const fn view(&self) -> &MachineView {
         &self.view
+    }
+
+    /// Calls `changed` with each machine whose state or status changed since the last call: its number, the outermost one
+    /// 0, and [`MachineState::word`].
+    pub fn changes(&mut self, mut changed: impl FnMut(usize, u64)) {
+        let states = self.view.machines.iter().zip(&mut self.noted).enumerate();
+        for (number, (state, noted)) in states {
+            let word = state.word();
+            if std::mem::replace(noted, word) != word {
+                changed(number, word);
+            }
+        }
     }
 
     /// Finds its nets among the running ones.

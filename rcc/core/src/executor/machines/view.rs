@@ -20,6 +20,15 @@ pub struct MachineState {
     pub failure: Option<Failure>,
 }
 
+impl MachineState {
+    /// Its status and the number of its state plus 1, which is 0 while it is inactive.
+    #[must_use]
+    pub fn word(&self) -> u64 {
+        let state = self.state.map_or(0, |state| state as u64 + 1);
+        (self.status as u64) | (state << 8)
+    }
+}
+
 /// A machine after a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MachineView {

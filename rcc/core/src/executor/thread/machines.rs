@@ -16,26 +16,20 @@ impl Cycle {
                 }
                 match self.executor.add_machine(hosted) {
                     Ok(()) => {
-                        if let Some(tap) = &mut self.tap {
-                            tap.machine_added(id);
-                        }
+                        self.journal.machine_added(id);
                         self.report(Event::MachineAdded(id));
                     }
                     Err((hosted, why)) => self.report(Event::MachineRejected(hosted, why)),
                 }
             }
             Command::Seat(net, fresh) => {
-                if let Some(tap) = &mut self.tap {
-                    tap.seated(&net, fresh);
-                }
+                self.journal.seated(&net, fresh);
                 if let Err(net) = self.executor.seat(net, fresh) {
                     self.report(Event::Unscheduled(net));
                 }
             }
             Command::SeatFailed(machine, component) => {
-                if let Some(tap) = &mut self.tap {
-                    tap.seat_failed(machine, component);
-                }
+                self.journal.seat_failed(machine, component);
                 self.executor.seat_failed(machine, component);
             }
             Command::MachineInput(machine, number, input) => {
@@ -44,9 +38,7 @@ impl Cycle {
             }
             Command::RemoveMachine(id) => {
                 if let Some(hosted) = self.executor.remove_machine(id) {
-                    if let Some(tap) = &mut self.tap {
-                        tap.machine_removed(id);
-                    }
+                    self.journal.machine_removed(id);
                     self.report(Event::MachineRemoved(hosted));
                 }
             }
@@ -70,9 +62,7 @@ impl Cycle {
         if !self.served.stop().permits(loaded) {
             return Err(InputError::Halted);
         }
-        if let Some(tap) = &mut self.tap {
-            tap.machine_input(machine, input);
-        }
+        self.journal.machine_input(machine, input);
         self.executor.machine_input(machine, input)
     }
 
@@ -80,15 +70,11 @@ impl Cycle {
     pub(super) fn step_machines(&mut self, moment: Moment) {
         let Self {
             executor,
-            tap,
+            journal,
             clock,
             ..
         } = self;
-        executor.step_machines(moment, clock, |hosted| {
-            if let Some(tap) = tap {
-                tap.stepped(hosted);
-            }
-        });
+        executor.step_machines(moment, clock, |hosted| journal.stepped(hosted));
     }
 
     /// Reports what machines request, return and changed.

@@ -60,7 +60,7 @@ impl Bench {
             served: Served::new(PERIOD, Recorder::new()),
             commands: command_end,
             events: Reports::new(event_end, Arc::default()),
-            tap,
+            journal: Journal::new(tap).0,
             clock,
         };
         Self {

@@ -236,7 +236,8 @@ impl DeviceTopics {
         to.message(channel, topics.cdr.bytes(), at)
     }
 
-    /// Its state, when it changes and once a second.
+    /// Its state, when it changes and in the first cycle of each second of the host's clock, so that a recording and live data
+    /// have the same messages, whenever they began.
     fn diagnosis(
         &mut self,
         topics: &mut Topics,
@@ -244,9 +245,10 @@ impl DeviceTopics {
         reported: Reported<'_>,
         at: Stamp,
     ) -> Result<(), Error> {
-        let (status, faults, now) = (reported.status, reported.faults, reported.wall);
+        let (status, faults) = (reported.status, reported.faults);
+        let now = reported.wall.div_euclid(DIAGNOSIS_NS);
         let is_due = self.shown.is_none_or(|(shown, counted, since)| {
-            (shown, counted) != (status, faults) || now - since >= DIAGNOSIS_NS
+            (shown, counted) != (status, faults) || now != since
         });
         if !is_due {
             return Ok(());

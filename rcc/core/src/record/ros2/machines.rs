@@ -24,6 +24,11 @@ impl Messages {
         self.machines.insert(id, MachineTopic { program, shown });
     }
 
+    /// A machine is unloaded.
+    pub(in crate::record) fn machine_gone(&mut self, id: u32) {
+        self.machines.remove(&id);
+    }
+
     /// The outermost machine was added to its thread, or removed from it.
     pub(super) fn machine_event(
         &mut self,
@@ -40,6 +45,37 @@ impl Messages {
             self.machines.remove(&machine);
         }
         self.write_machine(to, (cycle, &name), [event, "", "inactive"], at)
+    }
+
+    /// The state of a machine, or of one inside, has changed.
+    pub(super) fn changed(
+        &mut self,
+        to: &mut impl Sink,
+        (cycle, machine): (u64, u32),
+        (number, word): (usize, u64),
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let Some(topic) = self.machines.get(&machine) else {
+            return Ok(());
+        };
+        let program = Arc::clone(&topic.program);
+        let Some(name) = program.machines().nth(number) else {
+            return Ok(());
+        };
+        self.write_change(to, (cycle, name), (&program, number, word), at)
+    }
+
+    fn write_change(
+        &mut self,
+        to: &mut impl Sink,
+        machine: (u64, &str),
+        (program, number, word): (&Program, usize, u64),
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let (status, state) = machine_state(word);
+        let state = state.and_then(|state| program.states(number).nth(state));
+        let texts = ["changed", state.unwrap_or_default(), status.word()];
+        self.write_machine(to, machine, texts, at)
     }
 
     /// A machine was stepped.
@@ -59,10 +95,7 @@ impl Messages {
             if std::mem::replace(shown, *word) == *word {
                 return Ok(());
             }
-            let (status, state) = machine_state(*word);
-            let state = state.and_then(|state| program.states(number).nth(state));
-            let texts = ["changed", state.unwrap_or_default(), status.word()];
-            self.write_machine(to, (cycle, name), texts, at)
+            self.write_change(to, (cycle, name), (program, number, *word), at)
         });
         drop(names);
         self.machines.insert(machine, topic);
@@ -78,6 +111,9 @@ impl Messages {
     ) -> Result<(), Error> {
         let topic = "/takt/machine_events";
         let channel = self.topics.channel(to, topic, &schemas::MACHINE_EVENT)?;
+        if !to.wants(channel) {
+            return Ok(());
+        }
         let cdr = at.write(self.topics.cdr.begin()).u64(cycle).text(machine);
         texts.iter().fold(cdr, |cdr, text| cdr.text(text));
         to.message(channel, self.topics.cdr.bytes(), at)

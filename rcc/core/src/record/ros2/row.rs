@@ -10,8 +10,8 @@ use crate::record::words::status_of;
 #[derive(Clone, Copy, Debug)]
 pub(in crate::record) struct FlightRow<'a> {
     pub(in crate::record) cycle: u64,
-    /// When the cycle began.
-    pub(in crate::record) begin: Nanos,
+    /// When the thread woke for the cycle.
+    pub(in crate::record) woken: Nanos,
     pub(in crate::record) status: DeviceStatus,
     /// Number of times that it stopped following commands.
     pub(in crate::record) faults: u64,
@@ -32,11 +32,11 @@ impl<'a> FlightRow<'a> {
     /// The row of a device with so many joints; `None` if it is too short.
     pub(in crate::record) fn of(row: &'a [u64], joints: usize) -> Option<Self> {
         let (head, rest) = row.split_first_chunk::<HEAD>()?;
-        let [cycle, begin, status, faults, _] = *head;
+        let [cycle, _, status, faults, _, woken] = *head;
         let (of_joints, signals) = rest.split_at_checked(joints * JOINT_WORDS)?;
         Some(Self {
             cycle,
-            begin: Nanos(begin.cast_signed()),
+            woken: Nanos(woken.cast_signed()),
             status: status_of(status),
             faults,
             joints: of_joints.as_chunks().0,
@@ -81,6 +81,7 @@ mod tests {
             2,
             3,
             4,
+            6,
             1.5_f64.to_bits(),
             nan,
             0.5_f64.to_bits(),
@@ -88,7 +89,7 @@ mod tests {
         ];
         row.extend([2.0_f64.to_bits(), 9]);
         let read = FlightRow::of(&row, 1).unwrap();
-        assert_eq!((read.cycle, read.begin, read.faults), (7, Nanos(5), 3));
+        assert_eq!((read.cycle, read.woken, read.faults), (7, Nanos(6), 3));
         let words = [9];
         assert_eq!(read.status, DeviceStatus::Operational);
         assert_eq!(read.signals, words);
@@ -97,7 +98,7 @@ mod tests {
         assert_eq!(joint.state.error, 2);
         assert_eq!(joint.state.measured_position, Some(0.5));
         assert_eq!(joint.state.commanded_position, None);
-        row[5] = takt_net::ports::NULL;
+        row[6] = takt_net::ports::NULL;
         let joint = FlightRow::of(&row, 1).unwrap().joints().next().unwrap();
         assert_eq!(joint.set_point.to_bits(), f64::NAN.to_bits());
         assert!(FlightRow::of(&row, 2).is_none());

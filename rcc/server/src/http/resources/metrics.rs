@@ -403,6 +403,54 @@ impl Handler<'_> {
         );
     }
 
+    /// What observers lost, and what became of flight files: none of that delays the controller.
+    fn write_losses(&self, out: &mut Exposition) {
+        let (counters, read) = (&self.site.counters, Counters::read);
+        let mut counter = |name: &str, help: &str, value: u64| {
+            out.single(name, "counter", help, value);
+        };
+        counter(
+            "takt_live_messages_dropped_total",
+            "Messages that slow clients of live data lost.",
+            read(&counters.live_dropped),
+        );
+        counter(
+            "takt_live_rows_lost_total",
+            "Rows that were overwritten before they were read for live data: the host stalled.",
+            read(&counters.live_lost),
+        );
+        counter(
+            "takt_live_datagrams_failed_total",
+            "Datagrams of samples that could not be sent.",
+            read(&counters.datagrams_failed),
+        );
+        counter(
+            "takt_live_samples_lost_total",
+            "Samples that are missing in datagrams: the host stalled.",
+            read(&counters.datagrams_lost),
+        );
+        counter(
+            "takt_scope_samples_lost_total",
+            "Samples that clients of the scope lost because they read too slowly.",
+            read(&counters.scope_lost),
+        );
+        let Some(flights) = self.controller.flight_counts() else {
+            return;
+        };
+        let name = "takt_flight_files_total";
+        let help = "Flight files by what became of them: written, failed (such as on a full disk), or limited (none \
+                    was written because there were too many within a short time).";
+        out.family(name, "counter", help);
+        let of = [
+            ("written", flights.written),
+            ("failed", flights.failed),
+            ("limited", flights.limited),
+        ];
+        for (outcome, count) in of {
+            out.sample(name, &[("outcome", outcome)], count);
+        }
+    }
+
     fn write_server(&self, out: &mut Exposition) {
         let counters = &self.site.counters;
         let clients = Counters::read(&counters.clients);
@@ -435,6 +483,7 @@ impl Handler<'_> {
         out.family(name, "counter", "DirectIO messages, by direction.");
         out.sample(name, &[("direction", "received")], read(&counters.received));
         out.sample(name, &[("direction", "sent")], read(&counters.sent));
+        self.write_losses(out);
     }
 }
 
