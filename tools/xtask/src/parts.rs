@@ -57,6 +57,7 @@ const PARTS: &[Part] = &[
             "takt-devices",
         ],
     ),
+    part("world", &["takt-world", "takt-embedded"]),
     part("net", &["takt-net", "takt-motion", "takt-core"]),
     part("motion", &["takt-motion"]),
     part("machine", &["takt-machine"]),

@@ -16,6 +16,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("takt-can", &["takt-cia402", "takt-link"]),
     ("takt-ethercat", &["takt-cia402", "takt-link"]),
     ("takt-fri", &["takt-link"]),
+    ("takt-world", &[]),
     ("takt-net", &[]),
     ("takt-motion", &["takt-net"]),
     ("takt-machine", &["takt-net"]),
@@ -100,6 +101,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "takt-fri",
             "takt-rt",
             "takt-server",
+            "takt-world",
         ],
     ),
     (
