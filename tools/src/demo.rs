@@ -5,7 +5,7 @@
 mod cell;
 mod lola;
 mod motion;
-mod plot;
+pub(crate) mod plot;
 mod recovery;
 mod report;
 mod samples;

@@ -1,6 +1,7 @@
 //! Recordings of a net thread: all its inputs and outputs, cycle by cycle, as MCAP with messages of ROS 2, and their replay.
 //! A replay runs the same [`Executor`] on the recorded inputs and must give the same words.
 
+mod cycles;
 mod file;
 pub(crate) mod flight;
 mod flight_log;
@@ -55,6 +56,9 @@ pub use values::numbers;
 
 /// Buffers between the net thread and the file; each holds one cycle.
 const BUFFERS: usize = 512;
+/// Pause of the writing thread: waking for each cycle would cost more than writing it. A small part of the time that
+/// [`BUFFERS`] last.
+const IDLE: Duration = Duration::from_millis(20);
 /// Time between two flushes: a crash loses at most this much.
 const FLUSH_PERIOD: Duration = Duration::from_secs(1);
 /// Maximum number of words of one cycle.
@@ -571,7 +575,7 @@ impl<W: Write + Seek> FileThread<W> {
                 flushed = Instant::now();
             }
             if idle {
-                std::thread::sleep(Duration::from_millis(5));
+                std::thread::sleep(IDLE);
             }
         }
     }

@@ -24,7 +24,7 @@ const LEGEND_TEXT: u32 = 24;
 pub(super) const POINTS_MAX: usize = 900;
 
 /// Colours that are distinguishable with colour blindness, in the order of joints.
-pub(super) const COLOURS: [RGBColor; takt_fri::lwr::AXES] = [
+pub(crate) const COLOURS: [RGBColor; takt_fri::lwr::AXES] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),

@@ -3,22 +3,14 @@
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
+use crate::demo::plot::COLOURS;
+
 use super::store::{Curve, Store, thinned};
 
 /// Width of the picture, and height of a plot, in CSS pixels.
 const SIZE: (u32, u32) = (1000, 260);
 /// Most points of a curve.
 const POINTS_MAX: usize = 2_000;
-const COLOURS: [RGBColor; 8] = [
-    RGBColor(31, 119, 180),
-    RGBColor(214, 98, 12),
-    RGBColor(44, 140, 44),
-    RGBColor(190, 40, 40),
-    RGBColor(120, 80, 180),
-    RGBColor(140, 86, 75),
-    RGBColor(200, 90, 170),
-    RGBColor(90, 90, 90),
-];
 
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;

@@ -15,6 +15,7 @@ use serde::Serialize;
 use takt_rt::monotonic;
 
 use crate::error::Error;
+use crate::record::cycles::Encoder;
 use crate::record::notes::{
     CYCLES, DEVICES, DeviceEvent, DeviceNote, FORMAT, MACHINES, MachineNote, NETS, NetNote, Note,
     wrong,
@@ -58,6 +59,7 @@ pub(super) struct Writer<W: Write + Seek = File> {
     path: PathBuf,
     channels: [u16; 4],
     cdr: Cdr,
+    encoder: Encoder,
     messages: Messages,
     sequence: u32,
     /// Cycles written to the file.
@@ -185,6 +187,7 @@ impl<W: Write + Seek> Writer<W> {
             path: path.to_owned(),
             channels,
             cdr: Cdr::default(),
+            encoder: Encoder::default(),
             messages: Messages::default(),
             sequence: 0,
             written: 0,
@@ -369,7 +372,7 @@ impl<W: Write + Seek> Writer<W> {
         let at = start(words).map_or_else(monotonic, |moment| takt_rt::Nanos(moment.wall.0));
         let at = self.stamp(at);
         let mut cdr = std::mem::take(&mut self.cdr);
-        let bytes = cdr.begin().words(words).bytes();
+        let bytes = cdr.begin().words(self.encoder.encode(words)).bytes();
         let result = self.message(cycles, bytes, at);
         self.cdr = cdr;
         result?;

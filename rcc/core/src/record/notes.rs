@@ -127,7 +127,7 @@ pub(super) struct MachineNote {
 }
 
 /// Version of what a replay reads, in the metadata of its channels.
-pub(super) const FORMAT: &str = "5";
+pub(super) const FORMAT: &str = "6";
 /// Notes for the file besides cycles.
 #[derive(Clone, Debug)]
 pub(super) enum Note {

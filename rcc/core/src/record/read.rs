@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 
 use crate::error::Error;
 use crate::files;
+use crate::record::cycles::Cycles;
 use crate::record::notes::{
     CYCLES, DEVICES, DeviceEvent, FORMAT, MACHINES, MachineNote, NETS, NetNote, wrong,
 };
@@ -101,7 +102,7 @@ pub(super) enum RecordedNote {
 pub(super) struct Recording {
     /// Devices and nets in order.
     pub(super) notes: Vec<RecordedNote>,
-    pub(super) cycles: Vec<Vec<u64>>,
+    pub(super) cycles: Cycles,
     /// Its place in a recording of several files.
     pub(super) part: Option<Part>,
     /// It was not finished, because of a full disk or a crash; it holds the complete records.
@@ -181,7 +182,7 @@ impl Recording {
             MACHINES => self.notes.push(RecordedNote::Machine(note(data)?)),
             CYCLES => {
                 let words = words(data).ok_or("a cycle is cut off")?;
-                self.cycles.push(words);
+                self.cycles.push(words)?;
             }
             _ => {}
         }

@@ -73,9 +73,9 @@ pub fn replay(path: &Path) -> Result<Replay, Error> {
         before = recording.part.clone();
         stage.path.clone_from(path);
         stage.learn(&recording)?;
-        for recorded in &recording.cycles {
-            let replayed = stage.cycle(recorded)?;
-            if replayed != *recorded {
+        for recorded in recording.cycles.iter() {
+            let replayed = stage.cycle(&recorded)?;
+            if replayed != recorded {
                 outcome.differs = Some(outcome.cycles);
                 return Ok(outcome);
             }

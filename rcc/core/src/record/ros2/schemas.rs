@@ -103,7 +103,7 @@ pub(in crate::record) const CYCLE: Schema = Schema {
     parts: &[TIME],
 };
 
-/// All inputs and outputs of a cycle, for a replay.
+/// All inputs and outputs of a cycle, for a replay: those that changed, see [`crate::record::cycles`].
 pub(in crate::record) const WORDS: Schema = Schema {
     name: "takt_msgs/msg/Words",
     fields: "uint64[] words\n",

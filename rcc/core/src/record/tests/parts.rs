@@ -114,7 +114,7 @@ fn rotated_parts_are_whole_and_repeat_what_runs() {
             _ => &[(4, true)],
         };
         assert_eq!((nets.as_slice(), read.is_cut), (wanted, false));
-        cycles += read.cycles.len();
+        cycles += read.cycles.iter().count();
         // With an index of its own, and the values of the net that runs.
         let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
         let topics = summary.channels.values();
