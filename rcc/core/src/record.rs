@@ -38,6 +38,7 @@ use crate::error::Error;
 use crate::executor::machines::{Hosted, MachineInput};
 use crate::executor::{End, Executor, Running};
 use crate::ids::NetId;
+use cycles::WORDS_A_CYCLE;
 use file::Writer;
 use notes::{LEVEL_WARN, Note};
 use parts::Parts;
@@ -61,8 +62,6 @@ const BUFFERS: usize = 512;
 const IDLE: Duration = Duration::from_millis(20);
 /// Time between two flushes: a crash loses at most this much.
 const FLUSH_PERIOD: Duration = Duration::from_secs(1);
-/// Maximum number of words of one cycle.
-const WORDS_A_CYCLE: usize = 16_384;
 
 /// The net thread's endpoint of a recording. It never waits: a cycle for which no buffer is free, or
 /// that does not fit one, is counted as lost.

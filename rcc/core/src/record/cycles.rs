@@ -4,8 +4,8 @@
 //! A message is a sequence of words: the number of words of its cycle, with [`WHOLE`] if all of them follow; the number of the cycle
 //! in the file, from 0; then all words, or one bit for each word that changed (bit 0 of the first is the first word) and these.
 
-use super::WORDS_A_CYCLE;
-
+/// Maximum number of words of one cycle.
+pub(super) const WORDS_A_CYCLE: usize = 16_384;
 /// In the first word of a message that has all words of its cycle.
 const WHOLE: u64 = 1 << 63;
 /// Words of the cycle for each word of bits.

@@ -15,7 +15,7 @@ use crate::error::Error;
 use crate::executor::machines::{Hosted, Seat};
 use crate::executor::{Executor, Running};
 use crate::ids::NetId;
-use crate::record::WORDS_A_CYCLE;
+use crate::record::cycles::WORDS_A_CYCLE;
 use crate::record::inspect::contents;
 use crate::record::notes::{DeviceEvent, MachineNote, NetNote, wrong};
 use crate::record::parts::Part;
