@@ -99,6 +99,57 @@ fn cell_view_moves_with_its_robot() {
 }
 
 #[test]
+fn cell_view_of_factory_shows_all_that_it_has() {
+    let _alone = alone();
+    let Some(mut browser) = browser("cell_view_of_factory_shows_all_that_it_has") else {
+        return;
+    };
+    let mut command = common::takt(&["demo", "--open", "--robots", "factory", "--duration", "5s"]);
+    command.env("PATH", "/nonexistent");
+    let mut demo = Process::spawn(command);
+    let line = demo.wait_for("http://127.0.0.1:");
+    browser.resize(1280, 900, false);
+    browser.open(&format!("{}#cell", line.rsplit(' ').next().unwrap()));
+    wait(
+        &mut browser,
+        "/^right\\tscrewdriver\\t-?\\d/m.test(document.body.innerText) && /^hand\\t/m.test(document.body.innerText)",
+    );
+    // The arm of the youBot stands on its base, and so on the floor of the cell.
+    wait(
+        &mut browser,
+        "/^arm\\tflange\\t-?\\d/m.test(document.body.innerText)",
+    );
+    let labels = "[...document.querySelectorAll('.space-labels span')].map(it => it.className + ' ' + it.textContent)";
+    wait(&mut browser, &format!("{labels}.length > 12"));
+    let labels = browser.value(labels);
+    let has = |label: &str| labels.as_array().unwrap().iter().any(|it| it == label);
+    for label in [
+        "device left",
+        "device right",
+        "device tx90",
+        "device base",
+        "device arm",
+        "device hand",
+        "frame world",
+        "frame bench",
+        "object table",
+        "object pedestal",
+        "object supply",
+        "object column",
+        "object screws",
+    ] {
+        assert!(has(label), "{label} is missing in {labels}");
+    }
+    // Trails grow and a ghost is where a robot is commanded to be: the picture without them differs.
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    browser.picture("factory-light-1280");
+    browser.resize(390, 844, true);
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    browser.picture("factory-dark-390");
+    assert_eq!(browser.errors, [""; 0]);
+}
+
+#[test]
 fn cell_view_without_webgl_shows_numbers() {
     let Some(mut browser) = browser("cell_view_without_webgl_shows_numbers") else {
         return;

@@ -54,6 +54,7 @@ mod drivers;
 mod frames;
 mod live;
 mod location;
+mod objects;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -75,6 +76,7 @@ pub use frames::{
 };
 pub use live::LiveSettings;
 use location::located;
+pub use objects::{ObjectConfig, ObjectShape};
 
 /// Net threads that a controller may have.
 pub const THREADS_MAX: usize = 8;
@@ -94,7 +96,7 @@ pub struct CellConfig {
     pub devices: Vec<Arc<dyn DriverConfig>>,
     /// Its buses, each with devices of its own.
     pub buses: Vec<Arc<dyn DriverConfig>>,
-    /// Its named frames, bases, tools and home positions.
+    /// Its named frames, bases, tools, home positions and objects.
     pub frames: CellFrames,
 }
 
@@ -113,6 +115,8 @@ struct Rest {
     tool: Vec<ToolConfig>,
     #[serde(default)]
     home: Vec<HomeConfig>,
+    #[serde(default)]
+    object: Vec<ObjectConfig>,
 }
 
 /// Settings of the controller itself.
@@ -327,6 +331,7 @@ impl CellConfig {
                 bases: rest.base,
                 tools: rest.tool,
                 homes: rest.home,
+                objects: rest.object,
             },
         })
     }

@@ -95,7 +95,7 @@ fn driver_table_has_each_section_once() {
 }
 
 /// Sections of docs/cell.md, with a cell in which the program meets an unknown key there.
-const SECTIONS: [(&str, &str); 30] = [
+const SECTIONS: [(&str, &str); 31] = [
     ("[controller]", "[controller]\nzz = 1"),
     ("[live]", "[live]\nzz = 1"),
     ("[[controller.thread]]", "[[controller.thread]]\nzz = 1"),
@@ -103,6 +103,7 @@ const SECTIONS: [(&str, &str); 30] = [
     ("[[base]]", "[[base]]\nzz = 1"),
     ("[[tool]]", "[[tool]]\nzz = 1"),
     ("[[home]]", "[[home]]\nzz = 1"),
+    ("[[object]]", "[[object]]\nzz = 1"),
     (
         "[[device]] of type kuka_lwr_fri",
         "[[device]]\ntype = 'kuka_lwr_fri'\nzz = 1",
@@ -204,7 +205,7 @@ fn cell_reference_lists_every_key() {
 }
 
 /// Sections of docs/cell.md that state defaults, with a cell that is accepted with any one of these at the `@`.
-const CELLS: [(&str, &str); 29] = [
+const CELLS: [(&str, &str); 30] = [
     ("[controller]", "[controller]\n@"),
     ("[live]", "[live]\nfoxglove = '127.0.0.1:1'\n@"),
     (
@@ -237,6 +238,7 @@ const CELLS: [(&str, &str); 29] = [
     ),
     ("[[frame]]", "[[frame]]\nname = 'f'\n@"),
     ("[[base]]", "[[base]]\ndevice = 'n'\n@"),
+    ("[[object]]", "[[object]]\nname = 'o'\nsphere = 1\n@"),
     (
         "[[tool]]",
         "[[device]]\nname = 'n'\ntype = 'kuka_lwr_fri'\nlisten = '127.0.0.1:1000'\n[[tool]]\nname = 't'\ndevice = 'n'\n@",

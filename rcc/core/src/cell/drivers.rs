@@ -95,7 +95,15 @@ impl DriverKind {
 }
 
 /// Tables that are not those of drivers.
-const OWN: [&str; 6] = ["controller", "live", "frame", "base", "tool", "home"];
+const OWN: [&str; 7] = [
+    "controller",
+    "live",
+    "frame",
+    "base",
+    "tool",
+    "home",
+    "object",
+];
 
 /// What drivers read of a cell file.
 #[derive(Debug, Default)]

@@ -9,12 +9,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::Deserialize;
 use takt_net::{Frame, Rotation, Vector};
 
+use crate::cell::objects::ObjectConfig;
 use crate::ids::check_device_name;
 
 /// Name of the frame that has no parent.
 pub const WORLD: &str = "world";
 
-/// Most frames, bases, tools and home positions of a cell, of each kind.
+/// Most frames, bases, tools, home positions and objects of a cell, of each kind.
 pub const FRAMES_MAX: usize = 1024;
 
 /// Frames of a device that need no entry.
@@ -34,6 +35,8 @@ pub struct CellFrames {
     pub tools: Vec<ToolConfig>,
     /// Home positions of arms.
     pub homes: Vec<HomeConfig>,
+    /// Objects that viewers show.
+    pub objects: Vec<ObjectConfig>,
 }
 
 /// A position and an orientation in a parent, as cell files have them.
@@ -54,7 +57,7 @@ impl Placement {
         Frame::from_parts(Vector::from(self.position).into(), rotation)
     }
 
-    fn check(&self, name: &str) -> Result<(), String> {
+    pub(super) fn check(&self, name: &str) -> Result<(), String> {
         if !self
             .position
             .iter()
@@ -158,7 +161,7 @@ macro_rules! placed {
 
 placed! { FrameConfig BaseConfig ToolConfig }
 
-fn world() -> String {
+pub(super) fn world() -> String {
     WORLD.to_owned()
 }
 
@@ -203,6 +206,10 @@ impl CellFrames {
                 }
             }
             self.check_parent(&frame.name, &frame.parent, devices)?;
+        }
+        for object in &self.objects {
+            object.check()?;
+            self.check_parent(&object.name, &object.parent, devices)?;
         }
         for base in &self.bases {
             base.placement()
@@ -256,6 +263,7 @@ impl CellFrames {
             ("base", self.bases.len()),
             ("tool", self.tools.len()),
             ("home", self.homes.len()),
+            ("object", self.objects.len()),
         ];
         match counts.into_iter().find(|(_, count)| *count > FRAMES_MAX) {
             None => Ok(()),
@@ -270,7 +278,9 @@ impl CellFrames {
         let frames = self.frames.iter().map(|frame| ("frame", &frame.name, None));
         let tools = self.tools.iter();
         let tools = tools.map(|tool| ("tool", &tool.name, Some(tool.device.as_str())));
-        for (kind, name, device) in frames.chain(tools) {
+        let objects = self.objects.iter();
+        let objects = objects.map(|object| ("object", &object.name, None));
+        for (kind, name, device) in frames.chain(tools).chain(objects) {
             let is_taken = if device.is_some() {
                 PARTS.contains(&name.as_str())
             } else {
@@ -283,7 +293,8 @@ impl CellFrames {
                 ));
             }
             check_device_name(name).map_err(|why| why.replacen("device name", "name", 1))?;
-            if !known.insert((device, name.clone())) {
+            // An object is no frame, so it may have the name of one.
+            if !known.insert((kind == "object", device, name.clone())) {
                 return Err(format!("{kind} name `{name}` is given twice"));
             }
         }

@@ -176,7 +176,7 @@ fn cell_faults_show_their_line() {
         (
             "[controller]\n[profibus]",
             "line 2, column 2",
-            "unknown field `profibus`, expected one of `controller`, `live`, `frame`, `base`, `tool`, `home`, `device`, `ethercat`, `canopen`",
+            "unknown field `profibus`, expected one of `controller`, `live`, `frame`, `base`, `tool`, `home`, `object`, `device`, `ethercat`, `canopen`",
         ),
         (
             "[[ethercat]]\nname = 's'\n[[ethercat]]\nname = 3",

@@ -6,10 +6,12 @@ import { apply, forward, identity, links, multiply, pose } from "./math3.js";
 /** @typedef {import("./math3.js").Vector} Vector */
 /** @typedef {import("./dom.js").Json} Json */
 /** A solid of a device, in its base while all joints are at 0.
- * @typedef {{ link: number, role: string, kind: string, from: Vector, to: Vector, radius: number, pose: Matrix, size: Vector, slide: Vector | null }} Solid */
+ * @typedef {{ link: number, role: string, kind: string, from: Vector, to: Vector, radius: number, pose: Matrix, size: Vector, slide: Vector | null, uri: string,
+ *   file: string, scale: number[] }} Solid */
 /** @typedef {{ name: string, type: string, serial: boolean, mobile: boolean, wrench: boolean, parent: string | null, pose: Matrix,
  *   axis: { direction: Vector, point: Vector }[], flange: Matrix, isArm: boolean, tools: { name: string, pose: Matrix }[], solids: Solid[] }} Device */
-/** @typedef {{ frames: { name: string, parent: string, pose: Matrix }[], devices: Device[] }} Geometry */
+/** @typedef {{ name: string, parent: string, pose: Matrix, solids: Solid[] }} CellObject an object of the cell */
+/** @typedef {{ frames: { name: string, parent: string, pose: Matrix }[], devices: Device[], objects: CellObject[] }} Geometry */
 /** What is known of a device now: joints in rad, a mobile base as x, y, z (m) and a quaternion x, y, z, w, a force at the flange in N, an opening in m.
  * @typedef {{ joints: number[], commanded: number[], base: number[] | null, force: number[] | null, opening: number }} Live */
 
@@ -36,6 +38,7 @@ function solid(json) {
     link: Number(json.link), role: String(json.role), kind: String(json.kind), pose: posed(json), radius: Number(json.radius ?? 0),
     from: numbers(json.from, 3, origin), to: numbers(json.to, 3, origin), size: numbers(json.size, 3, origin),
     slide: json.slide === undefined ? null : numbers(json.slide, 3),
+    uri: String(json.uri ?? ""), file: String(json.file ?? ""), scale: numbers(json.scale, 3, [1, 1, 1]),
   };
 }
 
@@ -51,7 +54,9 @@ export function readGeometry(json) {
     tools: (it.tool ?? []).map((/** @type {Json} */ tool) => ({ name: String(tool.name), pose: posed(tool) })),
     solids: (it.solid ?? []).map(solid),
   }));
-  return { frames, devices };
+  const objects = (json.object ?? []).map((/** @type {Json} */ it) =>
+    ({ name: String(it.name), parent: String(it.parent), pose: posed(it), solids: (it.solid ?? []).map(solid) }));
+  return { frames, devices, objects };
 }
 
 /** @returns {Live} */
@@ -116,6 +121,11 @@ export class Places {
     if (part === "flange") return device.isArm ? this.on(device.name + ".base", forward(device, this.joints(device)), depth) : null;
     const tool = device.tools.find(tool => tool.name === part);
     return tool ? this.on(device.name + ".flange", tool.pose, depth) : null;
+  }
+
+  /** Where an object is; null if its parent is unknown. @param {CellObject} object */
+  object(object) {
+    return this.on(object.parent, object.pose, 0);
   }
 
   /** @param {string} parent @param {Matrix} pose @param {number} depth */

@@ -1,7 +1,8 @@
 // Draws the cell: floor, devices, commanded ghosts, frames, trails, forces. Where things are comes from `Places`.
 
 import { Places, differs, reach } from "./geometry.js";
-import { add, apply, beside, direct, identity, length, shift, unit } from "./math3.js";
+import { add, apply, beside, direct, identity, length, multiply, shift, unit } from "./math3.js";
+import { piecesOf } from "./meshes.js";
 import { Mesh, arrow, grid } from "./solids.js";
 
 /** @typedef {import("./math3.js").Matrix} Matrix */
@@ -13,7 +14,7 @@ import { Mesh, arrow, grid } from "./solids.js";
 /** @typedef {import("./webgl.js").Drawn} Drawn */
 /** @typedef {{ ghost: boolean, trail: boolean, frames: boolean, labels: boolean, force: boolean }} Shown */
 /** @typedef {{ text: string, at: Vector, kind: string }} Label */
-/** @typedef {{ link: number, role: string, mesh: Drawn, slide: Vector | null }} Part */
+/** @typedef {{ link: number, role: string, mesh: Drawn, slide: Vector | null, pose: Matrix | null }} Part */
 
 /** Positions of a tool that are kept: some seconds at the rate of the display. */
 const TRAIL_MAX = 600;
@@ -24,6 +25,8 @@ const FORCE_SCALE = 0.01, FORCE_MIN = 0.5, FORCE_MAX = 0.6;
 /** Length of the axes of a frame, m. */
 const AXIS = 0.12;
 const FLOOR = 4;
+/** Simple solids of an arm that its own shapes replace. */
+const STAND_INS = ["foot", "link", "joint", "flange", "notch"];
 
 /** Colours of the device's links, one after the other, of light and dark pages alike. */
 const DEVICES = [[0.93, 0.49, 0.15], [0.25, 0.55, 0.85], [0.35, 0.68, 0.42], [0.83, 0.68, 0.2], [0.62, 0.45, 0.8], [0.3, 0.68, 0.7]];
@@ -31,8 +34,8 @@ const ROLES = { joint: [0.42, 0.45, 0.5], flange: [0.72, 0.74, 0.77], notch: [0.
   foot: [0.3, 0.33, 0.37], wheel: [0.22, 0.23, 0.26] };
 const AXES = [[0.86, 0.25, 0.22], [0.2, 0.65, 0.3], [0.25, 0.45, 0.95]];
 const THEMES = {
-  light: { back: [0.945, 0.953, 0.961], ambient: 0.62, thin: [0.87, 0.885, 0.9], metre: [0.78, 0.8, 0.825], ghost: [0.1, 0.4, 0.9], trail: [0.1, 0.45, 0.75], force: [0.8, 0.1, 0.25] },
-  dark: { back: [0.075, 0.09, 0.11], ambient: 0.42, thin: [0.125, 0.145, 0.17], metre: [0.19, 0.215, 0.245], ghost: [0.45, 0.7, 1], trail: [0.45, 0.75, 1], force: [1, 0.35, 0.45] },
+  light: { back: [0.945, 0.953, 0.961], ambient: 0.62, thin: [0.87, 0.885, 0.9], metre: [0.78, 0.8, 0.825], ghost: [0.1, 0.4, 0.9], trail: [0.1, 0.45, 0.75], force: [0.8, 0.1, 0.25], object: [0.72, 0.7, 0.66] },
+  dark: { back: [0.075, 0.09, 0.11], ambient: 0.42, thin: [0.125, 0.145, 0.17], metre: [0.19, 0.215, 0.245], ghost: [0.45, 0.7, 1], trail: [0.45, 0.75, 1], force: [1, 0.35, 0.45], object: [0.36, 0.37, 0.39] },
 };
 
 export class Scene {
@@ -48,6 +51,11 @@ export class Scene {
     this.axes = [0, 1, 2].map(axis => this.keep(renderer.loadLines([0, 0, 0, ...[0, 1, 2].map(it => it === axis ? AXIS : 0)])));
     this.arrow = this.keep(renderer.load(arrow()));
     this.parts = new Map(geometry.devices.map(device => [device.name, this.partsOf(device)]));
+    this.objects = geometry.objects.map(object => {
+      const mesh = new Mesh();
+      object.solids.forEach(solid => mesh.solid(solid));
+      return { object, mesh: this.keep(renderer.load(mesh)) };
+    });
     /** @type {Map<string, { points: Float32Array, count: number, lines: Drawn }>} */
     this.trails = new Map();
   }
@@ -68,13 +76,25 @@ export class Scene {
   partsOf(device) {
     /** @type {Map<string, { link: number, role: string, slide: Vector | null, mesh: Mesh }>} */
     const parts = new Map();
+    // Simple solids stand for a link whose own shapes are not all there.
+    const shapes = device.solids.filter(solid => solid.role === "visual"), isKnown = (/** @type {import("./geometry.js").Solid} */ solid) => solid.kind !== "mesh" || !!piecesOf(solid);
+    const shown = new Set(shapes.map(solid => solid.link).filter(link => shapes.every(solid => solid.link !== link || isKnown(solid))));
+    /** @type {Part[]} */
+    const meshes = [];
     for (const solid of device.solids) {
+      if (STAND_INS.includes(solid.role) && shown.has(solid.link)) continue;
+      if (solid.role === "visual" && !shown.has(solid.link)) continue;
+      if (solid.kind === "mesh") {
+        for (const piece of piecesOf(solid) ?? [])
+          meshes.push({ link: solid.link, role: solid.role, slide: null, pose: solid.pose, mesh: this.keep(this.renderer.load(piece)) });
+        continue;
+      }
       const key = [solid.link, solid.role, solid.slide].join();
       const part = parts.get(key) ?? { link: solid.link, role: solid.role, slide: solid.slide, mesh: new Mesh() };
       part.mesh.solid(solid);
       parts.set(key, part);
     }
-    return [...parts.values()].map(part => ({ ...part, mesh: this.keep(this.renderer.load(part.mesh)) }));
+    return [...meshes, ...[...parts.values()].map(part => ({ ...part, pose: null, mesh: this.keep(this.renderer.load(part.mesh)) }))];
   }
 
   /** Remembers where the tools are. @param {Places} places */
@@ -126,10 +146,25 @@ export class Scene {
       if (force) labels.push(force);
       if (shown.labels) labels.push(...this.name(device, places));
     });
+    labels.push(...this.drawObjects(places, theme.object, shown.labels));
     if (shown.frames) labels.push(...this.frames(places, shown.labels));
     if (shown.trail)
       for (const { lines } of this.trails.values()) renderer.drawLines(lines, identity(), theme.trail, 1, true);
     if (shown.ghost) this.ghosts(places, theme.ghost);
+    return labels;
+  }
+
+  /** The objects of the cell, with their names in their middles. @param {Places} places @param {number[]} colour @param {boolean} isLabelled
+   * @returns {Label[]} */
+  drawObjects(places, colour, isLabelled) {
+    /** @type {Label[]} */
+    const labels = [];
+    for (const { object, mesh } of this.objects) {
+      const at = places.object(object);
+      if (!at) continue;
+      this.renderer.draw(mesh, at, colour);
+      if (isLabelled) labels.push({ text: object.name, at: [at[12], at[13], at[14]], kind: "object" });
+    }
     return labels;
   }
 
@@ -142,8 +177,9 @@ export class Scene {
    * @param {number} alpha */
   device(device, links, live, colour, alpha) {
     if (!links) return;
-    for (const { link, role, mesh, slide } of this.parts.get(device.name) ?? []) {
+    for (const { link, role, mesh, slide, pose } of this.parts.get(device.name) ?? []) {
       let at = links[link] ?? links[0];
+      if (pose) at = multiply(at, pose);
       if (slide) at = add3(at, slide, live?.opening ?? 0);
       this.renderer.draw(mesh, at, colour(role), alpha);
     }
@@ -194,7 +230,7 @@ export class Scene {
     return labels;
   }
 
-  /** The corners of a box around all devices. @param {Places} places @returns {[Vector, Vector]} */
+  /** The corners of a box around all devices and objects. @param {Places} places @returns {[Vector, Vector]} */
   bounds(places) {
     const low = [Infinity, Infinity, 0], high = [-Infinity, -Infinity, 0.3];
     for (const device of this.geometry.devices) {
@@ -206,6 +242,10 @@ export class Scene {
           at.forEach((value, axis) => { low[axis] = Math.min(low[axis], value - 0.1); high[axis] = Math.max(high[axis], value + 0.1); });
         }
       }
+    }
+    for (const { object } of this.objects) {
+      const at = places.object(object);
+      at?.subarray(12, 15).forEach((value, axis) => { low[axis] = Math.min(low[axis], value - 0.1); high[axis] = Math.max(high[axis], value + 0.1); });
     }
     return Number.isFinite(low[0]) ? [low, high] : [[-1, -1, 0], [1, 1, 1]];
   }

@@ -63,7 +63,8 @@ export class Mesh {
 
   /** @param {Vector} from @param {Vector} to @param {number} radius */
   capsule(from, to, radius) {
-    const up = unit(subtract(to, from)), sides = beside(up);
+    // One without length is a sphere.
+    const up = length(subtract(to, from)) > 1e-9 ? unit(subtract(to, from)) : [0, 0, 1], sides = beside(up);
     /** @type {number | undefined} */
     let below;
     for (let ring = -RINGS; ring <= RINGS; ring++) {

@@ -5,6 +5,7 @@ import { Camera, connectCamera } from "./camera.js";
 import { Places, atRest, readGeometry, rowOf } from "./geometry.js";
 import { length, project } from "./math3.js";
 import { periods, readProbe } from "./live.js";
+import { readMeshes } from "./meshes.js";
 import { Scene } from "./scene.js";
 import { Scopes } from "./scopes.js";
 import { Renderer } from "./webgl.js";
@@ -22,6 +23,8 @@ const RATE_MIN_HZ = 32;
 const CELL_MS = 3000;
 /** Labels that are shown at once. */
 const LABELS_MAX = 80;
+/** Roughly the width of a letter of a label and the height of its line, pixels, and how far labels give way to others, lines. */
+const LETTER_PX = 7, LINE_PX = 14, PUSHES_MAX = 6;
 
 /** What can be shown: name, text, key. @type {[keyof Shown, string][]} */
 const SWITCHES = [["ghost", "commanded ghost"], ["trail", "trail"], ["force", "forces"], ["frames", "frames"], ["labels", "labels"]];
@@ -42,7 +45,8 @@ class Mounted {
     this.state = make("span", "", "dim");
     this.rate = make("span", "", "dim");
     this.table = make("div");
-    /** @type {Geometry} */ this.geometry = { frames: [], devices: [] };
+    this.unread = make("p", "", "warn plot-note");
+    /** @type {Geometry} */ this.geometry = { frames: [], devices: [], objects: [] };
     /** @type {Map<string, import("./math3.js").Matrix>} */ this.row = new Map();
     /** @type {Map<string, Live>} */ this.live = new Map();
     /** @type {Scene | null} */ this.scene = null;
@@ -58,7 +62,7 @@ class Mounted {
     this.dark = matchMedia("(prefers-color-scheme: dark)");
     /** @type {Renderer | null} */ this.renderer = null;
     const box = make("div", undefined, "space-box");
-    element.append(section("Cell", "", this.toolbar(), box, make("p", "", "dim space-note"), this.table));
+    element.append(section("Cell", "", this.toolbar(), box, make("p", "", "dim space-note"), this.unread, this.table));
     this.note = /** @type {HTMLElement} */ (element.querySelector(".space-note"));
     try {
       this.renderer = new Renderer(this.canvas);
@@ -143,10 +147,22 @@ class Mounted {
       this.geometry = readGeometry(geometry);
       this.row = rowOf(this.geometry);
       this.build();
+      this.readMeshes();
     }
     if (texts.join() !== this.known.join()) this.watchProbes(list(probes, "probe"));
     if (probes.error) this.showState(probes.error, false);
     this.known = texts;
+  }
+
+  /** Draws meshes when they are read; simple solids stand for them until then. */
+  async readMeshes() {
+    const { geometry } = this, meshes = geometry.devices.flatMap(device => device.solids).filter(solid => solid.kind === "mesh");
+    if (!meshes.length) { this.unread.textContent = ""; return; }
+    const faults = await readMeshes(meshes);
+    if (this.isOver || geometry !== this.geometry) return;
+    this.unread.textContent = faults.length ? "Drawn as simple solids:\n" + faults.join("\n") : "";
+    this.canvas.dataset.meshes = String(meshes.length - faults.length);
+    this.build();
   }
 
   build() {
@@ -202,17 +218,29 @@ class Mounted {
   /** @param {import("./scene.js").Label[]} labels */
   place(labels) {
     const { clientWidth: width, clientHeight: height } = this.canvas, view = camera.matrix(width / Math.max(1, height));
+    /** @type {number[][]} */
+    const taken = [];
     const visible = labels.slice(0, LABELS_MAX).flatMap(label => {
       const at = project(view, label.at);
-      return at && Math.abs(at[0]) < 1 && Math.abs(at[1]) < 1 ? [{ label, at }] : [];
+      if (!at || !(Math.abs(at[0]) < 1 && Math.abs(at[1]) < 1)) return [];
+      // Below those that are there already.
+      const x = (at[0] + 1) / 2 * width, wide = LETTER_PX * label.text.length;
+      let y = (1 - at[1]) / 2 * height;
+      for (let round = 0; round < PUSHES_MAX; round++) {
+        const below = taken.find(([left, top, right]) => left < x + wide && x < right && Math.abs(top - y) < LINE_PX);
+        if (!below) break;
+        y = below[1] + LINE_PX;
+      }
+      taken.push([x, y, x + wide]);
+      return [{ label, x, y }];
     });
     while (this.labels.children.length < visible.length) this.labels.append(make("span"));
     while (this.labels.children.length > visible.length) this.labels.lastChild?.remove();
-    visible.forEach(({ label, at }, number) => {
+    visible.forEach(({ label, x, y }, number) => {
       const element = /** @type {HTMLElement} */ (this.labels.children[number]);
       if (element.textContent !== label.text) element.textContent = label.text;
       element.className = label.kind;
-      element.style.transform = `translate(${((at[0] + 1) / 2 * width).toFixed(1)}px, ${((1 - at[1]) / 2 * height).toFixed(1)}px)`;
+      element.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
     });
   }
 
@@ -233,9 +261,7 @@ class Mounted {
       this.busy = 0;
       this.rate.textContent = Math.round((this.frames - this.counted.frames) * 1000 / past) + " pictures/s";
       this.busy = 0;
-    this.calm = 0;
-    this.calmNeeded = 3;
-    this.counted = { at: now, frames: this.frames };
+      this.counted = { at: now, frames: this.frames };
     }
     const places = this.places();
     const rows = this.geometry.devices.filter(device => device.solids.length).map(device => {
@@ -246,6 +272,10 @@ class Mounted {
       return [device.name, device.isArm ? device.tools[0]?.name ?? "flange" : "base", ...position,
         apart < 0 ? "—" : apart.toFixed(5), live.force ? length(live.force).toFixed(1) : "—"];
     });
+    for (const object of this.geometry.objects) {
+      const at = places.object(object);
+      rows.push([object.name, "object", ...(at ? [...at.subarray(12, 15)].map(value => value.toFixed(4)) : ["—", "—", "—"]), "", ""]);
+    }
     this.fill(["device", "frame", "x m", "y m", "z m", "largest joint error rad", "force N"], rows);
   }
 

@@ -82,7 +82,7 @@ export class Renderer {
     return /** @type {WebGLBuffer} */ (buffer);
   }
 
-  /** @param {import("./solids.js").Mesh} mesh @returns {Drawn} */
+  /** @param {{ positions: ArrayLike<number>, normals: ArrayLike<number>, indices: ArrayLike<number> }} mesh @returns {Drawn} */
   load(mesh) {
     const { gl } = this;
     this.bound = null;

@@ -12,6 +12,7 @@ mod machines;
 mod metrics;
 mod page;
 mod page_cell;
+mod page_meshes;
 mod page_nets;
 mod page_plots;
 mod resources;

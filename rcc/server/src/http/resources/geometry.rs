@@ -3,7 +3,7 @@
 
 mod solids;
 
-use takt_core::cell::Placement;
+use takt_core::cell::{ObjectConfig, Placement};
 use takt_core::controller::DeviceDetails;
 use takt_core::net::Frame;
 
@@ -16,18 +16,27 @@ use solids::{Model, Shape, Solid};
 const VERSION: u32 = 1;
 
 impl Handler<'_> {
-    /// Frames and devices of the cell; lengths in m, angles in rad, rotations as quaternions x, y, z, w.
+    /// Frames, devices and objects of the cell; lengths in m, angles in rad, rotations as quaternions x, y, z, w.
     pub(super) fn geometry(&self) -> Response {
-        let frames = self.controller.frames().frames;
-        let frames = frames.iter().map(|frame| {
+        let cell = self.controller.frames();
+        let frames = cell.frames.iter().map(|frame| {
             let element = Element::new("frame").with("name", &frame.name);
             placed(element, &frame.parent, &frame.placement())
         });
         let devices = self.controller.device_details();
         let devices = devices.iter().map(device);
+        let objects = cell.objects.iter().filter_map(object);
         let geometry = Element::new("geometry").with("version", VERSION);
-        self.show(&geometry.containing(frames).containing(devices))
+        let geometry = geometry.containing(frames).containing(devices);
+        self.show(&geometry.containing(objects))
     }
+}
+
+/// An object with its solid, about its own middle.
+fn object(object: &ObjectConfig) -> Option<Element> {
+    let element = Element::new("object").with("name", &object.name);
+    let element = placed(element, &object.parent, &object.placement());
+    Some(element.containing([solid(&Solid::of_object(object.shape()?))]))
 }
 
 /// A device with its rotation axes, its flange, its tools and its solids, all in its base while its joints are at 0.

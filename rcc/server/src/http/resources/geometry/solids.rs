@@ -2,6 +2,7 @@
 //! kinematics. They are no collision model.
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use takt_core::cell::ObjectShape;
 use takt_core::controller::{Axis, Chain, DeviceDetails};
 use takt_core::net::Frame;
 
@@ -34,6 +35,38 @@ pub(super) struct Solid {
     pub(super) shape: Shape,
     /// Its shift for each metre that a gripper is open.
     pub(super) slide: Option<Point>,
+}
+
+impl Solid {
+    /// The solid of an object of the cell, about its middle.
+    pub(super) fn of_object(shape: ObjectShape) -> Self {
+        let shape = match shape {
+            ObjectShape::Box(lengths) => Shape::Box {
+                pose: Frame::identity(),
+                size: lengths.into(),
+            },
+            ObjectShape::Cylinder { radius, length } => {
+                let half = Point::z() * (0.5 * length);
+                cylinder(-half, half, radius)
+            }
+            ObjectShape::Sphere(radius) => ball(Point::zeros(), radius),
+        };
+        Self {
+            link: 0,
+            role: "object",
+            shape,
+            slide: None,
+        }
+    }
+}
+
+/// A sphere: a capsule without length.
+const fn ball(centre: Point, radius: f64) -> Shape {
+    Shape::Capsule {
+        from: centre,
+        to: centre,
+        radius,
+    }
 }
 
 /// Dimensions in m.
