@@ -14,6 +14,7 @@ mod line;
 mod serve;
 mod served;
 mod status;
+mod surroundings;
 mod window;
 
 pub(crate) use arm::Arm;
@@ -30,6 +31,8 @@ pub use serve::serve;
 pub(crate) use served::served;
 pub(crate) use status::Snapshot;
 pub use status::{Served, Status};
+pub(crate) use surroundings::Sensor;
+pub use surroundings::{Flange, Sensing, Surroundings};
 pub use window::Timing;
 pub(crate) use window::Window;
 

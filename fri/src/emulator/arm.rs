@@ -4,7 +4,7 @@ use super::AXES;
 use super::body::{Body, Law};
 
 /// The joints; positions in rad, steps in rad per cycle.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Arm {
     /// Set-point of the drives.
     pub(crate) set_point: [f64; AXES],

@@ -4,9 +4,12 @@
 use super::AXES;
 use super::chain::{Chain, Jacobian, Pose, turn};
 use super::contact::Contact;
+use super::surroundings::{Flange, Surroundings};
 use nalgebra::{SMatrix, SVector, Vector3};
 use std::time::Duration;
 
+/// Of the earth, m/s2.
+const GRAVITY: f64 = 9.81;
 /// Integration step: short against the fastest joint on the stiffest contact.
 const STEP_S: f64 = 0.000_25;
 /// Effective inertia of each joint, kg m2: *assumption*.
@@ -46,7 +49,7 @@ pub(crate) enum Law {
 }
 
 /// The arm and its contact.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Body {
     chain: Chain,
     /// Time constant of the drives, s.
@@ -58,6 +61,13 @@ pub(crate) struct Body {
     jacobian: Jacobian,
     /// What the tip of the tool touches.
     pub(crate) contact: Option<Contact>,
+    /// What else the flange meets.
+    pub(crate) surroundings: Option<Box<dyn Surroundings>>,
+    /// Load that the controller states, kg, and its centre in the frame of the flange, m. The surroundings are to weigh as
+    /// much; without surroundings the arm carries what is stated.
+    pub(crate) load: (f64, [f64; 3]),
+    /// End of the present cycle.
+    pub(crate) now: Duration,
     /// Tip of the tool in the frame of the flange, m.
     pub(crate) tool: [f64; 3],
     /// External force on the flange, N, in the base frame.
@@ -80,6 +90,9 @@ impl Body {
             pose,
             jacobian,
             contact: None,
+            surroundings: None,
+            load: (0.0, [0.0; 3]),
+            now: Duration::ZERO,
             tool: [0.0; 3],
             force: [0.0; 3],
             moment: [0.0; 3],
@@ -93,7 +106,7 @@ impl Body {
         match law {
             Law::Position => {
                 self.follow(set_point, span_s);
-                self.touch();
+                self.touch(0.0);
                 self.torque = self.external.map(|torque| -torque);
             }
             Law::Joint { .. } => self.integrate(span_s, |body| body.joint(set_point, law)),
@@ -123,15 +136,15 @@ impl Body {
                 self.speed[joint] += total / inertia * step;
                 self.joints[joint] += self.speed[joint] * step;
             }
-            self.touch();
             left -= step;
+            self.touch(left);
         }
     }
 
     /// Stops: brakes closed.
     pub(crate) fn freeze(&mut self) {
         self.speed = [0.0; AXES];
-        self.touch();
+        self.touch(0.0);
         self.torque = [0.0; AXES];
     }
 
@@ -148,21 +161,47 @@ impl Body {
         }
     }
 
-    /// Updates the flange pose and the contact force.
-    fn touch(&mut self) {
+    /// Updates the flange pose and the contact force, `before_s` seconds before the end of the cycle.
+    fn touch(&mut self, before_s: f64) {
         (self.pose, self.jacobian) = self.chain.jacobian(&self.joints);
-        let Some(contact) = self.contact else {
-            (self.force, self.moment) = ([0.0; 3], [0.0; 3]);
-            self.external = [0.0; AXES];
-            return;
-        };
-        let [x, y, z, a, b, c] = self.jacobian.times(&self.speed);
-        let lever = self.pose.rotation * Vector3::from(self.tool);
-        let velocity = Vector3::new(x, y, z) + Vector3::new(a, b, c).cross(&lever);
-        let force = contact.force(&(self.pose.position + lever), &velocity);
-        (self.force, self.moment) = (force.into(), lever.cross(&force).into());
-        let ([x, y, z], [a, b, c]) = (self.force, self.moment);
-        self.external = self.jacobian.torques(&[x, y, z, a, b, c]);
+        let flange = self.flange();
+        let at = self
+            .now
+            .saturating_sub(Duration::from_secs_f64(before_s.max(0.0)));
+        let mut sum = [0.0; 6];
+        if let Some(contact) = &mut self.contact {
+            sum = contact.wrench(at, &flange);
+        }
+        if let Some(surroundings) = &mut self.surroundings {
+            let wrench = surroundings.wrench(at, &flange);
+            for (sum, part) in sum.iter_mut().zip(wrench) {
+                *sum += if part.is_finite() { part } else { 0.0 };
+            }
+            for (sum, part) in sum.iter_mut().zip(self.relief()) {
+                *sum += part;
+            }
+        }
+        let [x, y, z, a, b, c] = sum;
+        (self.force, self.moment) = ([x, y, z], [a, b, c]);
+        self.external = self.jacobian.torques(&sum);
+    }
+
+    fn flange(&self) -> Flange {
+        let axes: [[f64; 3]; 3] = self.pose.rotation.into();
+        Flange {
+            position: self.pose.position.into(),
+            axes,
+            velocity: self.jacobian.times(&self.speed),
+            tip: self.tip(),
+        }
+    }
+
+    /// What the drives add to carry the stated load, as a wrench on the flange.
+    fn relief(&self) -> [f64; 6] {
+        let (mass, centre) = self.load;
+        let up = Vector3::z() * (mass * GRAVITY);
+        let moment = (self.pose.rotation * Vector3::from(centre)).cross(&up);
+        [up.x, up.y, up.z, moment.x, moment.y, moment.z]
     }
 
     fn joint(&self, set_point: &Joints, law: &Law) -> Joints {

@@ -1,6 +1,8 @@
 //! Something the flange can touch: a wall or a spring. No friction; of the arm, only the flange is considered.
 
+use super::surroundings::{Flange, Surroundings};
 use nalgebra::Vector3;
+use std::time::Duration;
 
 /// Kind of a [`Contact`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,6 +48,18 @@ impl Contact {
             Shape::Wall if depth > 0.0 => normal * push.max(0.0),
             Shape::Wall => Vector3::zeros(),
         }
+    }
+}
+
+impl Surroundings for Contact {
+    fn wrench(&mut self, _at: Duration, flange: &Flange) -> [f64; 6] {
+        let tip = Vector3::from(flange.tip);
+        let lever = tip - Vector3::from(flange.position);
+        let [x, y, z, a, b, c] = flange.velocity;
+        let velocity = Vector3::new(x, y, z) + Vector3::new(a, b, c).cross(&lever);
+        let force = self.force(&tip, &velocity);
+        let moment = lever.cross(&force);
+        [force.x, force.y, force.z, moment.x, moment.y, moment.z]
     }
 }
 

@@ -68,6 +68,11 @@ impl Grid {
         self.time
     }
 
+    /// When the cycle begun last was due, on the clock of the owner.
+    pub(crate) fn now(&self) -> Duration {
+        self.next.saturating_sub(self.span)
+    }
+
     /// When the next cycle is due.
     pub(crate) fn next(&self) -> Duration {
         self.next

@@ -10,6 +10,7 @@ use takt_devices::wsg::WsgConfig;
 use takt_devices::wsg::emulator::Port;
 
 use crate::error::Error;
+use crate::surroundings::CellWorld;
 
 /// Names and texts of the cells.
 const CELLS: [(&str, &str); 6] = [
@@ -39,6 +40,8 @@ pub struct EmulatedCell {
     pub(crate) segments: Vec<EthercatConfig>,
     /// Where emulated grippers accept their driver, by device.
     pub(crate) grippers: Vec<(String, Port)>,
+    /// The world around the robots; without one, arms meet at most a table.
+    pub world: Option<CellWorld>,
 }
 
 impl EmulatedCell {
@@ -76,6 +79,7 @@ impl EmulatedCell {
             config,
             segments,
             grippers,
+            world: None,
         })
     }
 }

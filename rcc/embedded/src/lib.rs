@@ -5,9 +5,12 @@ mod cell;
 mod embedded;
 mod error;
 mod machines;
+mod surroundings;
 
 pub use cell::{EmulatedCell, NAMES};
 pub use embedded::Embedded;
 pub use error::Error;
 pub use machines::Machines;
+pub use surroundings::{CellWorld, Mounted};
 pub use takt_core::CellConfig;
+pub use takt_world as world;

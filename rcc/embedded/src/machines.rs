@@ -17,7 +17,7 @@ use takt_ethercat::emulator::{
     StationMotor, YouBot, YouBotConfig,
 };
 use takt_ethercat::linux::{cable, monotonic};
-use takt_fri::lwr::emulator::{Contact, Script, Shape};
+use takt_fri::lwr::emulator::{Contact, Krc, Script, Shape};
 use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
 use takt_rt::Nanos;
 use takt_rt::stats::stalls;
@@ -25,6 +25,7 @@ use takt_rt::thread::{Stoppable, ThreadConfig};
 
 use crate::cell::EmulatedCell;
 use crate::error::Error;
+use crate::surroundings::{CellWorld, Wheeled};
 
 /// Time from one measurement of an emulated LWR to the next.
 const LWR_PERIOD: Duration = Duration::from_millis(1);
@@ -76,11 +77,12 @@ impl Machines {
     /// If the system refuses a thread or socket, or the controller a segment.
     pub fn start(controller: &Controller, cell: EmulatedCell, drop: f64) -> Result<Self, Error> {
         let mut machines = Self::default();
+        let world = cell.world.as_ref();
         for (seed, (name, address)) in (1..).zip(controller.waits_at()) {
-            machines.arm(&cell.config, (name, address), seed, drop)?;
+            machines.arm(&cell.config, world, (name, address), seed, drop)?;
         }
         for (name, port) in cell.grippers {
-            machines.gripper(name, port)?;
+            machines.gripper(name, port, world)?;
         }
         for config in &cell.segments {
             machines.on_request.extend(config.on_request().cloned());
@@ -88,6 +90,7 @@ impl Machines {
             let service = segment(controller, config, slaves)?;
             machines.services.push((config.name.clone(), service));
         }
+        machines.follow_wheels(world)?;
         Ok(machines)
     }
 
@@ -116,27 +119,37 @@ impl Machines {
     fn arm(
         &mut self,
         cell: &CellConfig,
+        world: Option<&CellWorld>,
         (name, address): (String, SocketAddr),
         seed: u64,
         drop: f64,
     ) -> Result<(), Error> {
         let failed = |error| Error::emulator(&name, error);
+        let sensing = world.map(|world| world.sensing).unwrap_or_default();
+        let mounted = world.and_then(|world| world.arm(&name));
         if cell.of_kind::<IiwaConfig>().any(|iiwa| iiwa.name == name) {
             let config = CabinetConfig::default();
             let config = CabinetConfig {
                 timing: tolerant_timing(),
                 program: holding_program(takt_fri::sunrise::emulator::Overlay::default()),
                 seed,
+                sensing,
                 ..config
             };
-            let cabinet = |start| Cabinet::new(config, start);
+            let cabinet = |start| {
+                let mut cabinet = Cabinet::new(config, start);
+                if let Some(mounted) = mounted {
+                    cabinet.set_surroundings(Box::new(mounted));
+                }
+                cabinet
+            };
             let link = local(address).map_err(failed)?;
             let robot = Robot::launch(&format!("cabinet-{name}"), link, cabinet).map_err(failed)?;
             self.cabinets.push((name, robot));
             return Ok(());
         }
         let mut config = resting(LWR_PERIOD);
-        if let Some(table) = table(cell) {
+        if let Some(table) = table(cell).filter(|_| mounted.is_none()) {
             config.contact = Some(table);
             config.contact_off = Some(TABLE_OFF);
         }
@@ -145,18 +158,50 @@ impl Machines {
             config.script = Script::Handshake(handshake);
         }
         config.seed = seed;
+        config.sensing = sensing;
         config.faults.to_client.drop = drop;
         config.faults.to_krc.drop = drop;
-        let robot = Robot::start(&format!("krc-{name}"), address, config).map_err(failed)?;
+        let krc = |start| {
+            let mut krc = Krc::new(config, start);
+            if let Some(mounted) = mounted {
+                krc.set_surroundings(Box::new(mounted));
+            }
+            krc
+        };
+        let link = local(address).map_err(failed)?;
+        let robot = Robot::launch(&format!("krc-{name}"), link, krc).map_err(failed)?;
         self.krcs.push((name, robot));
         Ok(())
     }
 
-    fn gripper(&mut self, name: String, mut port: Port) -> Result<(), Error> {
+    fn gripper(
+        &mut self,
+        name: String,
+        mut port: Port,
+        world: Option<&CellWorld>,
+    ) -> Result<(), Error> {
         let mut gripper = Gripper::new(GripperConfig::default(), Port::now());
+        if let Some(pads) = world.and_then(|world| world.pads(&name)) {
+            gripper.set_surroundings(pads);
+        }
         let thread = serve(&name, move || port.serve(&mut gripper));
         let service = thread.map_err(|error| Error::emulator(&name, error))?;
         self.services.push((name, service));
+        Ok(())
+    }
+
+    /// Brings the base of the world to where the wheels of the emulated base roll.
+    fn follow_wheels(&mut self, world: Option<&CellWorld>) -> Result<(), Error> {
+        let Some(base) = world.and_then(CellWorld::base) else {
+            return Ok(());
+        };
+        let mut wheeled = Wheeled::new(self.wheels.clone(), base);
+        let thread = serve("world-base", move || {
+            wheeled.follow(Port::now());
+            takt_rt::sleep_until(takt_rt::monotonic() + WAIT.into()).map_err(io::Error::other)
+        });
+        let service = thread.map_err(|error| Error::emulator("world-base", error))?;
+        self.services.push(("world-base".into(), service));
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! Settings and fault knobs of the emulated controller, with the defaults and where they come from. No behaviour.
 
-use crate::emulator::{Contact, LineFaults, PowerOff, Timing};
+use crate::emulator::{Contact, LineFaults, PowerOff, Sensing, Timing};
 use crate::lwr::AXES;
 use crate::lwr::Protocol;
 use crate::lwr::wire::{Control, Quality};
@@ -31,6 +31,8 @@ pub struct KrcConfig {
     pub contact_off: Option<u32>,
     /// Tip of the tool in the frame of the flange, m.
     pub tool_m: [f64; 3],
+    /// How it estimates external forces.
+    pub sensing: Sensing,
     /// The KRL program.
     pub script: Script,
     /// Faults.
@@ -53,6 +55,7 @@ impl Default for KrcConfig {
             contact: None,
             contact_off: None,
             tool_m: [0.0; 3],
+            sensing: Sensing::default(),
             script: Script::default(),
             faults: Faults::default(),
             seed: 1,

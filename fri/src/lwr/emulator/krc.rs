@@ -5,7 +5,8 @@ use super::config::{Faults, KrcConfig, Script, Stiffness};
 use super::exit::ExitReason;
 use super::krl::{Call, Program};
 use crate::emulator::{
-    Arm, Body, Chain, Contact, ControllerCounters, Grid, History, Line, Sent, Window,
+    Arm, Body, Chain, Contact, ControllerCounters, Grid, History, Line, Sensor, Sent, Surroundings,
+    Window,
 };
 use crate::error::DecodeError;
 use crate::generation::Kind;
@@ -103,6 +104,7 @@ pub struct Krc {
     /// Position of the KRL interpolator; FRI adds to it in command mode.
     base: [f64; AXES],
     arm: Arm,
+    sensor: Sensor,
     brake_step: [f64; AXES],
     window: Window,
     quality: Quality,
@@ -150,6 +152,7 @@ impl Krc {
             scale: 1.0,
             base: config.joints,
             arm: Arm::new(body),
+            sensor: Sensor::new(config.sensing, config.seed),
             brake_step: config
                 .limits
                 .acceleration_rad_per_s2
@@ -274,7 +277,8 @@ impl Krc {
         self.tool
     }
 
-    /// `$LOAD` as set by the KRL program. It has no effect on the emulated arm.
+    /// `$LOAD` as set by the KRL program. Only an arm with surroundings weighs: there the drives carry this load, and the
+    /// estimated forces are those beyond it.
     pub fn load(&self) -> Load {
         self.load
     }
@@ -282,6 +286,11 @@ impl Krc {
     /// What the flange touches; may change at any time.
     pub fn contact_mut(&mut self) -> &mut Option<Contact> {
         &mut self.arm.body.contact
+    }
+
+    /// Puts something around the arm, beside the contact.
+    pub fn set_surroundings(&mut self, surroundings: Box<dyn Surroundings>) {
+        self.arm.body.surroundings = Some(surroundings);
     }
 
     /// Flange position in the base frame, m.
@@ -294,7 +303,7 @@ impl Krc {
         self.arm.body.tip()
     }
 
-    /// Force of the contact on the flange in the base frame, N.
+    /// Force on the flange beyond the stated load in the base frame, without noise and delay, N.
     pub fn force(&self) -> [f64; 3] {
         self.arm.body.force()
     }
@@ -410,7 +419,9 @@ impl Krc {
         self.run_script();
         self.run_program();
         self.switch_contact();
+        self.arm.body.now = self.grid.now();
         self.move_joints();
+        self.sensor.sense(&self.arm.body, self.grid.period());
         self.measure(now);
     }
 
@@ -464,10 +475,17 @@ impl Krc {
                     let _refused = self.set_strategy(control);
                 }
                 Call::Tool(tool) => self.tool = tool,
-                Call::Load(load) => self.load = load,
+                Call::Load(load) => self.set_load(load),
                 Call::Reopen(period) => self.reopen(period),
             }
         }
+    }
+
+    /// Sets `$LOAD`, as the KRL program does.
+    pub fn set_load(&mut self, load: Load) {
+        self.load = load;
+        let [x, y, z, ..] = load.centre.map(|millimetres| f64::from(millimetres) / 1e3);
+        self.arm.body.load = (f64::from(load.mass_kg), [x, y, z]);
     }
 
     /// Takes the contact away while the client's signal for that is true.

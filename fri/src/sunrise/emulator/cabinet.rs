@@ -4,7 +4,8 @@
 use super::config::{CabinetConfig, Control, Faults, Overlay};
 use super::exit::ExitReason;
 use crate::emulator::{
-    Arm, Body, Contact, ControllerCounters, Grid, History, Law, Line, Sent, Window,
+    Arm, Body, Contact, ControllerCounters, Grid, History, Law, Line, Sensor, Sent, Surroundings,
+    Window,
 };
 use crate::error::DecodeError;
 use crate::generation::Kind;
@@ -108,6 +109,7 @@ pub struct Cabinet {
     is_switched_on: bool,
     safety: Safety,
     arm: Arm,
+    sensor: Sensor,
     brake_step: [f64; AXES],
     /// Position of the interpolator during an overlay.
     ipo: [f64; AXES],
@@ -150,6 +152,7 @@ impl Cabinet {
         let mut body = Body::new(config.robot.chain(), config.joints, config.lag);
         body.contact = config.contact;
         body.tool = config.tool_m;
+        body.load = config.load;
         let deceleration = config.limits.acceleration_rad_per_s2;
         Self {
             grid,
@@ -158,6 +161,7 @@ impl Cabinet {
             is_switched_on: true,
             safety: Safety::Normal,
             arm: Arm::new(body),
+            sensor: Sensor::new(config.sensing, config.seed),
             brake_step: deceleration.map(|a| a * period_s * period_s),
             ipo: config.joints,
             added: Added::default(),
@@ -325,6 +329,11 @@ impl Cabinet {
         &mut self.arm.body.contact
     }
 
+    /// Puts something around the arm, beside the contact.
+    pub fn set_surroundings(&mut self, surroundings: Box<dyn Surroundings>) {
+        self.arm.body.surroundings = Some(surroundings);
+    }
+
     /// State of the session.
     pub fn state(&self) -> SessionState {
         self.state
@@ -465,6 +474,7 @@ impl Cabinet {
     fn cycle(&mut self, now: Duration) {
         let began_late = self.grid.is_late();
         self.grid.advance(now);
+        self.arm.body.now = self.grid.now();
         if self.state == SessionState::Idle {
             self.inbox = None;
             self.stop();

@@ -1,6 +1,6 @@
 //! Settings and fault knobs of the emulated cabinet, with the defaults and where they come from. No behaviour.
 
-use crate::emulator::{Chain, Contact, LineFaults, PowerOff, Timing};
+use crate::emulator::{Chain, Contact, LineFaults, PowerOff, Sensing, Timing};
 use crate::sunrise::AXES;
 use crate::sunrise::IoLevel;
 use crate::sunrise::wire::{
@@ -67,6 +67,11 @@ pub struct CabinetConfig {
     pub contact: Option<Contact>,
     /// Tip of the tool in the frame of the flange, m.
     pub tool_m: [f64; 3],
+    /// How it estimates external forces.
+    pub sensing: Sensing,
+    /// Load that the robot program states, kg, and its centre in the frame of the flange, m. Only an arm with surroundings
+    /// weighs: there the drives carry this load, and the estimated forces are those beyond it.
+    pub load: (f64, [f64; 3]),
     /// The robot program.
     pub program: Program,
     /// Faults.
@@ -96,6 +101,8 @@ impl Default for CabinetConfig {
             requested_frames: Vec::new(),
             contact: None,
             tool_m: [0.0; 3],
+            sensing: Sensing::default(),
+            load: (0.0, [0.0; 3]),
             program: Program::default(),
             faults: Faults::default(),
             seed: 1,

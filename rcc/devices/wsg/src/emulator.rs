@@ -61,10 +61,17 @@ impl Default for GripperConfig {
     }
 }
 
+/// What fingers meet, such as those of a hand in a world that several emulators share.
+pub trait Surroundings: Send + std::fmt::Debug {
+    /// The width of the part between the fingers, mm; `None` if there is none. Called at least once per step of the fingers
+    /// with their distance, mm, and the force with which they hold, N, 0 while they do not.
+    fn part(&mut self, at: Duration, width_mm: f64, force_n: f64) -> Option<f64>;
+}
+
 /// Knobs of an emulated gripper.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Knobs {
-    /// Width of the part between the fingers, mm; `None` for no part.
+    /// Width of the part between the fingers, mm; `None` for no part. Surroundings replace it.
     pub part: Option<f64>,
     /// It answers nothing.
     pub silent: bool,
@@ -93,6 +100,7 @@ pub struct Gripper {
     config: GripperConfig,
     /// Its knobs.
     pub knobs: Knobs,
+    surroundings: Option<Box<dyn Surroundings>>,
     reader: PacketReader,
     now: Duration,
     width: f64,
@@ -116,6 +124,7 @@ impl Gripper {
         Self {
             config,
             knobs: Knobs::default(),
+            surroundings: None,
             reader: PacketReader::default(),
             now,
             width: config.width,
@@ -130,6 +139,11 @@ impl Gripper {
             pushes: Vec::new(),
             out: Vec::new(),
         }
+    }
+
+    /// Puts something between the fingers: the parts of a world.
+    pub fn set_surroundings(&mut self, surroundings: Box<dyn Surroundings>) {
+        self.surroundings = Some(surroundings);
     }
 
     /// Distance between its fingers, mm.
@@ -354,8 +368,9 @@ impl Gripper {
         let mut left_s = span.as_secs_f64();
         while left_s > 0.0 {
             let dt_s = left_s.min(STEP_S);
-            self.advance(dt_s);
             left_s -= dt_s;
+            self.advance(dt_s);
+            self.meet(Duration::from_secs_f64(left_s.max(0.0)));
         }
         let due: Vec<_> = self
             .pushes
@@ -396,6 +411,25 @@ impl Gripper {
         match blocked {
             Some(part) => self.block(motion, part),
             None => self.width = moved.clamp(0.0, self.config.stroke),
+        }
+    }
+
+    /// What is between the fingers, so long before the present time.
+    fn meet(&mut self, before: Duration) {
+        let force = self.force();
+        let Some(surroundings) = &mut self.surroundings else {
+            return;
+        };
+        let at = self.now.saturating_sub(before);
+        self.knobs.part = surroundings.part(at, self.width, force);
+    }
+
+    /// Force with which the fingers hold, N.
+    fn force(&self) -> f64 {
+        if self.grasping == grasping::HOLDING {
+            self.force_limit
+        } else {
+            0.0
         }
     }
 
@@ -443,11 +477,7 @@ impl Gripper {
 
     fn push(&mut self, command: Command) {
         let answer = Packet::new(command).with_status(Status::SUCCESS);
-        let force = if self.grasping == grasping::HOLDING {
-            self.force_limit
-        } else {
-            0.0
-        };
+        let force = self.force();
         let values = [
             (Command::Width, self.width),
             (Command::Speed, self.velocity),

@@ -37,8 +37,9 @@ impl Krc {
         }
         let body = &self.arm.body;
         let commanded = body.pose_of(&self.base);
-        let [x, y, z] = body.force().map(to_f32);
-        let [a, b, c] = body.moment().map(to_f32);
+        let sensed = self.sensor.estimate();
+        let [x, y, z] = sensed.force.map(to_f32);
+        let [a, b, c] = sensed.moment.map(to_f32);
         Msr {
             header: Header {
                 sequence: self.sequence,
@@ -55,7 +56,7 @@ impl Krc {
             commanded_frame: frame(&commanded),
             frame_offset: frame(&commanded.to(&body.pose_of(&self.arm.set_point))),
             measured_torque: body.measured_torque().map(to_f32),
-            external_torque: body.external().map(to_f32),
+            external_torque: sensed.joints.map(to_f32),
             external_wrench: [x, y, z, c, b, a],
             jacobian: self.jacobian(),
             mass_matrix: mass_matrix(),

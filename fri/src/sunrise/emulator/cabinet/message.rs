@@ -17,6 +17,7 @@ const EPOCH_S: u32 = 1_700_000_000;
 
 impl Cabinet {
     pub(super) fn send(&mut self, now: Duration) {
+        self.sensor.sense(&self.arm.body, self.grid.period());
         self.sequence = self.sequence.wrapping_add(1);
         self.counters.sent += 1;
         self.history.push(Sent {
@@ -82,7 +83,8 @@ impl Cabinet {
     fn monitor(&self) -> MonitorData {
         let dialect = self.config.dialect;
         let body = &self.arm.body;
-        let ([x, y, z], [a, b, c]) = (body.force(), body.moment());
+        let sensed = self.sensor.estimate();
+        let ([x, y, z], [a, b, c]) = (sensed.force, sensed.moment);
         let torque = body.measured_torque();
         let time = self.grid.time();
         MonitorData {
@@ -90,7 +92,7 @@ impl Cabinet {
             torque: Some(torque),
             commanded: (dialect == Dialect::V1).then_some(self.arm.set_point),
             commanded_torque: Some(torque),
-            external_torque: Some(body.external()),
+            external_torque: Some(sensed.joints),
             external_force: (dialect == Dialect::V3).then_some([x, y, z, c, b, a]),
             ios: self.ios,
             pose: (dialect != Dialect::V1).then(|| pose(&body.pose())),
