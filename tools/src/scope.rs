@@ -47,6 +47,7 @@ const WRITE_HZ: f64 = 10.0;
 #[command(after_help = "Triggers:
   left.joint.6.commanded > 0.5       while the value is above
   rising left.force.z 10N            when it reaches the level from below; falling
+  rising left.force.z 10N hysteresis 2N   after it was at most 8 N
   outside left.joint.0.error -0.1deg 0.1deg
   net:swing=RUNNING                  when a net or machine enters a state
   fault left, overrun nets           when a device faults, a thread misses cycles

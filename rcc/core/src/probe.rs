@@ -116,6 +116,12 @@ pub enum ScopeError {
         /// What to give.
         hint: &'static str,
     },
+    /// A trigger that is no edge has a hysteresis.
+    #[error("a trigger on `{on}` has no hysteresis\nhint: `rising` and `falling` have one")]
+    Hysteresis {
+        /// The kind of trigger.
+        on: &'static str,
+    },
     /// The probe of the trigger cannot be sampled.
     #[error("the trigger: {0}")]
     Trigger(ProbeError),

@@ -28,6 +28,15 @@ def program(name: str) -> str:
     return str(path)
 
 
+def tool() -> str:
+    """The path of the command `takt` in the target directory."""
+    target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    path = ROOT / target / "debug" / "takt"
+    if not path.exists():
+        pytest.fail(f"there is no {path}\nhint: cargo xtask test python builds it")
+    return str(path)
+
+
 class Controller:
     """A controller in a process of its own."""
 

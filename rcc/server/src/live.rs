@@ -14,7 +14,7 @@ pub(crate) mod wire;
 use std::net::SocketAddr;
 
 pub(crate) use actions::Actions;
-pub(crate) use drain::{Drain, Messages, Task};
+pub(crate) use drain::{Drain, Loss, Messages, Task};
 pub(crate) use hub::{Client, Hub};
 pub(crate) use udp::Datagrams;
 #[doc(hidden)]

@@ -29,6 +29,8 @@ pub(crate) struct ScopeClient {
     /// Time between two frames.
     interval: Duration,
     due: Duration,
+    /// Samples that it lost since [`Self::take_lost`].
+    lost: u64,
 }
 
 impl ScopeClient {
@@ -38,7 +40,13 @@ impl ScopeClient {
             scope: None,
             interval: Duration::ZERO,
             due: Duration::ZERO,
+            lost: 0,
         }
+    }
+
+    /// Samples that it lost since the last call.
+    pub(crate) const fn take_lost(&mut self) -> u64 {
+        std::mem::replace(&mut self.lost, 0)
     }
 
     /// Whether nothing is sampled.
@@ -51,12 +59,20 @@ impl ScopeClient {
         self.scope.as_ref().map(|_| self.due)
     }
 
-    /// Handles a message, which replaces the scope; returns the bytes to send.
+    /// Handles a message, which replaces the scope; one that is refused leaves it as it is. Returns the bytes to send.
     pub(crate) fn handle_text(&mut self, text: &str, now: Duration) -> Vec<u8> {
         let mut out = Vec::new();
-        // First: its samplers are those of one client.
-        self.scope = None;
-        match self.begin(text) {
+        let made = self.begin(text);
+        let made = match made {
+            // The samplers of the present scope may take the place of those of the new one.
+            Ok((scope, _)) if !scope.rejected().is_empty() && self.scope.is_some() => {
+                drop(scope);
+                self.scope = None;
+                self.begin(text)
+            }
+            made => made,
+        };
+        match made {
             Ok((scope, rate_hz)) => {
                 write_text(&begun(&scope), &mut out);
                 self.interval = Duration::from_secs_f64(1.0 / rate_hz);
@@ -87,6 +103,11 @@ impl ScopeClient {
         };
         scope.read(now);
         while let Some(event) = scope.poll_event() {
+            self.lost += match &event {
+                ScopeEvent::Frame(frame) => frame.lost,
+                ScopeEvent::Lost { samples, .. } => *samples,
+                ScopeEvent::Triggered { .. } | ScopeEvent::Ended { .. } => 0,
+            };
             write_event(&event, &mut out);
         }
         if scope.is_done() {

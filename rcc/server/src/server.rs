@@ -47,6 +47,9 @@ const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// TCP keep-alive: idle time before the first probe, interval of probes, and probes until the connection is lost.
 const KEEP_ALIVE_IDLE_S: u32 = 30;
+/// Bytes that wait in the host for a client: one that reads slowly gets values of a fraction of a second ago, and its losses
+/// are counted here; the host would hold megabytes.
+const SEND_BUFFER_BYTES: usize = 192 << 10;
 /// See [`KEEP_ALIVE_IDLE_S`].
 const KEEP_ALIVE_INTERVAL_S: u32 = 10;
 /// See [`KEEP_ALIVE_IDLE_S`].
@@ -408,6 +411,7 @@ async fn log_accept_error(site: &Site, error: &std::io::Error) {
 fn keep_alive(stream: &TcpStream) {
     use nix::sys::socket::{setsockopt, sockopt};
     let _ = stream.set_nodelay(true);
+    let _ = setsockopt(stream, sockopt::SndBuf, &SEND_BUFFER_BYTES);
     let _ = setsockopt(stream, sockopt::KeepAlive, &true);
     let _ = setsockopt(stream, sockopt::TcpKeepIdle, &KEEP_ALIVE_IDLE_S);
     let _ = setsockopt(stream, sockopt::TcpKeepInterval, &KEEP_ALIVE_INTERVAL_S);

@@ -7,12 +7,16 @@
 
 mod common;
 
+use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use common::TestServer;
+use nix::sys::socket::{setsockopt, sockopt};
 use serde_json::{Value, json};
 use takt_client::Token;
+use takt_core::SessionId;
+use takt_core::controller::LoadRequest;
 use takt_server::{Loopback, ServerConfig};
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::http::HeaderValue;
@@ -160,4 +164,81 @@ fn scope_client_with_bad_messages_disturbs_no_other() {
     while bad.read().is_ok() {}
     let before = frame(&mut good).1;
     assert!(frame(&mut good).1[0] > before[0]);
+}
+
+/// A net with 60 clocks, running.
+fn start_clocks(server: &TestServer) -> Vec<String> {
+    let names = (0..60).map(|number| format!("c{number}"));
+    let names: Vec<_> = names.collect();
+    let clocks = names.iter().map(|name| format!("{name}=Core::Clock(),"));
+    let request = LoadRequest {
+        text: format!(
+            "{{{}c=Cancel(),outTerminate=c.outCancel}}",
+            clocks.collect::<String>()
+        ),
+        session: SessionId::NONE,
+        description: "clocks".to_owned(),
+        period: None,
+    };
+    let net = server.controller.load(request).unwrap();
+    server.controller.start_net(net).unwrap();
+    let probe = |name: &String| format!("net:clocks/{name}.outValue");
+    names.iter().map(probe).collect()
+}
+
+/// A figure of `/metrics`.
+fn metric(server: &TestServer, name: &str) -> u64 {
+    let mut stream = TcpStream::connect(server.http).unwrap();
+    let request = "GET /metrics HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n";
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let line = answer
+        .lines()
+        .find_map(|line| line.strip_prefix(name))
+        .unwrap();
+    line.trim().parse().unwrap()
+}
+
+#[test]
+fn scope_client_that_stalls_loses_counted_samples() {
+    let server = TestServer::start_with(ServerConfig::default());
+    let mut good = connect(&server, "", None).unwrap();
+    ask(
+        &mut good,
+        &json!({ "probes": ["thread:nets.cycle"], "rate_hz": 100 }),
+    );
+    text(&mut good);
+    let mut slow = connect(&server, "", None).unwrap();
+    setsockopt(slow.get_ref(), sockopt::RcvBuf, &(64 << 10)).unwrap();
+    ask(&mut slow, &json!({ "probes": start_clocks(&server) }));
+    assert_eq!(text(&mut slow)["scope"]["rejected"], json!([]));
+    let first = frame(&mut slow).1[0];
+    // Nothing is read for five seconds, while the other one gets each cycle.
+    let (begin, mut rows, mut lost_by_good) = (Instant::now(), 0, 0);
+    while begin.elapsed() < Duration::from_secs(5) {
+        let (head, times) = frame(&mut good);
+        rows += times.len();
+        lost_by_good += head[3];
+    }
+    assert_eq!(
+        (
+            lost_by_good,
+            metric(&server, "takt_scope_samples_lost_total")
+        ),
+        (0, 0)
+    );
+    assert!(rows > 2500, "{rows}");
+    let (mut lost, mut last) = (0, first);
+    while last < first + 5.5 {
+        let (head, times) = frame(&mut slow);
+        lost += u64::from(head[3]);
+        last = *times.last().unwrap();
+    }
+    assert!(lost > 500, "{lost}");
+    let until = Instant::now() + Duration::from_secs(20);
+    while metric(&server, "takt_scope_samples_lost_total") < lost {
+        assert!(Instant::now() < until);
+    }
+    assert_eq!(frame(&mut good).0[3], 0);
 }

@@ -28,7 +28,8 @@ impl<W: Write + Seek> Mcap<W> {
         let mut topics = BTreeSet::new();
         for group in &setup.groups {
             let name = unique(&identifier(&group.thread), &mut topics);
-            let kind = format!("takt_msgs/msg/Scope_{name}");
+            // Names of types have no underscores: readers reject the file.
+            let kind = format!("takt_msgs/msg/Scope{}", channels.len() + 1);
             let schema = writer.add_schema(&kind, "ros2msg", definition(group).as_bytes())?;
             let topic = format!("/takt/scope/{name}");
             channels.push(writer.add_channel(schema, &topic, "cdr", &BTreeMap::new())?);

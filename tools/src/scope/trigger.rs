@@ -1,7 +1,8 @@
 //! What starts a capture, as a text of the command line. Names are resolved by the controller.
 //!
 //! ```text
-//! trigger = ( "rising" | "falling" | "above" | "below" ) probe level
+//! trigger = ( "rising" | "falling" ) probe level [ "hysteresis" width ]
+//!         | ( "above" | "below" ) probe level
 //!         | ( "inside" | "outside" ) probe low high
 //!         | "state" probe name | probe "=" name
 //!         | probe ">" level | probe "<" level
@@ -21,6 +22,8 @@ pub(super) struct Trigger {
     #[serde(skip_serializing_if = "Option::is_none")]
     level: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    hysteresis: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     low: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     high: Option<f64>,
@@ -28,8 +31,10 @@ pub(super) struct Trigger {
     equals: Option<String>,
 }
 
-/// Edges and levels.
+/// Edges, which may have a hysteresis, and levels.
 const LEVELS: [&str; 4] = ["rising", "falling", "above", "below"];
+/// The edges of them.
+const EDGES: [&str; 2] = ["rising", "falling"];
 /// Windows.
 const WINDOWS: [&str; 2] = ["inside", "outside"];
 
@@ -134,6 +139,7 @@ fn condition(kind: &Token, words: &mut Words) -> Result<Trigger, String> {
             on,
             probe: probe(words)?,
             level: Some(words.level()?),
+            hysteresis: words.hysteresis(EDGES.contains(&on))?,
             ..Trigger::default()
         });
     }
@@ -231,6 +237,27 @@ impl Words {
             return Err(wrong(token.column, "a state is expected", hint));
         }
         Ok(token.text)
+    }
+
+    /// `hysteresis 0.5N`, behind the level of an edge.
+    fn hysteresis(&mut self, is_edge: bool) -> Result<Option<f64>, String> {
+        let is_it = |token: &Token| !token.is_quoted && token.text == "hysteresis";
+        let Some(word) = self.tokens.next_if(is_it) else {
+            return Ok(None);
+        };
+        if !is_edge {
+            let cause = "a hysteresis belongs to an edge";
+            let hint = "write `rising` or `falling` for `above` or `below`";
+            return Err(wrong(word.column, cause, hint));
+        }
+        let column = self.column();
+        let width = self.level()?;
+        if width < 0.0 {
+            let cause = format!("the hysteresis {width} is negative");
+            let hint = "write by how much the value must first be on the other side of the level";
+            return Err(wrong(column, &cause, hint));
+        }
+        Ok(Some(width))
     }
 
     fn level(&mut self) -> Result<f64, String> {

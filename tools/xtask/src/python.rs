@@ -13,7 +13,7 @@ const PACKAGE: &str = "rcc/python";
 /// Pinned versions of all that the tests need.
 const REQUIREMENTS: &str = include_str!("../../../rcc/python/requirements.txt");
 /// Programs of the suite. They are built as the tests of the workspace are, so that nothing is compiled twice.
-const PROGRAMS: &str = "build --workspace --all-features --example controller --example explain --example begin --example urdf";
+const PROGRAMS: &str = "build --workspace --all-features --example controller --example explain --example begin --example urdf --bin takt";
 /// Longest run of the suite, s.
 const SUITE_MAX: u64 = 1500;
 

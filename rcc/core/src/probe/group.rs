@@ -17,7 +17,7 @@ const ROWS_MAX: usize = 4096;
 pub(crate) struct Source {
     reader: FlightReader,
     /// Keeps the sampler that writes it.
-    _sampler: Option<SampleReader>,
+    sampler: Option<SampleReader>,
     cursor: u64,
     /// Rows of cycles that are not complete.
     pending: Vec<u64>,
@@ -33,7 +33,7 @@ impl Source {
             // The row of the present cycle may be written before that of the thread: rows of earlier cycles are skipped.
             cursor: reader.end().saturating_sub(2),
             reader: reader.clone(),
-            _sampler: None,
+            sampler: None,
             pending: Vec::new(),
             cause,
             is_over: false,
@@ -45,11 +45,16 @@ impl Source {
         Self {
             cursor: 0,
             reader: reader.flight.clone(),
-            _sampler: Some(reader),
+            sampler: Some(reader),
             pending: Vec::new(),
             cause,
             is_over: false,
         }
+    }
+
+    /// Whether it has a row for each sample; else for each cycle.
+    const fn is_sampler(&self) -> bool {
+        self.sampler.is_some()
     }
 
     /// Reads new rows; returns how many were lost.
@@ -182,11 +187,19 @@ impl Group {
             pending.clear();
             reader.read_since(cursor, ROWS_MAX, pending)
         };
-        read.lost = cycles_lost.div_ceil(self.net_every * self.every);
-        let mut since = 0;
+        let cycles_a_sample = self.net_every * self.every;
+        read.lost = cycles_lost.div_ceil(cycles_a_sample);
+        // Cycles of which only lost sources have rows are not seen below.
+        let (mut since, mut lost_at_least) = (0, 0);
         for (number, source) in self.sources.iter_mut().enumerate() {
             let is_closed = source.reader.is_closed();
             let lost = source.read();
+            let samples = if source.is_sampler() {
+                lost
+            } else {
+                lost.div_ceil(cycles_a_sample)
+            };
+            lost_at_least = samples.max(lost_at_least);
             let first = source.pending.first().copied();
             if let (Some(first), true) = (first, lost > 0) {
                 since = since.max(first);
@@ -230,6 +243,7 @@ impl Group {
                 })
             }));
         }
+        read.lost = read.lost.max(lost_at_least);
         self.timing.pending = timing;
         for (source, rows) in self.sources.iter_mut().zip(next) {
             source.consume(rows);

@@ -63,7 +63,8 @@ pub struct TriggerRequest {
     /// Of `above`, `below`, `rising` and `falling`, in the unit of the probe.
     #[serde(default)]
     pub level: Option<f64>,
-    /// By how much the value must be beyond the level on the other side before an edge counts, from 0; 0 by default.
+    /// Of `rising` and `falling`: by how much the value must be beyond the level on the other side before an edge counts, from 0;
+    /// 0 by default.
     #[serde(default)]
     pub hysteresis: Option<f64>,
     /// Lower bound of `inside` and `outside`.
@@ -212,6 +213,10 @@ impl TriggerRequest {
             field,
             hint,
         };
+        let is_edge = matches!(self.on, TriggerKind::Rising | TriggerKind::Falling);
+        if self.hysteresis.is_some() && !is_edge {
+            return Err(ScopeError::Hysteresis { on: self.on.word() });
+        }
         match self.on {
             TriggerKind::Above
             | TriggerKind::Below

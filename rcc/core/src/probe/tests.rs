@@ -236,8 +236,12 @@ struct Rings {
 
 impl Rings {
     fn new(rows: usize, net_every: u64, every: u64) -> Self {
-        let (timing, timing_reader) = ring(2, rows);
-        let (source, reader) = ring(2, rows);
+        Self::of_rows(rows, rows, (net_every, every))
+    }
+
+    fn of_rows(timing: usize, source: usize, (net_every, every): (u64, u64)) -> Self {
+        let (timing, timing_reader) = ring(2, timing);
+        let (source, reader) = ring(2, source);
         let base = takt_rt::Nanos(1_000_000);
         let mut group = Group::new(&timing_reader, base, net_every, every);
         group.sources = vec![Source::of_ring(&reader, "it has ended".to_owned())];
@@ -317,6 +321,25 @@ fn scope_slow_reader_loses_counted_rows() {
     let (lost, rows) = rings.read();
     assert_eq!(lost + rows.len() as u64, 100);
     assert_eq!(rows, (96..104).collect::<Vec<_>>());
+}
+
+/// The ring of a sampler holds less time than that of its thread.
+#[test]
+fn scope_source_overwritten_alone_counts_lost_rows() {
+    for every in [1, 2] {
+        let mut rings = Rings::of_rows(256, 8, (1, every));
+        rings.cycles(1..4);
+        let _ = rings.read();
+        rings.cycles(4..104);
+        let (lost, rows) = rings.read();
+        assert_eq!(lost + rows.len() as u64, 100 / every, "{rows:?}");
+        assert_eq!(
+            *rows.last().unwrap(),
+            103 / u32::try_from(every).unwrap() * u32::try_from(every).unwrap()
+        );
+        rings.cycles(104..108);
+        assert_eq!(rings.read().0, 0);
+    }
 }
 
 #[test]

@@ -217,6 +217,7 @@ fn bad_triggers() -> Vec<String> {
         r#""on": "above", "probe": "thread:nets.latency""#.to_owned(),
         format!(r#""on": "sideways", {level}"#),
         format!(r#""on": "rising", {level}, "hysteresis": -1"#),
+        format!(r#""on": "above", {level}, "hysteresis": 1"#),
         format!(r#""on": "inside", {level}"#),
         format!(r#""on": "inside", {level}, "low": 1"#),
         format!(r#""on": "outside", {level}, "low": 2, "high": 1"#),
@@ -255,6 +256,58 @@ fn scope_bad_requests_are_answered_with_cause() {
     }
     let (texts, _) = decode(&client.handle_text(&format!("{{{PROBE}}}"), Duration::ZERO));
     assert!(!texts[0]["scope"].is_null() && !client.is_idle());
+}
+
+#[test]
+fn scope_refused_request_leaves_running_scope() {
+    let controller = controller();
+    start(&controller);
+    let mut client = ScopeClient::new(controller);
+    let good =
+        r#"{"probes": ["net:twice/twice.outValue", "thread:nets.cycle", "thread:nets.missed"]}"#;
+    let _ = client.handle_text(good, Duration::ZERO);
+    let (begin, mut cycles) = (Instant::now(), Vec::new());
+    for bad in [bad_requests(), bad_triggers()].concat() {
+        let (texts, _) = decode(&client.handle_text(&bad, begin.elapsed()));
+        assert!(texts[0]["error"].is_object(), "{}", texts[0]);
+        let (_, frames) = decode(&client.poll(begin.elapsed()));
+        for (_, lost, values) in frames {
+            assert_eq!(lost, 0);
+            cycles.extend(values.chunks(4).map(|row| (row[2], row[3])));
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    assert!(cycles.len() > 100, "{}", cycles.len());
+    for pair in cycles.windows(2) {
+        let step = pair[1].0 - pair[0].0;
+        assert!(
+            (step - 1.0 - pair[1].1).abs() < 1e-9,
+            "{pair:?}: cycles that ran are missing"
+        );
+    }
+}
+
+/// As many samplers as a net may have: another scope of this client takes the place of its last.
+#[test]
+fn scope_request_replaces_last_one_at_limit() {
+    let controller = controller();
+    start(&controller);
+    let request = r#"{"probes": ["net:twice/twice.outValue"]}"#;
+    let mut clients: Vec<_> = (0..8)
+        .map(|_| ScopeClient::new(controller.clone()))
+        .collect();
+    for client in &mut clients {
+        let (texts, _) = decode(&client.handle_text(request, Duration::ZERO));
+        assert_eq!(texts[0]["scope"]["rejected"], json!([]));
+    }
+    let mut one_too_many = ScopeClient::new(controller);
+    let (texts, _) = decode(&one_too_many.handle_text(request, Duration::ZERO));
+    assert_eq!(texts[0]["scope"]["rejected"].as_array().unwrap().len(), 1);
+    for client in &mut clients {
+        let (texts, _) = decode(&client.handle_text(request, Duration::ZERO));
+        assert_eq!(texts[0]["scope"]["rejected"], json!([]), "its own place");
+        std::thread::sleep(Duration::from_millis(20));
+    }
 }
 
 #[test]

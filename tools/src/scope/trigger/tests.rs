@@ -18,6 +18,14 @@ fn trigger_texts_are_sent_as_meant() {
             r#"{"on":"rising","probe":"left.force.z","level":10.0}"#,
         ),
         (
+            "rising left.force.z 10N hysteresis 2N",
+            r#"{"on":"rising","probe":"left.force.z","level":10.0,"hysteresis":2.0}"#,
+        ),
+        (
+            "falling hysteresis 1 hysteresis 0",
+            r#"{"on":"falling","probe":"hysteresis","level":1.0,"hysteresis":0.0}"#,
+        ),
+        (
             "falling thread:nets.latency 250us",
             r#"{"on":"falling","probe":"thread:nets.latency","level":0.00025}"#,
         ),
@@ -72,6 +80,18 @@ fn trigger_errors_name_place_cause_and_hint() {
         (
             "left.force.z >",
             "column 15: a number is expected\nhint: write a number, in SI",
+        ),
+        (
+            "rising a.b 1 hysteresis",
+            "column 24: a number is expected\nhint: write a number",
+        ),
+        (
+            "rising a.b 1 hysteresis -1N",
+            "column 25: the hysteresis -1 is negative\nhint: write by how much",
+        ),
+        (
+            "above a.b 1 hysteresis 1",
+            "column 13: a hysteresis belongs to an edge\nhint: write `rising`",
         ),
         (
             "left.force.z > ten",

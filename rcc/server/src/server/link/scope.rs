@@ -10,10 +10,11 @@ use super::{IDLE_TIMEOUT, Link, READ_BYTES, admit, read, shut_down, sleep_until}
 use crate::codec::Received;
 use crate::error::Error;
 use crate::http::{self, Upgrade};
+use crate::live::Loss;
 use crate::scope::{REQUEST_BYTES_MAX, SCOPES_MAX, ScopeClient};
 use crate::server::ConnectionContext;
 use crate::server::slots::Pool;
-use crate::site::Counters;
+use crate::site::{Counters, Site};
 
 impl Link {
     /// Serves a client of the scope until it disconnects.
@@ -33,6 +34,7 @@ impl Link {
         let mut client = Some(ScopeClient::new(context.site.controller.clone()));
         let mut shutdown = context.shutdown.clone();
         let mut received = Vec::new();
+        let (site, mut loss) = (&context.site, Loss::default());
         loop {
             loop {
                 match self.codec.poll() {
@@ -41,6 +43,7 @@ impl Link {
                         Counters::add(&self.counters.received, 1);
                         let work = move |c: &mut ScopeClient, now| c.handle_text(&text, now);
                         self.with_scope(&mut client, work).await?;
+                        self.note_loss(&mut client, &mut loss, site);
                     }
                     Ok(Some(Received::Reply(bytes))) => self.send(&bytes).await?,
                     Ok(Some(Received::Close(bytes))) => return self.send(&bytes).await,
@@ -64,6 +67,7 @@ impl Link {
                 }
                 () = sleep_until(due) => {
                     self.with_scope(&mut client, ScopeClient::poll).await?;
+                    self.note_loss(&mut client, &mut loss, site);
                     // What was sent was taken: the client is not idle.
                     context.slot.touch(context.site.now());
                 }
@@ -71,6 +75,19 @@ impl Link {
                     return Ok(());
                 }
             }
+        }
+    }
+
+    /// Counts what the client lost, and logs an onset.
+    fn note_loss(&self, client: &mut Option<ScopeClient>, loss: &mut Loss, site: &Site) {
+        let lost = client.as_mut().map_or(0, ScopeClient::take_lost);
+        Counters::add(&self.counters.scope_lost, lost);
+        if loss.add(lost, std::time::Instant::now()) {
+            let line = format!(
+                "scope of {}: {lost} samples are lost: it reads too slowly\nhint: fewer probes, or each n-th cycle with `every`",
+                self.peer
+            );
+            site.warn(|limits| &limits.scopes, &line);
         }
     }
 
