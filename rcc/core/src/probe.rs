@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `<device>.joint.<n>.measured` and the like | columns of the device's ring |
 //! | `net:<name>/<primitive>.<port>` | a port of a net, by a sampler |
-//! | `net:<name>.state`, `machine:<name>.state` | number of a state, with its name |
+//! | `net:<name>.state`, `machine:<name>.state`, `machine:<name>.<inside>.state` | number of a state, with its name |
 //! | `thread:<name>.latency` and the like | timing of a net thread |
 
 mod columns;

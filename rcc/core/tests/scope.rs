@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use takt_core::controller::LoadRequest;
+use takt_core::controller::{LoadRequest, MachineRequest};
 use takt_core::probe::{Scope, ScopeEvent, ScopeRequest};
 use takt_core::record::{Recorder, numbers};
 use takt_core::{CellConfig, Controller, NetId, SessionId};
@@ -177,4 +177,40 @@ fn scope_of_port_with_several_numbers_has_each() {
     );
     let found = samples(&mut scope, 10);
     assert_eq!(found[9].1[..3], [1.0, 2.0, 3.0]);
+}
+
+#[test]
+fn scope_shows_states_of_machines_inside() {
+    let mut cell = CellConfig::default();
+    cell.controller.priority = None;
+    let controller = Controller::start(&cell).unwrap();
+    let text = "machine Outer {
+          initial state Idle { entry { activate Inner; start Inner; } transition if false to Done; }
+          final state Done { }
+          machine Inner {
+            initial state Low { entry { wait 20ms; } transition to High; }
+            state High { entry { wait 20ms; } transition if false to End; transition to Low; }
+            final state End { }
+          }
+        }";
+    let request = MachineRequest {
+        text: text.to_owned(),
+        ..MachineRequest::default()
+    };
+    let machine = controller.load_machine(&request).unwrap();
+    let probes = ["machine:Outer.state", "machine:Outer.Inner.state"];
+    let listed = controller.probes("machine:").probes;
+    let names: Vec<_> = listed.iter().map(|probe| probe.name.as_str()).collect();
+    assert_eq!(names, probes);
+    assert_eq!(listed[1].states[..], ["Low", "High", "End"]);
+    let mut scope = controller.scope(&ScopeRequest::of(&probes)).unwrap();
+    assert!(scope.rejected().is_empty(), "{:?}", scope.rejected());
+    let before = samples(&mut scope, 5);
+    assert!(before.iter().all(|(_, row)| row[1].is_nan()), "inactive");
+    controller.start_machine(&machine).unwrap();
+    let rows = samples(&mut scope, 300);
+    for state in [0.0, 1.0] {
+        let is_there = |row: &[f64]| row[0].abs() < 1e-9 && (row[1] - state).abs() < 1e-9;
+        assert!(rows.iter().any(|(_, row)| is_there(row)), "{state}");
+    }
 }

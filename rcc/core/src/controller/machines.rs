@@ -16,7 +16,7 @@ use takt_machine::{Configuration, Program};
 use takt_rt::latest::LatestReader;
 
 use crate::error::Error;
-use crate::executor::flight::{AFTER, BEFORE};
+use crate::executor::flight::{AFTER, BEFORE, STATES_MAX};
 use crate::executor::machines::{InputError, MachineView};
 use crate::executor::{ResourceSet, StartError};
 use crate::ids::{NetId, SessionId};
@@ -214,14 +214,28 @@ impl Machines {
         })
     }
 
-    /// Each machine: its number, its thread, its name, and the names of its states.
+    /// Each machine and those inside, as far as the rows of its thread have room for all: its number and that of the machine
+    /// inside, its thread, its name, and the names of its states.
     pub(super) fn of_probes(
         &self,
-    ) -> impl Iterator<Item = (u32, usize, String, Arc<[String]>)> + '_ {
-        self.all.iter().map(|(id, loaded)| {
-            let states = loaded.program.states(0).map(str::to_owned).collect();
-            let name = loaded.program.name().to_owned();
-            (*id, loaded.thread, name, states)
+    ) -> impl Iterator<Item = ((u32, usize), usize, String, Arc<[String]>)> + '_ {
+        let inside = |thread: usize| -> usize {
+            let all = self.all.values().filter(move |it| it.thread == thread);
+            all.map(|it| it.program.machines().count()).sum()
+        };
+        self.all.iter().flat_map(move |(id, loaded)| {
+            let program = &loaded.program;
+            let is_shown = inside(loaded.thread) <= STATES_MAX;
+            let shown = if is_shown { usize::MAX } else { 1 };
+            let machines = program.machines().enumerate().take(shown);
+            machines.map(move |(number, name)| {
+                let states = program.states(number).map(str::to_owned).collect();
+                let name = match number {
+                    0 => name.to_owned(),
+                    _ => format!("{}.{name}", program.name()),
+                };
+                ((*id, number), loaded.thread, name, states)
+            })
         })
     }
 

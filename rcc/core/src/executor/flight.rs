@@ -34,10 +34,12 @@ pub(crate) const NET_WORDS: usize = 6;
 pub(crate) const HEAD: usize = 6;
 /// Words of a thread's row: cycle, begin of the cycle, latency of the wake-up, execution time, phase error, missed cycles, and the
 /// states of its machines.
-const THREAD_WORDS: usize = 6 + MACHINES_MAX;
+const THREAD_WORDS: usize = MACHINES_AT + STATES_MAX;
+/// States of machines, those inside included, in a thread's row; the outermost ones come first.
+pub(crate) const STATES_MAX: usize = 3 * MACHINES_MAX;
 /// A phase error that is not known.
 pub(crate) const UNKNOWN: u64 = i64::MIN.cast_unsigned();
-/// Where the states of machines begin in it: the number of the machine plus 1 in the upper half, its state plus 1 in the lower.
+/// Where the states of machines begin in it, as [`state_word`](crate::executor::machines::state_word) has them.
 pub(crate) const MACHINES_AT: usize = 6;
 /// Words by joint: set-point, commanded and measured position, measured velocity, error.
 pub(crate) const JOINT_WORDS: usize = 5;

@@ -25,6 +25,13 @@ pub use input::{InputError, InputWords, MachineInput, SETTINGS_MAX, Settings};
 pub use seat::Seat;
 pub use view::{MachineState, MachineView};
 
+/// The word of the state of a machine, or of the one of that number inside, without the state: that number plus 1 is in the
+/// lowest 16 bits, and 0 while the machine is inactive.
+#[must_use]
+pub const fn state_word(id: u32, number: usize) -> u64 {
+    ((id as u64 + 1) << 32) | ((number as u64 & 0xFFFF) << 16)
+}
+
 /// An event of a machine.
 #[derive(Debug)]
 pub enum MachineEvent {
@@ -136,13 +143,18 @@ impl Executor {
         result.0
     }
 
-    /// Each machine's number plus 1 in the upper half of a word, the number of its state plus 1 in the lower: 0 while it is inactive.
+    /// The states of all machines, first those of the outermost ones, as [`state_word`] has them.
     pub(super) fn machine_states(&self) -> impl Iterator<Item = u64> {
-        self.machines.iter().map(|hosted| {
-            let state = hosted.view.machines.first().and_then(|it| it.state);
-            let state = state.map_or(0, |state| state as u64 + 1);
-            ((u64::from(hosted.id) + 1) << 32) | state
-        })
+        let of = |hosted: &Hosted, number: usize| {
+            let state = hosted.view.machines.get(number)?.state;
+            Some(state_word(hosted.id, number) | state.map_or(0, |state| state as u64 + 1))
+        };
+        let outermost = self.machines.iter().filter_map(move |it| of(it, 0));
+        let inside = self.machines.iter().flat_map(move |it| {
+            let numbers = 1..it.view.machines.len();
+            numbers.filter_map(move |number| of(it, number))
+        });
+        outermost.chain(inside)
     }
 
     /// Stop generation under which a machine was loaded.

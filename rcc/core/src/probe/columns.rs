@@ -8,8 +8,8 @@ use takt_net::{Element, Value};
 
 use super::{Column, Pick};
 use crate::device::{Device, DeviceStatus};
-use crate::executor::flight::{self, JOINT_WORDS, MACHINES_AT};
-use crate::executor::machines::MACHINES_MAX;
+use crate::executor::flight::{self, JOINT_WORDS, MACHINES_AT, STATES_MAX};
+use crate::executor::machines::state_word;
 use crate::executor::sampler;
 use crate::ids::NetState;
 
@@ -235,17 +235,22 @@ pub(crate) fn thread_columns(thread: &str) -> Vec<Column> {
     ]
 }
 
-/// The state of a machine in its thread's ring: of these names, null while it is inactive.
-pub(crate) fn machine_column(name: &str, id: u32, states: Arc<[String]>) -> Column {
-    let own = u64::from(id) + 1;
+/// The state of a machine, or of the one of that number inside, in its thread's ring: of these names, null while it is
+/// inactive.
+pub(crate) fn machine_column(
+    name: &str,
+    (id, number): (u32, usize),
+    states: Arc<[String]>,
+) -> Column {
+    let own = state_word(id, number) >> 16;
     Column {
         name: format!("machine:{name}.state"),
         unit: String::new(),
         states,
         pick: Arc::new(move |row| {
-            let words = row.iter().skip(MACHINES_AT).take(MACHINES_MAX);
-            let mut states = words.filter(|word| **word >> 32 == own);
-            let state = states.next().map_or(0, |word| word & u64::from(u32::MAX));
+            let words = row.iter().skip(MACHINES_AT).take(STATES_MAX);
+            let mut states = words.filter(|word| **word >> 16 == own);
+            let state = states.next().map_or(0, |word| word & u64::from(u16::MAX));
             match state.checked_sub(1) {
                 Some(state) => count(&[state], 0),
                 None => NULL_VALUE,

@@ -52,9 +52,12 @@ impl Source {
         }
     }
 
-    /// Whether it has a row for each sample; else for each cycle.
-    const fn is_sampler(&self) -> bool {
-        self.sampler.is_some()
+    /// Samples in so many rows: a sampler writes one for each, all others one for each cycle.
+    const fn samples(&self, rows: u64, cycles_a_sample: u64) -> u64 {
+        match self.sampler {
+            Some(_) => rows,
+            None => rows.div_ceil(cycles_a_sample),
+        }
     }
 
     /// Reads new rows; returns how many were lost.
@@ -194,12 +197,7 @@ impl Group {
         for (number, source) in self.sources.iter_mut().enumerate() {
             let is_closed = source.reader.is_closed();
             let lost = source.read();
-            let samples = if source.is_sampler() {
-                lost
-            } else {
-                lost.div_ceil(cycles_a_sample)
-            };
-            lost_at_least = samples.max(lost_at_least);
+            lost_at_least = lost_at_least.max(source.samples(lost, cycles_a_sample));
             let first = source.pending.first().copied();
             if let (Some(first), true) = (first, lost > 0) {
                 since = since.max(first);
