@@ -176,7 +176,9 @@ impl Source {
 fn read_system(path: &Path) -> anyhow::Result<(System, String)> {
     let text = takt_core::files::read_text(path, FILE_MAX)
         .with_context(|| format!("cannot read {}", path.display()))?;
-    let system = System::parse(&text).with_context(|| format!("{} is invalid", path.display()))?;
+    let folder = path.parent().unwrap_or_else(|| Path::new(""));
+    let system =
+        System::read_in(&text, folder).with_context(|| format!("{} is invalid", path.display()))?;
     Ok((system, text))
 }
 

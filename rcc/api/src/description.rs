@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use takt_client::Value;
+use takt_motion::Model;
 
 use crate::error::ErrorKind;
 use crate::motion::{ArmDescription, JointLimits};
@@ -108,6 +109,18 @@ fn interface(device: &Value, name: &'static str) -> Option<Interface> {
     })
 }
 
+/// The model of a device's kinematics: its chain of joints if the controller describes that, else its name.
+fn model(device: &Value) -> Model {
+    let chain = text(device, "serial").and_then(|chain| chain.parse().ok());
+    let named = || {
+        text(device, "kinematics")
+            .unwrap_or_default()
+            .to_owned()
+            .into()
+    };
+    chain.unwrap_or_else(named)
+}
+
 /// The arm of a device's description, if it is one.
 pub(crate) fn arm(name: &str, device: &Value) -> Option<ArmDescription> {
     let joint = |joint: &Value| {
@@ -134,7 +147,7 @@ pub(crate) fn arm(name: &str, device: &Value) -> Option<ArmDescription> {
     Some(ArmDescription {
         name: name.to_owned(),
         kind: text(device, "type").unwrap_or_default().to_owned(),
-        model: text(device, "kinematics").unwrap_or_default().to_owned(),
+        model: model(device),
         home: home.unwrap_or_else(|| joints.iter().map(JointLimits::rest).collect()),
         joints,
         period: Duration::from_secs_f64(number(device, "period")?),

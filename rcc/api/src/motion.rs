@@ -18,6 +18,7 @@ mod tests;
 use std::sync::Arc;
 use std::time::Duration;
 
+use takt_motion::Model;
 use takt_motion::plan::FrameBounds;
 use takt_net::device::Kinematics;
 
@@ -167,8 +168,8 @@ pub struct ArmDescription {
     pub name: String,
     /// Its type, such as `kuka_lwr_fri`.
     pub kind: String,
-    /// Model of its kinematics, such as `kuka_lwr4`; empty if it is not described.
-    pub model: String,
+    /// Model of its kinematics, such as `kuka_lwr4` or the chain of a URDF; empty if it is not described.
+    pub model: Model,
     /// Its joints, from the base.
     pub joints: Vec<JointLimits>,
     /// Its joint positions at home, rad: those of its cell file, else 0, and the middle of its range for a joint that cannot be
@@ -237,7 +238,7 @@ impl ArmDescription {
 
     /// Its kinematics, if the program knows their model.
     pub(crate) fn kinematics(&self) -> Option<Arc<dyn Kinematics>> {
-        takt_motion::kinematics::limited(&self.model, &self.limits())
+        self.model.limited(&self.limits())
     }
 
     /// The pose of its flange in its base at joint positions, rad.

@@ -25,7 +25,7 @@ fn arms() -> (Cell, Arm, Arm) {
 
 fn flange(arm: &Arm) -> Pose {
     let commanded = arm.commanded().unwrap();
-    let kinematics = takt_motion::kinematics::named(&arm.description().model);
+    let kinematics = arm.description().model.unlimited();
     kinematics.unwrap().forward(&commanded).into()
 }
 

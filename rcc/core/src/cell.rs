@@ -54,6 +54,7 @@ mod drivers;
 mod frames;
 mod live;
 mod location;
+mod models;
 mod objects;
 
 use std::net::SocketAddr;
@@ -283,7 +284,8 @@ impl CellConfig {
             path: path.to_owned(),
             source,
         })?;
-        let mut cell = Self::of_text(&text, kinds).map_err(|why| Error::Config {
+        let folder = path.parent().unwrap_or_else(|| Path::new(""));
+        let mut cell = Self::of_text(&text, kinds, folder).map_err(|why| Error::Config {
             path: path.to_owned(),
             why,
         })?;
@@ -293,23 +295,23 @@ impl CellConfig {
         ];
         for relative in paths.into_iter().flatten() {
             // An empty one means none.
-            if let Some(folder) = path.parent().filter(|_| !relative.as_os_str().is_empty()) {
+            if !relative.as_os_str().is_empty() {
                 *relative = folder.join(&*relative);
             }
         }
         Ok(cell)
     }
 
-    /// Parses the text of such a file.
+    /// Parses the text of such a file; the files that it names are relative to the working directory.
     ///
     /// # Errors
     /// If it is not TOML, has unknown names, or a value is out of range.
     pub fn parse(text: &str, kinds: &[DriverKind]) -> Result<Self, Error> {
-        Self::of_text(text, kinds).map_err(Error::Cell)
+        Self::of_text(text, kinds, Path::new("")).map_err(Error::Cell)
     }
 
-    fn of_text(text: &str, kinds: &[DriverKind]) -> Result<Self, String> {
-        let config = Self::deserialize(text, kinds).map_err(|mut error| {
+    fn of_text(text: &str, kinds: &[DriverKind], folder: &Path) -> Result<Self, String> {
+        let config = Self::deserialize(text, kinds, folder).map_err(|mut error| {
             error.set_input(Some(text));
             error.to_string()
         })?;
@@ -317,8 +319,13 @@ impl CellConfig {
         Ok(config)
     }
 
-    fn deserialize(text: &str, kinds: &[DriverKind]) -> Result<Self, toml::de::Error> {
+    fn deserialize(
+        text: &str,
+        kinds: &[DriverKind],
+        folder: &Path,
+    ) -> Result<Self, toml::de::Error> {
         let mut table = DeTable::parse(text)?;
+        models::resolve(table.get_mut(), folder)?;
         let drivers::Configured { devices, buses } = drivers::take(table.get_mut(), kinds)?;
         let rest = Rest::deserialize(toml::Deserializer::from(table))?;
         Ok(Self {
@@ -388,9 +395,11 @@ impl CellConfig {
         }
     }
 
-    /// Names of devices and buses whose clock can be followed.
+    /// Names of devices and buses whose clock can be followed: simulated ones have none.
     fn clocks(&self) -> impl Iterator<Item = &str> {
-        self.drivers().map(|config| config.name())
+        let drivers = self.drivers();
+        let drivers = drivers.filter(|config| matches!(config.simulated(), Ok(None)));
+        drivers.map(|config| config.name())
     }
 
     fn check_threads(&self) -> Result<(), String> {
@@ -457,7 +466,8 @@ impl CellConfig {
         }
         let of_buses = self.buses.iter().flat_map(|bus| bus.devices());
         let of_buses = of_buses.map(|device| device.name);
-        let mut names: Vec<_> = self.clocks().map(str::to_owned).chain(of_buses).collect();
+        let drivers = self.drivers().map(|config| config.name().to_owned());
+        let mut names: Vec<_> = drivers.chain(of_buses).collect();
         names.sort_unstable();
         names.iter().try_for_each(|name| check_device_name(name))?;
         match names.windows(2).find(|w| w[0] == w[1]) {

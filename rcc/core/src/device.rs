@@ -16,10 +16,10 @@ pub mod sim;
 mod surroundings;
 mod table;
 
-use std::borrow::Cow;
 use std::fmt;
 use std::ops::Range;
 
+use takt_motion::Model;
 use takt_net::device::Base;
 use takt_net::{Image, JointLimits, JointState, Twist};
 use takt_rt::Nanos;
@@ -264,8 +264,8 @@ pub struct ArmDescription {
     pub kind: &'static str,
     /// Limits by joint.
     pub limits: Vec<JointLimits>,
-    /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
-    pub model: Cow<'static, str>,
+    /// Model of its kinematics; empty for none.
+    pub model: Model,
 }
 
 impl ArmDescription {
@@ -291,8 +291,8 @@ pub struct DeviceDescription {
     pub kind: &'static str,
     /// Limits by joint; empty if it is no arm.
     pub limits: Vec<JointLimits>,
-    /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
-    pub model: Cow<'static, str>,
+    /// Model of its kinematics; empty for none.
+    pub model: Model,
     /// Parts besides joints.
     pub parts: Vec<Part>,
 }

@@ -182,7 +182,7 @@ fn program_for_other_arm_is_refused() {
     let refused = |arm: &str, spec: &str| {
         let mut program = program(MOVES);
         if !spec.is_empty() {
-            program.system.robots[0].model = spec.to_owned();
+            program.system.robots[0].model = spec.to_owned().into();
         }
         let binding = Binding {
             arms: vec![arm.to_owned()],

@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use takt_core::cell::{DriverKind, Section};
+use takt_core::device::sim::{ARM, ArmSimConfig};
 use takt_core::{CellConfig, Error};
 
 #[cfg(feature = "canopen")]
@@ -26,7 +27,9 @@ macro_rules! drivers {
             #[cfg(not(feature = $feature))]
             let kind = DriverKind::without(Section::$section($name), $feature);
             kind
-        },)*]
+        },)*
+        // It needs no wire.
+        DriverKind::new::<ArmSimConfig>(Section::Device(ARM)),]
     };
 }
 

@@ -95,7 +95,7 @@ fn driver_table_has_each_section_once() {
 }
 
 /// Sections of docs/cell.md, with a cell in which the program meets an unknown key there.
-const SECTIONS: [(&str, &str); 31] = [
+const SECTIONS: [(&str, &str); 32] = [
     ("[controller]", "[controller]\nzz = 1"),
     ("[live]", "[live]\nzz = 1"),
     ("[[controller.thread]]", "[[controller.thread]]\nzz = 1"),
@@ -127,6 +127,10 @@ const SECTIONS: [(&str, &str); 31] = [
     (
         "[[device]] of type schunk_wsg",
         "[[device]]\ntype = 'schunk_wsg'\nzz = 1",
+    ),
+    (
+        "[[device]] of type arm_sim",
+        "[[device]]\ntype = 'arm_sim'\nzz = 1",
     ),
     ("[[ethercat]]", "[[ethercat]]\nzz = 1"),
     ("[ethercat.clocks]", "[[ethercat]]\nclocks = { zz = 1 }"),
@@ -205,7 +209,7 @@ fn cell_reference_lists_every_key() {
 }
 
 /// Sections of docs/cell.md that state defaults, with a cell that is accepted with any one of these at the `@`.
-const CELLS: [(&str, &str); 30] = [
+const CELLS: [(&str, &str); 31] = [
     ("[controller]", "[controller]\n@"),
     ("[live]", "[live]\nfoxglove = '127.0.0.1:1'\n@"),
     (
@@ -235,6 +239,10 @@ const CELLS: [(&str, &str); 30] = [
     (
         "[[device]] of type schunk_wsg",
         "[[device]]\nname = 'n'\ntype = 'schunk_wsg'\naddress = '127.0.0.1:1000'\n@",
+    ),
+    (
+        "[[device]] of type arm_sim",
+        "[[device]]\nname = 'n'\ntype = 'arm_sim'\nmodel = 'kuka_iiwa7'\n@",
     ),
     ("[[frame]]", "[[frame]]\nname = 'f'\n@"),
     ("[[base]]", "[[base]]\ndevice = 'n'\n@"),
@@ -385,11 +393,17 @@ fn example_cells_are_read_and_run() {
         if name == "README.md" {
             continue;
         }
+        if name.ends_with(".urdf") {
+            assert!(readme.contains(&format!("`{name}`")), "{name}");
+            continue;
+        }
         assert!(readme.contains(&format!("`{name}`")), "{name}");
         let text = std::fs::read_to_string(&path).unwrap();
         // Ports that the system chooses, so that tests do not collide; threads without priority.
         let text = text.replace("0.0.0.0:49938", "127.0.0.1:0");
         let text = text.replace("0.0.0.0:30200", "127.0.0.1:0");
+        // Files beside it.
+        let text = text.replace("urdf:", &format!("urdf:{}/", folder.display()));
         let mut cell = parse_cell(&text).unwrap_or_else(|error| panic!("{name}: {error}"));
         read += 1;
         cell.controller.priority = None;

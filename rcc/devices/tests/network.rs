@@ -62,7 +62,7 @@ fn config() -> CanopenConfig {
         arms: vec![DriveArm {
             name: "arm".to_owned(),
             recovery: Recovery::default(),
-            model: String::new(),
+            model: "".into(),
             joints: (1..=JOINTS).map(joint).collect(),
         }],
     }

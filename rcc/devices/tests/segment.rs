@@ -67,7 +67,7 @@ fn config() -> EthercatConfig {
         arms: vec![DriveArm {
             name: "tx90".to_owned(),
             recovery: Recovery::default(),
-            model: "staubli_tx90".to_owned(),
+            model: "staubli_tx90".into(),
             joints: (0..).zip(ranges).map(joint).collect(),
         }],
         ios: vec![EthercatIo {

@@ -4,7 +4,10 @@
 mod channel;
 mod xml;
 
+use std::path::Path;
+
 use serde::Deserialize;
+use takt_motion::Model;
 
 pub use channel::Channel;
 pub(crate) use channel::is_device;
@@ -40,9 +43,9 @@ pub struct Joint {
 pub struct Robot {
     /// Its name, as `act_rob` and its record use it.
     pub name: String,
-    /// Model of its kinematics, as `takt_motion::kinematics::named` knows it; empty if it moves its joints only.
+    /// Model of its kinematics, by name or from a URDF; empty if it moves its joints only.
     #[serde(default)]
-    pub model: String,
+    pub model: Model,
     /// Its joints, 1 to 7.
     pub joints: Vec<Joint>,
     /// Default of `speed`, mm/s.
@@ -194,6 +197,18 @@ impl System {
     /// # Errors
     /// If it is not one; all values are checked.
     pub fn parse(text: &str) -> Result<Self, SpecError> {
+        Self::parse_in(text, None)
+    }
+
+    /// As [`Self::parse`], for a text from a file in this folder: models from URDFs, `urdf:arm.urdf`, are read there.
+    ///
+    /// # Errors
+    /// As [`Self::parse`], and if a URDF describes no arm that can be used.
+    pub fn read_in(text: &str, folder: &Path) -> Result<Self, SpecError> {
+        Self::parse_in(text, Some(folder))
+    }
+
+    fn parse_in(text: &str, folder: Option<&Path>) -> Result<Self, SpecError> {
         if text.len() > crate::parse::TEXT_MAX {
             return Err(SpecError::Form("the text is larger than 1 MiB".to_owned()));
         }
@@ -206,6 +221,10 @@ impl System {
         };
         for robot in &mut system.robots {
             robot.name = robot.name.to_ascii_lowercase();
+            if let Some(folder) = folder {
+                let model = std::mem::take(&mut robot.model).read(folder);
+                robot.model = model.map_err(|error| SpecError::Value(error.to_string()))?;
+            }
         }
         for signal in &mut system.signals {
             signal.name = signal.name.to_ascii_lowercase();
@@ -312,8 +331,11 @@ impl Robot {
         if self.model.is_empty() {
             return Ok(());
         }
-        match takt_motion::kinematics::named(&self.model) {
-            None => Err(format!("there is no model `{}`", self.model.escape_debug())),
+        match self.model.unlimited() {
+            None => Err(format!(
+                "there is no model `{}`",
+                self.model.name().escape_debug()
+            )),
             Some(arm) if arm.joints() != self.joints.len() => Err(format!(
                 "model `{}` has {} joints, the specification {}",
                 self.model,

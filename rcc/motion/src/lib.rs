@@ -7,6 +7,7 @@ pub mod dynamics;
 #[cfg(test)]
 mod fixture;
 pub mod kinematics;
+mod model;
 mod motion;
 mod otg;
 mod pose;
@@ -15,6 +16,7 @@ pub mod urdf;
 
 use takt_net::Definition;
 
+pub use model::{Model, TextError, URDF};
 pub use motion::{live, plan};
 
 /// All definitions of this crate.

@@ -1,7 +1,9 @@
 //! Arms from URDF files: links, joints and masses as the file gives them, and the serial arm between two of its links. Everything
-//! that is wrong with a file is reported at once, by line. Macros (xacro), meshes and materials are not read.
+//! that is wrong with a file is reported at once, by line. Macros (xacro) and materials are not read; of meshes only whether they are
+//! there.
 
 mod arm;
+mod file;
 mod read;
 #[cfg(test)]
 mod tests;
@@ -11,7 +13,8 @@ use std::fmt;
 use nalgebra::Vector3;
 use takt_net::Frame;
 
-pub use arm::{ArmJoint, ArmModel};
+pub use arm::{ArmJoint, ArmModel, Visual};
+pub use file::{FileError, read_arm};
 
 use crate::dynamics::Body;
 

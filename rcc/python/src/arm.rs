@@ -119,7 +119,7 @@ impl Arm {
     /// Model of its kinematics; empty if it is not described.
     #[getter]
     fn model(&self, py: Python<'_>) -> PyResult<String> {
-        Ok(self.0.get(py)?.description().model.clone())
+        Ok(self.0.get(py)?.description().model.name().to_owned())
     }
 
     /// Its base in the world.

@@ -49,7 +49,11 @@ impl Bench {
 
     /// A controller with the devices of a cell.
     pub(crate) fn of(cell: &CellConfig) -> Self {
-        let controller = Controller::start(cell).unwrap();
+        Self::serving(Controller::start(cell).unwrap())
+    }
+
+    /// A server of this controller.
+    pub(crate) fn serving(controller: Controller) -> Self {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()

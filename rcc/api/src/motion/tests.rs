@@ -20,7 +20,7 @@ fn arm(name: &str) -> ArmDescription {
     ArmDescription {
         name: name.to_owned(),
         kind: "kuka_lwr_sim".to_owned(),
-        model: "kuka_lwr4".to_owned(),
+        model: "kuka_lwr4".into(),
         joints: vec![joint; 7],
         home: vec![0.0; 7],
         period: Duration::from_millis(2),
@@ -93,7 +93,7 @@ fn line_needs_no_known_start() {
 #[test]
 fn motion_of_unknown_model_cannot_be_planned() {
     let mut motion = along(Route::Line(flange()));
-    motion.arm.model = "other".to_owned();
+    motion.arm.model = "other".into();
     let error = motion
         .plan(&begins(&["left"]), 1.0)
         .unwrap_err()

@@ -54,7 +54,7 @@ const KINDS: &[DriverKind] = &[
 ];
 
 fn of_text(text: &str) -> Result<CellConfig, String> {
-    CellConfig::of_text(text, KINDS)
+    CellConfig::of_text(text, KINDS, Path::new(""))
 }
 
 #[test]

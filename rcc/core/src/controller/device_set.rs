@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use takt_motion::Model;
 use takt_motion::kinematics::Chain;
 use takt_net::JointLimits;
 
@@ -35,8 +36,8 @@ pub struct DeviceDetails {
     pub abilities: BTreeMap<String, BTreeMap<String, String>>,
     /// Limits of each joint; none if it is no arm.
     pub joints: Arc<[JointLimits]>,
-    /// Name of its kinematics model, as `takt_motion::kinematics` has it; empty for none.
-    pub model: String,
+    /// Model of its kinematics; empty for none.
+    pub model: Model,
     /// Its kinematics as rotation axes; `None` if it has no model.
     pub chain: Option<Chain>,
     /// Where the cell places its base; `None` if it does not.
@@ -130,7 +131,9 @@ impl DeviceSet {
         DeviceDetails {
             abilities: device.map(Device::abilities).unwrap_or_default(),
             joints: device.map_or_else(Arc::default, |device| Arc::clone(&device.limits)),
-            model: device.map_or_else(String::new, |device| device.model.to_string()),
+            model: device
+                .map(|device| device.model.clone())
+                .unwrap_or_default(),
             chain: arm.map(Chain::of),
             base: self.frames.base(&info.name).cloned(),
             tools: self.frames.tools(&info.name).cloned().collect(),

@@ -75,6 +75,10 @@ impl Controller {
 impl Registry {
     /// Starts a driver of the cell.
     pub(super) fn add_of_cell(&mut self, config: &dyn DriverConfig) -> Result<(), Error> {
+        if let Some((description, device)) = config.simulated()? {
+            let thread = self.threads.of_period(config.thread());
+            return self.add_simulated(description, device, thread.map_err(Error::Cell)?);
+        }
         self.add_driver(config.name(), config.devices(), config.thread(), |ends| {
             config.start(ends)
         })
@@ -160,7 +164,7 @@ impl Registry {
         self.threads.add_device(number, device, driver)
     }
 
-    fn remove_simulated(&mut self, name: &str) -> Result<(), Error> {
+    pub(super) fn remove_simulated(&mut self, name: &str) -> Result<(), Error> {
         if self.devices.table.find(name).is_none() {
             return Err(Error::NoSuchDevice(name.to_owned()));
         }

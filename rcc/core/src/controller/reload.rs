@@ -32,7 +32,6 @@ impl Controller {
             .drivers
             .iter()
             .position(|driver| driver.name() == name);
-        let at = of_cell.ok_or_else(|| Error::NoSuchDevice(name.to_owned()))?;
         registry.refuse_if_used(name)?;
         if registry
             .devices
@@ -45,6 +44,11 @@ impl Controller {
                 what: "it still moves; wait until it is at rest".to_owned(),
             });
         }
+        let Some(at) = of_cell else {
+            let removed = registry.remove_simulated(name);
+            self.inner.announce(&registry);
+            return removed;
+        };
         if let Some(number) = registry.devices.table.remove(name) {
             registry.threads.remove_device(number)?;
         }

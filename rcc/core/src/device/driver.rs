@@ -15,6 +15,7 @@ use takt_rt::stats::StallReader;
 use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::device::bus::BusAccess;
+use crate::device::sim::Made;
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState};
 use crate::error::Error;
 
@@ -238,6 +239,14 @@ pub trait DriverConfig: Compare + fmt::Debug + Send + Sync {
 
     /// What is known of its devices before contact.
     fn devices(&self) -> Vec<DeviceDescription>;
+
+    /// The simulated device that a net thread steps instead of a driver; `None` if it has a driver.
+    ///
+    /// # Errors
+    /// If its parameters make no device.
+    fn simulated(&self) -> Result<Option<Made>, Error> {
+        Ok(None)
+    }
 
     /// Opens its link and starts the driver. The endpoints are those of its devices, in their order.
     ///

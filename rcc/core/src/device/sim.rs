@@ -4,23 +4,30 @@
 mod arm;
 mod base;
 mod compliance;
+mod config;
 mod gripper;
 mod io;
 mod parameters;
 mod servo_gripper;
+mod sheet;
 mod simulated;
 
 use std::collections::BTreeMap;
 
 use crate::error::Error;
+pub use config::ArmSimConfig;
 use parameters::Parameters;
-pub use simulated::Simulated;
-use simulated::{Made, seconds};
+use simulated::seconds;
+pub use simulated::{Made, Simulated};
 
 type Make = fn(&Parameters<'_>, &'static str) -> Result<Made, Error>;
 
+/// Type of a simulated arm of any model.
+pub const ARM: &str = "arm_sim";
+
 /// Constructors by type.
-const KINDS: [(&str, Make); 7] = [
+const KINDS: [(&str, Make); 8] = [
+    (ARM, arm::any),
     ("kuka_lwr_sim", arm::lwr),
     ("kuka_iiwa_sim", arm::iiwa),
     ("kuka_youbot_arm_sim", arm::youbot),
@@ -80,6 +87,11 @@ mod tests {
             "kuka_youbot_gripper_sim" => of_gripper.iter().map(scalar).collect(),
             "schunk_wsg_sim" => ["stroke", "part"].iter().map(scalar).collect(),
             "io_sim" => BTreeMap::new(),
+            ARM => {
+                let model = [("model".to_owned(), "kuka_iiwa7".to_owned())];
+                let lists = of_arm.map(|(key, v)| (key.to_owned(), list(v)));
+                lists.into_iter().chain(model).collect()
+            }
             _ => of_arm.map(|(key, v)| (key.to_owned(), list(v))).into(),
         }
     }

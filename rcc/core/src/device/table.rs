@@ -1,10 +1,10 @@
 //! The devices of a controller and the locations of their interfaces in the image. It starts no driver.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+use takt_motion::Model;
 use takt_net::device::{
     COMMAND_WORDS_MAX, Interfaces, JOINTS_MAX, Kinematics, Layout, SIGNAL_WORDS_MAX,
 };
@@ -37,7 +37,7 @@ pub struct Device {
     /// Limits by joint; empty if it is no arm.
     pub limits: Arc<[JointLimits]>,
     /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
-    pub model: Cow<'static, str>,
+    pub model: Model,
     /// Kinematics of its flange.
     pub kinematics: Option<Arc<dyn Kinematics>>,
     /// Its interfaces besides joints.
@@ -262,7 +262,7 @@ impl DeviceTable {
             item: "readers of a device",
             bound: STATE_READERS,
         })?;
-        let kinematics = takt_motion::kinematics::limited(&device.model, &device.limits);
+        let kinematics = device.model.limited(&device.limits);
         if number >= self.devices.len() {
             self.devices.resize_with(number + 1, || None);
         }

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use takt_machine::Program;
+use takt_motion::TextError;
 use takt_net::JointLimits;
 use takt_net::netcomm::Directory;
 
@@ -28,7 +29,7 @@ pub(super) struct DeviceNote {
     signals: [usize; 2],
     /// From and to.
     commands: [usize; 2],
-    /// Model of its kinematics.
+    /// Model of its kinematics: its name, or the chain of its joints.
     model: String,
     /// By joint: minimum and maximum position (rad), speed (rad/s), acceleration (rad/s²).
     limits: Vec<[f64; 4]>,
@@ -54,7 +55,7 @@ impl DeviceNote {
             first_joint: place.first_joint,
             signals: [place.signals.start, place.signals.end],
             commands: [place.commands.start, place.commands.end],
-            model: device.model.as_ref().to_owned(),
+            model: device.model.text().into_owned(),
             limits: limits.collect(),
             parts: device.parts.clone(),
             is_repeated: false,
@@ -70,20 +71,23 @@ impl DeviceNote {
         }
     }
 
-    pub(super) fn description(&self) -> DeviceDescription {
+    /// # Errors
+    /// If its model cannot be read.
+    pub(super) fn description(&self) -> Result<DeviceDescription, TextError> {
+        let model = self.model.parse()?;
         let limits = |l: &[f64; 4]| JointLimits {
             position_min: l[0],
             position_max: l[1],
             velocity_max: l[2],
             acceleration_max: l[3],
         };
-        DeviceDescription {
+        Ok(DeviceDescription {
             name: self.name.clone(),
             kind: "",
             limits: self.limits.iter().map(limits).collect(),
-            model: self.model.clone().into(),
+            model,
             parts: self.parts.clone(),
-        }
+        })
     }
 }
 

@@ -204,7 +204,11 @@ impl Stage {
                 RecordedNote::Device(DeviceEvent::Came(device)) if !device.is_repeated => {
                     let (number, place) = (device.number, device.place());
                     self.executor.set_place(number, &place);
-                    self.devices.add_at(number, place, device.description())?;
+                    let description = device.description();
+                    let description = description.map_err(|error| {
+                        wrong(&self.path, format!("device {}: {error}", device.name))
+                    })?;
+                    self.devices.add_at(number, place, description)?;
                 }
                 RecordedNote::Device(DeviceEvent::Went { name }) => {
                     self.devices.remove(name);

@@ -22,7 +22,7 @@ pub fn describe<D>(arm: &DriveArm<D>, kind: &'static str) -> DeviceDescription {
         name: arm.name.clone(),
         kind,
         limits: arm.joints.iter().map(limits_of).collect(),
-        model: arm.model.clone().into(),
+        model: arm.model.clone(),
         parts: Vec::new(),
     }
 }
@@ -38,16 +38,30 @@ pub fn check<D>(
         return wrong(format!("{joints} joints; an arm has 1 to {ARM_JOINTS_MAX}"));
     }
     let limits: Vec<_> = arm.joints.iter().map(limits_of).collect();
-    let model = takt_motion::kinematics::limited(&arm.model, &limits);
-    if !arm.model.is_empty() && model.is_none() {
-        return wrong(format!(
-            "there is no model `{}` of {joints} joints",
-            arm.model
-        ));
+    let has_model = arm.model.is_empty() || arm.model.limited(&limits).is_some();
+    match arm.model.arm() {
+        Some(of_file) if of_file.joints.len() != joints => {
+            let (count, file) = (of_file.joints.len(), &of_file.file);
+            return wrong(format!("{joints} joints, but {count} in {file}"));
+        }
+        Some(_) | None if !has_model => {
+            let model = &arm.model;
+            return wrong(format!("there is no model `{model}` of {joints} joints"));
+        }
+        Some(_) | None => {}
     }
     for (number, joint) in arm.joints.iter().enumerate() {
         if let Err(what) = check_joint(joint).and_then(|()| drive(joint)) {
             return wrong(format!("joint {number}: {what}"));
+        }
+    }
+    if let Some(of_file) = arm.model.arm() {
+        let joints = of_file.joints.iter().zip(&limits).enumerate();
+        for (number, (joint, limits)) in joints {
+            if let Some(why) = joint.exceeded_by(limits) {
+                let (name, file, line) = (&joint.name, &of_file.file, joint.line);
+                return wrong(format!("joint {number}: {why} of `{name}` ({file}:{line})"));
+            }
         }
     }
     Ok(())

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Deserializer};
 use takt_cia402::{MasterOptions, Quirk, UnknownQuirk};
+use takt_motion::Model;
+use takt_motion::urdf::ArmJoint;
 
 /// Recovery of a device after a fault, once its drives can follow commands again. In each case, nothing moves before
 /// a program requests it.
@@ -17,19 +19,54 @@ pub enum Recovery {
 
 /// A robot arm made of drives, named as on their bus.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "Given<D>", bound(deserialize = "D: Deserialize<'de>"))]
 pub struct DriveArm<D> {
     /// Name by which nets find it.
     pub name: String,
     /// Kinematics model, such as `staubli_tx90`; empty for none.
-    #[serde(default)]
-    pub model: String,
+    pub model: Model,
     /// Recovery after a fault.
-    #[serde(default)]
     pub recovery: Recovery,
     /// Its joints, from the base.
-    #[serde(rename = "joint")]
     pub joints: Vec<DriveJoint<D>>,
+}
+
+/// An arm as its table gives it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Given<D> {
+    name: String,
+    #[serde(default)]
+    model: Model,
+    #[serde(default)]
+    recovery: Recovery,
+    #[serde(rename = "joint")]
+    joints: Vec<DriveJoint<D>>,
+}
+
+impl<D> TryFrom<Given<D>> for DriveArm<D> {
+    type Error = String;
+
+    /// Limits that the table leaves out are those of the file of its model.
+    fn try_from(given: Given<D>) -> Result<Self, String> {
+        let Given {
+            name,
+            model,
+            recovery,
+            mut joints,
+        } = given;
+        for (number, joint) in joints.iter_mut().enumerate() {
+            let of_file = model.arm().and_then(|arm| arm.joints.get(number));
+            let missing = joint.complete(of_file);
+            missing.map_err(|key| format!("arm {name}: joint {number}: missing field `{key}`"))?;
+        }
+        Ok(Self {
+            name,
+            model,
+            recovery,
+            joints,
+        })
+    }
 }
 
 /// A joint moved by an axis of a drive.
@@ -47,11 +84,14 @@ pub struct DriveJoint<D> {
     /// Increments at joint zero.
     #[serde(default)]
     pub zero: f64,
-    /// Range of the joint, degrees.
+    /// Range of the joint, degrees; within that of the model's file, and that if left out.
+    #[serde(default = "DriveJoint::<()>::no_range")]
     pub range: [f64; 2],
-    /// Largest speed, degrees per second.
+    /// Largest speed, degrees per second; at most that of the model's file, and that if left out.
+    #[serde(default = "DriveJoint::<()>::not_given")]
     pub velocity_max: f64,
-    /// Largest acceleration, degrees per second squared.
+    /// Largest acceleration, degrees per second squared; for an arm with a file its speed within 0.25 s if left out.
+    #[serde(default = "DriveJoint::<()>::not_given")]
     pub acceleration_max: f64,
     /// Largest following error, degrees of the joint, before power is removed, independent of 6065h; `None` for the
     /// motion in a tenth of a second at its largest speed, but not less than one degree.
@@ -78,6 +118,33 @@ fn quirks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Quirk>, D::E
 }
 
 impl<D> DriveJoint<D> {
+    const fn not_given() -> f64 {
+        f64::NAN
+    }
+
+    const fn no_range() -> [f64; 2] {
+        [f64::NAN; 2]
+    }
+
+    /// Takes what is not given from the joint of a file; the key of what is missing there too.
+    fn complete(&mut self, of_file: Option<&ArmJoint>) -> Result<(), &'static str> {
+        let is_given = |value: f64| !value.is_nan();
+        if !self.range.into_iter().all(is_given) {
+            let range = of_file.map(|joint| [joint.range.min, joint.range.max]);
+            let range = range.filter(|it| it.iter().all(|end| end.is_finite()));
+            self.range = range.ok_or("range")?.map(f64::to_degrees);
+        }
+        if !is_given(self.velocity_max) {
+            let velocity = of_file.and_then(|joint| joint.velocity_max);
+            self.velocity_max = velocity.ok_or("velocity_max")?.to_degrees();
+        }
+        if !is_given(self.acceleration_max) {
+            of_file.ok_or("acceleration_max")?;
+            self.acceleration_max = self.velocity_max * ACCELERATION_PER_S;
+        }
+        Ok(())
+    }
+
     /// Largest following error, degrees of the joint.
     #[must_use]
     pub fn following_error(&self) -> f64 {
@@ -92,6 +159,8 @@ impl<D> DriveJoint<D> {
     }
 }
 
+/// Acceleration to velocity of a joint of a file without a given acceleration, 1/s.
+const ACCELERATION_PER_S: f64 = 4.0;
 /// Default following error: motion in this time at the largest speed, s, but at least one degree.
 const FOLLOWING_TIME_S: f64 = 0.1;
 const FOLLOWING_MIN: f64 = 1.0;

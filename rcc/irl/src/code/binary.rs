@@ -134,7 +134,7 @@ impl<'d> Reader<'d> {
 
 fn write_robot(w: &mut Writer, robot: &Robot) {
     w.text(&robot.name);
-    w.text(&robot.model);
+    w.text(&robot.model.text());
     w.list(&robot.joints, |w, joint| {
         for value in [
             joint.min,
@@ -164,6 +164,8 @@ fn write_robot(w: &mut Writer, robot: &Robot) {
 
 fn read_robot(r: &mut Reader<'_>) -> Result<Robot, CodeError> {
     let (name, model) = (r.text()?, r.text()?);
+    let model = model.parse();
+    let model = model.map_err(|_| r.invalid("a model is no chain of joints"))?;
     let joints = r.list(|r| {
         Ok(Joint {
             min: r.f64()?,

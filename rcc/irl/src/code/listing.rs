@@ -29,7 +29,7 @@ impl Program {
             let model = if robot.model.is_empty() {
                 "joints only"
             } else {
-                &robot.model
+                robot.model.name()
             };
             let _ = writeln!(out, "robot {}: {joints} joints, {model}", robot.name);
         }
@@ -71,7 +71,7 @@ impl Program {
             self.memory_bytes()
         );
         for robot in &self.system.robots {
-            let (name, model) = (escape(&robot.name), escape(&robot.model));
+            let (name, model) = (escape(&robot.name), escape(robot.model.name()));
             let joints = robot.joints.len();
             let _ = writeln!(
                 out,

@@ -128,13 +128,8 @@ impl Robot {
             Some(arm) => Some(arm),
             None if robot.model.is_empty() => None,
             None => {
-                let known = takt_motion::kinematics::limited(&robot.model, &limits);
-                let why = || {
-                    error(format!(
-                        "there is no model `{}` of {count} joints",
-                        robot.model
-                    ))
-                };
+                let (model, known) = (&robot.model, robot.model.limited(&limits));
+                let why = || error(format!("there is no model `{model}` of {count} joints"));
                 Some(known.ok_or_else(why)?)
             }
         };

@@ -94,7 +94,7 @@ fn fit(robot: &mut Robot, arm: &ArmBinding, name: &str) -> Result<(), String> {
 /// Distance of the flanges with each joint in a different place of its range; `None` if one of them is not known.
 fn flange_difference(robot: &Robot, arm: &ArmBinding) -> Option<f64> {
     let device = arm.kinematics.as_ref()?;
-    let model = takt_motion::kinematics::named(&robot.model)?;
+    let model = robot.model.unlimited()?;
     let bent = robot
         .joints
         .iter()

@@ -2,17 +2,22 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use takt_net::Frame;
+use takt_net::{Frame, JointLimits};
 
 use super::{Finding, Kind, Link, Shape, Urdf, UrdfError, UrdfJoint};
+use nalgebra::Vector3;
+
 use crate::dynamics::{Body, Dynamics};
-use crate::kinematics::{JOINTS_MAX, Joint, JointKind, Range, Serial};
+use crate::kinematics::{JOINTS_MAX, Joint, JointKind, Range, Serial, SerialError};
 
 /// Names of links that users mean by the flange, the likeliest first.
 const FLANGES: [&str; 5] = ["flange", "tool0", "ee_link", "tool_link", "tcp"];
 
 /// Words in the names of joints that move a gripper.
 const GRIPPERS: [&str; 3] = ["grip", "finger", "jaw"];
+/// Tolerance for limits that were rounded, degrees.
+const BESIDE_DEGREES: f64 = 0.01;
+
 /// An arm of so many joints ends where its joints part or are those of a gripper.
 const HANDLESS: usize = 3;
 
@@ -31,6 +36,41 @@ pub struct ArmJoint {
     pub velocity_max: Option<f64>,
     /// Largest torque or force, Nm or N, if the file gives it.
     pub effort_max: Option<f64>,
+    /// From the frame of the joint before it, or from the base, to its own at position 0, m.
+    pub origin: Frame,
+    /// Its axis in its own frame; any length but 0.
+    pub axis: Vector3<f64>,
+    /// What it carries up to the next joint, in its own frame.
+    pub body: Body,
+}
+
+impl ArmJoint {
+    /// Why limits of an arm are not within those of this joint, such as `range [-200, 100] degrees exceeds [-180, 180]`.
+    #[must_use]
+    pub fn exceeded_by(&self, limits: &JointLimits) -> Option<String> {
+        let [low, high] = [limits.position_min, limits.position_max].map(f64::to_degrees);
+        let [least, most] = [self.range.min, self.range.max].map(f64::to_degrees);
+        if low < least - BESIDE_DEGREES || high > most + BESIDE_DEGREES {
+            return Some(format!(
+                "range [{low:.2}, {high:.2}] degrees exceeds [{least:.2}, {most:.2}]"
+            ));
+        }
+        let (speed, most) = (limits.velocity_max, self.velocity_max?);
+        let [wanted, allowed] = [speed, most].map(f64::to_degrees);
+        let is_above = wanted > allowed + BESIDE_DEGREES;
+        is_above.then(|| format!("velocity_max {wanted:.2} degrees/s exceeds {allowed:.2}"))
+    }
+}
+
+/// A solid of an arm.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Visual {
+    /// The number of the joint that moves it, from 1; 0 for the base.
+    pub joint: usize,
+    /// Its frame in that of the joint, m.
+    pub origin: Frame,
+    /// Its shape; the file of a mesh is a path once [`Urdf::find_meshes`] found it.
+    pub shape: Shape,
 }
 
 /// The arm between two links of a file.
@@ -38,20 +78,56 @@ pub struct ArmJoint {
 pub struct ArmModel {
     /// The name of the robot.
     pub name: String,
+    /// The name of its file without folder; empty if it is from no file.
+    pub file: String,
     /// The link in which frames of the flange are.
     pub base: String,
     /// The link that is the flange.
     pub tip: String,
     /// Its joints from the base on.
     pub joints: Vec<ArmJoint>,
+    /// The flange in the frame of the last joint, m.
+    pub flange: Frame,
     /// Its kinematics.
     pub serial: Serial,
     /// Its dynamics; `None` where the file gives no mass behind a joint.
     pub dynamics: Option<Dynamics>,
-    /// Its solids: the number of the joint that moves each, 0 for the base, and its frame in that of the joint, m.
-    pub visuals: Vec<(usize, Frame, Shape)>,
+    /// Its solids.
+    pub visuals: Vec<Visual>,
     /// What is wrong, but does not matter for the kinematics.
     pub warnings: Vec<Finding>,
+}
+
+impl ArmModel {
+    /// An arm of these joints, from the base on, with the flange in the frame of the last one (m). It is from no file and has no
+    /// solids.
+    ///
+    /// # Errors
+    /// If there are too few or too many joints, or one has no axis or no range.
+    pub fn new(name: String, joints: Vec<ArmJoint>, flange: Frame) -> Result<Self, SerialError> {
+        let given = joints.iter().map(|joint| Joint {
+            origin: joint.origin,
+            axis: joint.axis,
+            kind: joint.kind,
+            range: joint.range,
+        });
+        let serial = Serial::new(&given.collect::<Vec<_>>(), &flange)?;
+        let bodies: Vec<_> = joints.iter().map(|joint| joint.body).collect();
+        let has_masses = bodies.iter().all(|body| body.mass > 0.0);
+        let dynamics = has_masses.then(|| Dynamics::new(serial.clone(), &bodies));
+        Ok(Self {
+            name,
+            file: String::new(),
+            base: String::new(),
+            tip: String::new(),
+            joints,
+            flange,
+            serial,
+            dynamics: dynamics.flatten(),
+            visuals: Vec::new(),
+            warnings: Vec::new(),
+        })
+    }
 }
 
 fn error(line: u32, cause: impl Into<String>, hint: impl Into<String>) -> UrdfError {
@@ -204,37 +280,22 @@ impl Urdf {
             let hint = format!("arms have 1 to {JOINTS_MAX} joints: name base and tip");
             return Err(error(1, cause, hint));
         }
-        let (origins, end) = origins(&chain);
-        let given = joints
-            .iter()
-            .zip(origins)
-            .zip(chain.iter().filter(|it| it.kind != Kind::Fixed));
-        let given: Vec<_> = given
-            .map(|((joint, origin), of_file)| Joint {
-                origin,
-                axis: of_file.axis,
-                kind: joint.kind,
-                range: joint.range,
-            })
-            .collect();
-        let serial = Serial::new(&given, &end);
-        let serial = serial.map_err(|cause| error(1, cause.to_string(), ""))?;
+        let mut joints = joints;
+        let (origins, flange) = origins(&chain);
         let mut warnings = self.warnings.clone();
         let carried = self.carried(&tree, base, &chain, &mut warnings);
-        let bodies: Vec<Body> = carried.bodies.iter().skip(1).copied().collect();
-        let has_masses = bodies.iter().all(|body| body.mass > 0.0);
-        let dynamics = has_masses
-            .then(|| Dynamics::new(serial.clone(), &bodies))
-            .flatten();
+        let bodies = carried.bodies.into_iter().skip(1);
+        for (joint, (origin, body)) in joints.iter_mut().zip(origins.into_iter().zip(bodies)) {
+            (joint.origin, joint.body) = (origin, body);
+        }
+        let arm = ArmModel::new(self.name.clone(), joints, flange);
+        let arm = arm.map_err(|cause| error(1, cause.to_string(), ""))?;
         Ok(ArmModel {
-            name: self.name.clone(),
             base: base.to_owned(),
             tip: tip.to_owned(),
-            joints,
-            serial,
-            dynamics,
             visuals: carried.visuals,
             warnings,
+            ..arm
         })
     }
 
@@ -281,7 +342,11 @@ impl Urdf {
                 *sum = sum.with(&body.seen_from(&at));
             }
             let visuals = link.visuals.iter();
-            let visuals = visuals.map(|(origin, shape)| (number, at * origin, shape.clone()));
+            let visuals = visuals.map(|(origin, shape)| Visual {
+                joint: number,
+                origin: at * origin,
+                shape: shape.clone(),
+            });
             carried.visuals.extend(visuals);
         }
         carried
@@ -290,7 +355,7 @@ impl Urdf {
 
 struct Carried {
     bodies: Vec<Body>,
-    visuals: Vec<(usize, Frame, Shape)>,
+    visuals: Vec<Visual>,
 }
 
 fn is_of_gripper(joint: &UrdfJoint) -> bool {
@@ -364,5 +429,8 @@ fn moved(joint: &UrdfJoint, findings: &mut Vec<Finding>) -> Option<ArmJoint> {
         range,
         velocity_max: limit.and_then(|it| it.velocity).filter(|it| positive(*it)),
         effort_max: limit.and_then(|it| it.effort).filter(|it| positive(*it)),
+        origin: Frame::identity(),
+        axis: joint.axis,
+        body: Body::default(),
     })
 }

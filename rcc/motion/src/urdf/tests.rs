@@ -38,10 +38,10 @@ fn urdf_of_known_arm_matches_its_model() {
     let meshes: Vec<_> = arm
         .visuals
         .iter()
-        .filter(|it| matches!(it.2, Shape::Mesh(..)))
+        .filter(|it| matches!(it.shape, Shape::Mesh(..)))
         .collect();
     assert_eq!(meshes.len(), 1);
-    assert_eq!(meshes[0].0, 6, "the last joint moves it");
+    assert_eq!(meshes[0].joint, 6, "the last joint moves it");
 }
 
 #[test]

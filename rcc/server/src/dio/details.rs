@@ -50,11 +50,14 @@ pub(super) fn value(device: DeviceDetails) -> (String, Value) {
         ("interfaces", interfaces),
         ("parameters", Value::map_of(parameters)),
         ("period", number(device.period.as_secs_f64())),
-        ("kinematics", device.model.into()),
+        ("kinematics", device.model.name().into()),
         ("joints", Value::List(joints.collect())),
         ("tools", Value::map_of(device.tools.iter().map(tool))),
     ];
     members.extend(device.chain.as_ref().map(|of| ("chain", chain(of))));
+    let is_chain = device.model.arm().is_some();
+    let joints = is_chain.then(|| Value::from(device.model.text().into_owned()));
+    members.extend(joints.map(|joints| ("serial", joints)));
     members.extend(device.home.map(|home| {
         let joints: Vec<_> = home.joints.iter().map(|joint| joint.to_radians()).collect();
         ("home", numbers(&joints))

@@ -329,7 +329,8 @@ fn expected(config: &EthercatConfig, slave: &EthercatSlave) -> SlavePlan {
     let channels = [true, false].map(|outputs| channels(config, &slave.name, outputs));
     let is_tx90 = slave.axes == 6
         && config.arms.iter().any(|arm| {
-            arm.model.contains("tx90") && arm.joints.iter().any(|joint| joint.drive == slave.name)
+            arm.model.name().contains("tx90")
+                && arm.joints.iter().any(|joint| joint.drive == slave.name)
         });
     let kind = match slave.axes {
         0 if channels.iter().any(|channels| !channels.is_empty()) => Kind::Mixed,

@@ -12,11 +12,15 @@
 //! A youBot counts its joints from the upright arm, as the Robotics API does; with `zero=folded` from their stops, as its
 //! vendor does.
 //!
+//! An `arm_sim` has a `model` beside: the name of one that Takt knows, or the chain of joints that a cell made of a URDF. Ranges
+//! and velocities are those of the URDF where they are not given.
+//!
 //! An LWR also has 8 digital inputs, 8 digital and 8 analogue outputs; each input has the value of the output with
 //! its number.
 
 use std::sync::Arc;
 
+use takt_motion::Model;
 use takt_net::device::{Answer, Interfaces, Kinematics, Layout, Order, Tool};
 use takt_net::value::{Twist, Vector, Wrench};
 use takt_net::{JointLimits, JointState};
@@ -24,6 +28,7 @@ use takt_rt::Nanos;
 
 use super::compliance::Compliance;
 use super::io::loop_back;
+use super::sheet::Sheet;
 use super::{Made, Parameters, Simulated, seconds};
 use crate::device::on_end::OutputsOnEnd;
 use crate::device::setpoint::Joint;
@@ -51,23 +56,15 @@ mod error {
 }
 
 /// Properties of an arm type.
-struct Model {
+struct Type {
     joints: usize,
-    kinematics: &'static str,
+    model: Model,
     parts: &'static [Part],
     strategies: Strategies,
-    /// Range to either side and velocity of each joint by its data sheet, degrees and degrees/s; `None` if they are to be given.
-    sheet: Option<[[f64; 7]; 2]>,
+    /// Range and velocity of each joint, where they need not be given.
+    sheet: Option<Sheet>,
 }
 
-const LWR_SHEET: [[f64; 7]; 2] = [
-    [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 170.0],
-    [100.0, 110.0, 100.0, 130.0, 130.0, 180.0, 180.0],
-];
-const IIWA_SHEET: [[f64; 7]; 2] = [
-    [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0],
-    [98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0],
-];
 /// Acceleration to velocity of a joint without a given acceleration, 1/s.
 const SHEET_ACCELERATION: f64 = 4.0;
 
@@ -105,12 +102,12 @@ pub(super) fn lwr(parameters: &Parameters<'_>, kind: &'static str) -> Result<Mad
         let [tool, strategy, joints, cartesian, torques, wrench] = LIGHTWEIGHT;
         &[tool, strategy, joints, cartesian, torques, wrench, LWR_IO]
     };
-    let model = Model {
+    let model = Type {
         joints: 7,
-        kinematics: "kuka_lwr4",
+        model: "kuka_lwr4".into(),
         parts: PARTS,
         strategies: LIGHTWEIGHT_STRATEGIES,
-        sheet: Some(LWR_SHEET),
+        sheet: Some(Sheet::lwr()),
     };
     make(parameters, kind, &model)
 }
@@ -121,12 +118,12 @@ pub(super) fn iiwa(parameters: &Parameters<'_>, kind: &'static str) -> Result<Ma
         let sine = Part::CartesianSine;
         &[tool, strategy, joints, cartesian, torques, wrench, sine]
     };
-    let model = Model {
+    let model = Type {
         joints: 7,
-        kinematics: "kuka_iiwa7",
+        model: "kuka_iiwa7".into(),
         parts: PARTS,
         strategies: LIGHTWEIGHT_STRATEGIES,
-        sheet: Some(IIWA_SHEET),
+        sheet: Some(Sheet::iiwa()),
     };
     make(parameters, kind, &model)
 }
@@ -142,9 +139,9 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
         ("upright", "kuka_youbot_upright"),
         ("folded", "kuka_youbot"),
     ];
-    let model = Model {
+    let model = Type {
         joints: 5,
-        kinematics: parameters.choice("zero", zeros)?,
+        model: parameters.choice("zero", zeros)?.into(),
         parts: PARTS,
         strategies: Strategies {
             position: 0,
@@ -156,17 +153,85 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
     make(parameters, kind, &model)
 }
 
-fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Result<Made, Error> {
+/// An arm of the model that is given.
+pub(super) fn any(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
+    const PARTS: &[Part] = {
+        let [tool, strategy, joints, _, torques, wrench] = LIGHTWEIGHT;
+        &[tool, strategy, joints, torques, wrench]
+    };
+    let text = parameters.texts.get("model");
+    let text = text.ok_or_else(|| parameters.wrong("model is missing".to_owned()))?;
+    let model: Result<Model, _> = text.trim().parse();
+    let model = model.map_err(|error| parameters.wrong(format!("model: {error}")))?;
+    let kinematics = model.unlimited().ok_or_else(|| {
+        let name = model.name().escape_debug();
+        parameters.wrong(format!(
+            "there is no model `{name}`\nhint: name one that Takt knows, or a file: `urdf:arm.urdf` in a cell file"
+        ))
+    })?;
+    let sheet = match (model.arm(), model.name()) {
+        (Some(arm), _) => Some(Sheet::of_arm(arm)),
+        (None, "kuka_lwr4") => Some(Sheet::lwr()),
+        (None, "kuka_iiwa7") => Some(Sheet::iiwa()),
+        (None, _) => None,
+    };
+    let any = Type {
+        joints: kinematics.joints(),
+        model,
+        parts: PARTS,
+        strategies: Strategies {
+            cartesian_impedance: None,
+            ..LIGHTWEIGHT_STRATEGIES
+        },
+        sheet,
+    };
+    make(parameters, kind, &any)
+}
+
+/// Checks limits against those of the file of an arm: they may be narrower, not wider.
+fn check_within(
+    parameters: &Parameters<'_>,
+    model: &Model,
+    limits: &[JointLimits],
+) -> Result<(), Error> {
+    let Some(arm) = model.arm() else {
+        return Ok(());
+    };
+    let joints = arm.joints.iter().zip(limits).enumerate();
+    for (number, (joint, limits)) in joints {
+        if let Some(why) = joint.exceeded_by(limits) {
+            let (file, line) = (&arm.file, joint.line);
+            let what = format!("joint {number}: {why} of `{}` ({file}:{line})", joint.name);
+            return Err(parameters.wrong(what));
+        }
+    }
+    Ok(())
+}
+
+fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Type) -> Result<Made, Error> {
     let limits = limits(parameters, model)?;
     let home = parameters.list("home_joint", model.joints)?;
-    let home = home.unwrap_or_else(|| vec![0.0; model.joints]);
+    check_within(parameters, &model.model, &limits)?;
+    // As a jog would bring it there.
+    let rest = |limits: &JointLimits| match limits {
+        JointLimits {
+            position_min,
+            position_max,
+            ..
+        } if *position_min > 0.0 || *position_max < 0.0 => 0.5 * (position_min + position_max),
+        _ => 0.0,
+    };
+    let home = home.unwrap_or_else(|| match model.model.arm() {
+        Some(_) => limits.iter().map(rest).collect(),
+        None => vec![0.0; model.joints],
+    });
     let torque = parameters.list("external_torque", model.joints)?;
     let wrench = parameters.list("external_wrench", 6)?;
     let description = ArmDescription {
         name: parameters.name.to_owned(),
         kind,
         limits,
-        model: model.kinematics.into(),
+        model: model.model.clone(),
     }
     .with(model.parts);
     let mut layout = Layout::default();
@@ -201,7 +266,7 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Resul
                 torque: Vector::new(w[3], w[4], w[5]),
             }),
         },
-        kinematics: takt_motion::kinematics::limited(model.kinematics, &description.limits),
+        kinematics: description.model.limited(&description.limits),
         interfaces,
         state,
         on_end,
@@ -212,19 +277,22 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Resul
     Ok((description, Box::new(arm)))
 }
 
-fn limits(parameters: &Parameters<'_>, model: &Model) -> Result<Vec<JointLimits>, Error> {
+fn limits(parameters: &Parameters<'_>, model: &Type) -> Result<Vec<JointLimits>, Error> {
     let joints = model.joints;
-    let given = |key, row: usize, factor: f64| match model.sheet {
-        Some(sheet) => {
-            let default = sheet[row].map(|degrees| factor * degrees.to_radians());
-            let list = parameters.list(key, joints)?;
-            Ok(list.unwrap_or_else(|| default.to_vec()))
+    let given = |key, of_sheet: fn(&Sheet) -> Vec<f64>| {
+        let default = model.sheet.as_ref().map(of_sheet);
+        match default.filter(|values| values.iter().all(|it| !it.is_nan())) {
+            Some(default) => Ok(parameters.list(key, joints)?.unwrap_or(default)),
+            None => parameters.needed(key, joints),
         }
-        None => parameters.needed(key, joints),
     };
-    let (min, max) = (given("min_joint", 0, -1.0)?, given("max_joint", 0, 1.0)?);
-    let velocity = given("max_vel", 1, 1.0)?;
-    let acceleration = given("max_acc", 1, SHEET_ACCELERATION)?;
+    let min = given("min_joint", |sheet| sheet.min.clone())?;
+    let max = given("max_joint", |sheet| sheet.max.clone())?;
+    let velocity = given("max_vel", |sheet| sheet.velocity.clone())?;
+    let acceleration = given("max_acc", |sheet| {
+        let velocities = sheet.velocity.iter();
+        velocities.map(|it| it * SHEET_ACCELERATION).collect()
+    })?;
     let mut limits = Vec::with_capacity(joints);
     for i in 0..joints {
         let moves = velocity[i] >= LEAST && acceleration[i] >= LEAST;

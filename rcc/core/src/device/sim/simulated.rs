@@ -18,7 +18,8 @@ pub trait Simulated: fmt::Debug + Send {
     fn state(&self) -> &DeviceState;
 }
 
-pub(super) type Made = (DeviceDescription, Box<dyn Simulated>);
+/// A simulated device with its description.
+pub type Made = (DeviceDescription, Box<dyn Simulated>);
 
 /// A span in seconds.
 #[expect(

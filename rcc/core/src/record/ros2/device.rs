@@ -42,12 +42,11 @@ pub(in crate::record) struct ShownDevice<'a> {
 impl<'a> ShownDevice<'a> {
     /// A device of a recording.
     pub(in crate::record) fn of(place: &'a Place, description: &'a DeviceDescription) -> Self {
-        let (model, limits) = (&description.model, &description.limits);
         Self {
             name: &description.name,
             place,
             own: parts::lay(&description.parts, place.joints, &mut Layout::default()),
-            kinematics: takt_motion::kinematics::limited(model, limits),
+            kinematics: description.model.limited(&description.limits),
         }
     }
 }

@@ -49,7 +49,7 @@ fn config() -> CanopenConfig {
         on_link_loss: LinkLoss::default(),
         arms: vec![DriveArm {
             name: "arm".to_owned(),
-            model: String::new(),
+            model: "".into(),
             joints: vec![joint(1), joint(2)],
             recovery: Recovery::default(),
         }],

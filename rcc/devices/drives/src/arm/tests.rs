@@ -40,7 +40,7 @@ fn config(joints: u8) -> DriveArm<u8> {
     DriveArm {
         name: "arm".to_owned(),
         recovery: Recovery::default(),
-        model: String::new(),
+        model: "".into(),
         joints: (0..joints).map(joint).collect(),
     }
 }

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use nalgebra::{Matrix6, Vector6};
+use takt_motion::Model;
 use takt_net::device::Kinematics;
 use takt_net::value::{Twist, Vector, Wrench};
 
@@ -20,8 +21,8 @@ pub(super) struct ForceByTorques {
 
 impl ForceByTorques {
     /// For the arm of that model; an unknown model yields no estimates.
-    pub(super) fn new(model: &str) -> Self {
-        let kinematics = takt_motion::kinematics::named(model);
+    pub(super) fn new(model: &Model) -> Self {
+        let kinematics = model.unlimited();
         Self {
             kinematics: kinematics.filter(|it| it.joints() == AXES),
         }
@@ -74,7 +75,7 @@ mod tests {
     #[test]
     fn force_estimate_recovers_wrench_from_torques() {
         for model in ["kuka_lwr4", "kuka_iiwa7", "kuka_iiwa14"] {
-            let arm = ForceByTorques::new(model);
+            let arm = ForceByTorques::new(&model.into());
             let wrench = [10.0, -20.0, 30.0, 1.0, -2.0, 3.0];
             let estimate = arm.estimate(&BENT, &torques(&arm, wrench)).unwrap();
             let force = estimate.force - Vector::new(10.0, -20.0, 30.0);
@@ -85,9 +86,9 @@ mod tests {
 
     #[test]
     fn force_estimate_singular_or_unknown_arm_is_none() {
-        let arm = ForceByTorques::new("kuka_iiwa7");
+        let arm = ForceByTorques::new(&"kuka_iiwa7".into());
         assert_eq!(arm.estimate(&[0.0; AXES], &[1.0; AXES]), None);
-        let arm = ForceByTorques::new("staubli_tx90");
+        let arm = ForceByTorques::new(&"staubli_tx90".into());
         assert_eq!(arm.estimate(&BENT, &[1.0; AXES]), None);
     }
 }

@@ -220,7 +220,7 @@ fn details_of(device: &DeviceDetails) -> Vec<Element> {
     };
     let mut elements = vec![
         Element::new("model")
-            .with("name", &device.model)
+            .with("name", device.model.name())
             .with("period", ms(Nanos::from(device.period))),
     ];
     elements.extend(device.base.as_ref().map(|base| {

@@ -45,7 +45,7 @@ fn device(device: &DeviceDetails) -> Element {
     let mut element = Element::new("device")
         .with("name", &device.info.name)
         .with("type", &device.info.kind)
-        .with("model", &device.model)
+        .with("model", device.model.name())
         .with("serial", model.is_serial)
         .with("mobile", device.abilities.contains_key("robotbase"))
         .with("wrench", device.abilities.contains_key("wrench"));
