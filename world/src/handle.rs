@@ -78,7 +78,7 @@ impl World {
         self.scene().truth()
     }
 
-    /// Changes the knobs: faults and offsets.
+    /// Changes the knobs: faults and offsets. The world is locked while `change` runs: it must not use the world.
     pub fn turn_knobs(&self, change: impl FnOnce(&mut Knobs)) {
         change(&mut self.scene().knobs);
     }

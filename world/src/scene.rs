@@ -433,10 +433,14 @@ impl Scene {
         }
         bit.torque = 0.0;
         if let Place::Thread(thread) = screw.place
-            && let Some(thread) = self.threads.get(thread)
+            && let Some(thread) = self.threads.get_mut(thread)
         {
             let report = |kind| self.log.push(now, kind);
             bit.torque = screw.turn(&thread.config, turned, bit.axial, report);
+            if screw.turned <= 0.0 && turned < 0.0 {
+                // Out of the thread again: it hangs at the bit.
+                (screw.place, thread.is_taken) = (Place::Bit(hand), false);
+            }
         }
         bit.torque
     }

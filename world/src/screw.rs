@@ -152,7 +152,8 @@ impl Screw {
         if angle.abs() <= 0.0 {
             return self.torque;
         }
-        let slips = axial_n < thread.axial_n && (!self.is_stripped);
+        // Backwards, the thread itself pushes the screw against the bit.
+        let slips = axial_n < thread.axial_n && angle > 0.0 && !self.is_stripped;
         if slips {
             if !self.bit_slips {
                 report(EventKind::BitSlipped {
@@ -166,6 +167,7 @@ impl Screw {
         self.bit_slips = false;
         self.turned = (self.turned + angle).max(0.0);
         let seat = thread.depth_m / thread.pitch_m * TAU;
+        self.is_seated &= self.turned >= seat;
         let (free, rate) = if self.is_cross {
             (CROSS_FREE, CROSS_RATE)
         } else {
@@ -195,6 +197,9 @@ impl Screw {
             -thread.running_nm
         };
         self.torque_max = self.torque_max.max(self.torque);
+        if self.turned <= 0.0 {
+            (self.is_cross, self.torque) = (false, 0.0);
+        }
         self.torque
     }
 }

@@ -94,9 +94,14 @@ impl Scene {
             Tool::Fingers(fingers) => fingers.held.map(|held| held.body),
             Tool::Tip | Tool::Bit(_) => None,
         };
-        self.on_surface(&at).or_else(|| {
+        let surface = self.on_surface(&at);
+        // Around a held body, what it meets is its own affair.
+        if held.is_some() {
+            return surface;
+        }
+        surface.or_else(|| {
             let bodies = self.bodies().iter().enumerate();
-            let mut others = bodies.filter(|(index, it)| Some(*index) != held && !it.is_missing);
+            let mut others = bodies.filter(|(_, it)| !it.is_missing);
             others.find_map(|(index, _)| self.on_body(hand, tcp, index))
         })
     }

@@ -289,3 +289,101 @@ fn screw_beyond_strength_strips_thread() {
     let truth = bench.world.truth();
     assert!(truth.screw("screw").unwrap().is_stripped);
 }
+
+#[test]
+fn screw_turned_back_leaves_thread() {
+    let mut bench = screwed(0.0);
+    bench.world.turn_knobs(|knobs| knobs.cross_threads = true);
+    turn(&mut bench, 2, 0.000_35);
+    bench.world.turn_knobs(|knobs| knobs.cross_threads = false);
+    let driver = bench.world.screwdriver("driver").unwrap();
+    for step in (0..20).rev() {
+        bench.shift(&[[0.0, 0.0, 0.000_035]], 20);
+        let torque = driver.post(bench.now, std::f64::consts::TAU / 10.0 * f64::from(step));
+        assert!(torque <= 0.0, "{torque}");
+    }
+    let _out = driver.post(bench.now, -0.1);
+    let truth = bench.world.truth();
+    let screw = truth.screw("screw").unwrap();
+    assert_eq!(screw.at_bit.as_deref(), Some("driver"), "{screw:?}");
+    assert!(!screw.is_cross_threaded && screw.thread.is_none());
+    // The second attempt bites well.
+    let _rest = driver.post(bench.now, 0.0);
+    bench.shift(&[[0.0, 0.0, -0.000_2]], 50);
+    let _turn = driver.post(bench.now, 1.0);
+    let truth = bench.world.truth();
+    assert!(has(&truth, |kind| matches!(
+        kind,
+        EventKind::ScrewEngaged { .. }
+    )));
+}
+
+/// A peg and a socket, each held by a hand, the peg 5 mm above the socket.
+fn paired() -> Bench {
+    let peg = BodyConfig::new("peg", 0.2, [0.03, 0.03, 0.08])
+        .at(at(0.0, 0.0, 0.07), None)
+        .grip(down(0.0, 0.0, 0.02), 0.03)
+        .peg(PegConfig {
+            tip: down(0.0, 0.0, -0.04),
+            radius_m: RADIUS,
+        });
+    let socket = BodyConfig::new("socket", 0.6, [0.06, 0.06, 0.05])
+        .at(Pose::identity(), None)
+        .grip(Pose::identity(), 0.06);
+    let hole = HoleConfig {
+        name: "bore".into(),
+        pose: at(0.0, 0.0, 0.025),
+        in_body: Some("socket".into()),
+        radius_m: RADIUS + 0.000_05,
+        depth_m: DEPTH,
+        chamfer_m: CHAMFER,
+        face_radius_m: 0.03,
+        stiffness: 200_000.0,
+        friction: 0.15,
+    };
+    let grasp = GraspConfig::default();
+    let world = World::builder()
+        .body(peg)
+        .body(socket)
+        .hole(hole)
+        .gripper("right", at(0.0, 0.0, 0.16), grasp)
+        .gripper("left", at(0.0, 0.0, 0.16), grasp)
+        .build()
+        .unwrap();
+    let hands = [("right", down(0.0, 0.0, 0.09)), ("left", Pose::identity())];
+    let mut bench = Bench::new(world, &hands);
+    bench.fingers(0, 0.03, 80.0);
+    bench.fingers(1, 0.06, 80.0);
+    bench.rest(300);
+    bench
+}
+
+#[test]
+fn peg_and_socket_held_push_back_equally() {
+    let mut bench = paired();
+    let weights: Vec<f64> = bench.wrenches.iter().map(|it| it.force.z).collect();
+    bench.shift(&[[0.0, 0.0, -0.0365], [0.0, 0.0, 0.0]], 2000);
+    bench.rest(300);
+    let truth = bench.world.truth();
+    assert!(truth.peg("peg", "bore").unwrap().is_seated, "{truth:?}");
+    let [right, left] = [0, 1].map(|hand| bench.wrenches[hand].force.z - weights[hand]);
+    assert!(right > 8.0 && (right + left).abs() < 0.05, "{right} {left}");
+    // The socket's hand carries both once the peg's hand has opened.
+    bench.fingers(0, 0.05, 0.0);
+    bench.shift(&[[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]], 500);
+    bench.rest(200);
+    let truth = bench.world.truth();
+    assert!(
+        truth.body("peg").unwrap().is_resting,
+        "in the socket: {truth:?}"
+    );
+    let carried = bench.wrenches[1].force.z;
+    assert!((carried + 0.8 * 9.81).abs() < 0.02, "{carried}");
+    assert!(!has(&truth, |kind| matches!(
+        kind,
+        EventKind::Dropped { .. }
+    )));
+    bench.shift(&[[0.0; 3], [0.0, 0.0, 0.1]], 500);
+    let peg = bench.world.truth().body("peg").unwrap().pose.translation.z;
+    assert!((peg - 0.135).abs() < 0.002, "rides along: {peg}");
+}

@@ -9,12 +9,17 @@
 use std::time::Duration;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use takt_can::rmp::emulator::{Powerbase, PowerbaseConfig};
+use takt_can::rmp::{Base, DriverConfig};
 use takt_devices::wsg::emulator::{Gripper, GripperConfig};
 use takt_devices::wsg::wire::{Command, PACKET_MAX, Packet};
 use takt_embedded::{CellWorld, Mounted};
 use takt_fri::lwr::emulator::{Krc, KrcConfig, Sensing};
 use takt_fri::lwr::wire::{Cmd, CmdFlags, Control, Msr};
 use takt_fri::lwr::{Load, Session, SessionConfig};
+use takt_fri::sunrise;
+use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
+use takt_fri::sunrise::wire::{Dialect, MESSAGE_MAX};
 use takt_world::{BodyConfig, Builder, GraspConfig, Pose, SurfaceConfig, World};
 
 /// Flange down, well above the table.
@@ -200,6 +205,72 @@ fn lwr_carried_body_weighs_unless_stated() {
     });
     let stated = run(&mut krc, 10);
     assert!(stated.abs() < 0.05, "{stated}");
+}
+
+#[test]
+fn iiwa_reports_world_over_wire() {
+    let config = CabinetConfig {
+        dialect: Dialect::V3,
+        ..CabinetConfig::default()
+    };
+    let mut cabinet = Cabinet::new(config, Duration::ZERO);
+    let mut at = base() * Isometry3::from(Vector3::from(cabinet.flange()));
+    at.rotation = UnitQuaternion::identity();
+    // The stiff arm stands 1 mm deep in the table.
+    at.translation.z += 0.001;
+    let world = World::builder()
+        .surface(SurfaceConfig::table("table", at, [0.3, 0.3]))
+        .probe("hand", Pose::identity())
+        .build()
+        .unwrap();
+    let hands = vec![world.hand("hand").unwrap()];
+    cabinet.set_surroundings(Box::new(Mounted::new(base(), hands)));
+    let mut session = sunrise::Session::new(sunrise::SessionConfig::default());
+    let mut buf = [0; MESSAGE_MAX];
+    for _ in 0..50 {
+        let now = cabinet.poll_timeout();
+        while let Some(len) = cabinet.poll_transmit(now, &mut buf) {
+            let _reception = session.handle_datagram(&buf[..len], now).unwrap();
+        }
+    }
+    let data = session.message().unwrap().monitor.unwrap();
+    let force = data.external_force.unwrap()[2];
+    assert!((force - 20.0).abs() < 0.1, "{force}");
+    assert!(data.external_torque.unwrap()[1].abs() > 5.0);
+}
+
+/// The true pose of a Segway RMP, driven over CAN frames, carries what stands on it.
+#[test]
+fn rmp_true_pose_moves_bodies() {
+    let world = takt_world::assembly(1).unwrap();
+    world.turn_knobs(|knobs| knobs.docking_offset = [0.0; 3]);
+    let before = world.truth().body("box_1").unwrap().pose;
+    let mut powerbase = Powerbase::new(PowerbaseConfig::default());
+    let mut driver = Base::new(DriverConfig::default(), 1.0, 2.0);
+    let base = world.base("base").unwrap();
+    let mut now = Duration::ZERO;
+    for cycle in 0..5000 {
+        now += Duration::from_millis(1);
+        let wanted = match cycle {
+            0..1000 => None,
+            1000..3000 => Some([0.3, 0.0]),
+            _ => Some([0.0; 2]),
+        };
+        if let Some(frame) = driver.poll_transmit(wanted, now) {
+            powerbase.handle_frame(&frame, now);
+        }
+        while let Some((channel, frame)) = powerbase.poll_transmit(now) {
+            driver.handle_frame(channel, &frame, now);
+        }
+        let truth = powerbase.truth();
+        base.post(now, truth.x, truth.y, truth.heading);
+    }
+    let way = powerbase.truth().x;
+    assert!(way > 0.5, "{way}");
+    let after = world.truth().body("box_1").unwrap().pose;
+    let moved = after.translation.x - before.translation.x;
+    assert!((moved - way).abs() < 1e-3, "{moved} {way}");
+    assert!(world.truth().body("box_1").unwrap().is_resting);
 }
 
 /// A gripper over a block, and its client.
