@@ -545,3 +545,28 @@ function next(in n: int): int; begin
     line(&mut machine, resume);
     assert_eq!(machine.phase(), Phase::Ended);
 }
+
+#[test]
+fn specification_takes_model_from_urdf() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/cells");
+    let folder = std::path::Path::new(folder);
+    let joint = "{ min = -90, max = 90, speed = 90, acceleration = 360, jerk = 3600 }";
+    let spec = |file: &str| {
+        let joints = [joint; 6].join(", ");
+        format!("[[robot]]\nname = \"ur\"\nmodel = \"urdf:{file}\"\njoints = [{joints}]\n")
+    };
+    let system = System::read_in(&spec("ur5e.urdf"), folder).unwrap();
+    assert_eq!(system.robots[0].model, "urdf:ur5e");
+    let text = "program p; var n: int; begin n := 1; endprogram;";
+    let program = compile(text, &system, "").unwrap().program;
+    // The object code needs no file.
+    let copy = Program::decode(&program.encode()).unwrap();
+    assert_eq!(
+        copy.system.robots[0].model.text(),
+        system.robots[0].model.text()
+    );
+    let error = System::read_in(&spec("panda.urdf"), folder).unwrap_err();
+    assert!(error.to_string().contains("has 7 joints"), "{error}");
+    let error = System::read_in(&spec("none.urdf"), folder).unwrap_err();
+    assert!(error.to_string().contains("No such file"), "{error}");
+}

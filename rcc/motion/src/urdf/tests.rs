@@ -252,3 +252,52 @@ fn urdf_with_impossible_inertia_warns() {
             .starts_with("line 7: no body has the mass")
     );
 }
+
+#[test]
+fn urdf_meshes_are_found_or_named_with_line() {
+    let folder = std::env::temp_dir().join(format!("takt-urdf-{}", std::process::id()));
+    let meshes = folder.join("arm_description/meshes");
+    let urdf = folder.join("arm_description/urdf");
+    for folder in [&meshes, &urdf] {
+        std::fs::create_dir_all(folder).unwrap();
+    }
+    std::fs::write(meshes.join("tool.stl"), "solid").unwrap();
+    let name = TX90.split("filename=\"").nth(1).unwrap();
+    let name = name.split('"').next().unwrap();
+    let path = urdf.join("arm.urdf");
+    for (mesh, is_found) in [
+        ("package://arm_description/meshes/tool.stl", true),
+        ("../meshes/tool.stl", true),
+        ("package://arm_description/meshes/other.stl", false),
+        ("package://arm_description/../../../etc/passwd", false),
+        ("package://nowhere/tool.stl", false),
+        ("../meshes", false),
+    ] {
+        std::fs::write(&path, with(name, mesh)).unwrap();
+        let arm = read_arm(&path, None, None).unwrap();
+        assert_eq!(arm.file, "arm.urdf");
+        let shapes = arm.visuals.iter().map(|it| &it.shape);
+        let found = shapes.filter_map(|shape| match shape {
+            Shape::Mesh(file, _) => Some(&**file),
+            Shape::Box(_) | Shape::Cylinder(..) | Shape::Sphere(_) => None,
+        });
+        let found = found.collect::<Vec<_>>()[0];
+        if is_found {
+            assert!(arm.warnings.is_empty(), "{mesh}: {:?}", arm.warnings);
+            assert_eq!(std::fs::read_to_string(found).unwrap(), "solid");
+        } else {
+            assert_eq!(found, mesh);
+            let warning = arm.warnings[0].to_string();
+            let named = format!("the mesh `{mesh}` of link");
+            assert!(
+                warning.starts_with("line ") && warning.contains(&named),
+                "{warning}"
+            );
+        }
+    }
+    let error = read_arm(&folder.join("none.urdf"), None, None).unwrap_err();
+    assert!(error.to_string().contains("No such file"), "{error}");
+    let error = read_arm(&folder, None, None).unwrap_err().to_string();
+    assert!(error.contains("it is no file"), "{error}");
+    std::fs::remove_dir_all(folder).unwrap();
+}
