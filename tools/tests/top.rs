@@ -49,6 +49,7 @@ fn top_once_and_json_show_devices_nets_and_findings() {
         assert_eq!(device["name"], "left");
         assert_eq!(device["state"], "op");
         assert!(device["age_ns"].as_i64().unwrap() > 0, "{device}");
+        assert!(!device["quality"].as_str().unwrap().is_empty(), "{device}");
         assert_eq!(json["nets"][0]["name"], net.as_str());
         assert_eq!(json["nets"][0]["state"], "RUNNING");
         assert!(json["nets"][0]["figures"]["cost_ns"].as_i64().unwrap() > 0);

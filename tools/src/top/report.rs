@@ -77,6 +77,8 @@ pub(super) struct Device {
     pub(super) age_ns: Option<i64>,
     /// How often it stopped following commands.
     pub(super) faults: u64,
+    /// Quality of its FRI session, as its driver names it; `None` for all else.
+    pub(super) quality: Option<String>,
     pub(super) event: Option<Event>,
 }
 
@@ -274,12 +276,15 @@ impl Device {
             cause: owned(&event["cause"]),
             hint: event["hint"].as_str().map(str::to_owned),
         };
+        let mut figures = list(&value["figure"]).iter();
+        let quality = figures.find(|figure| figure["name"] == "quality");
         Self {
             name: owned(&value["name"]),
             kind: owned(&value["type"]),
             state: owned(&value["state"]),
             age_ns: ns(&value["age"]),
             faults: count(&value["faults"]),
+            quality: quality.map(|figure| owned(&figure["value"])),
             event: list(&value["event"]).last().map(event),
         }
     }

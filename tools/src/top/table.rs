@@ -199,6 +199,8 @@ fn devices(report: &Report, order: Order) -> Section {
             };
             format!("{} ago: {}{times}", ago(event.ago_ns), event.cause)
         });
+        let quality = device.quality.as_ref();
+        let quality = quality.map_or_else(String::new, |it| format!("quality {it}  "));
         let age = device.age_ns.map_or_else(|| "-".to_owned(), ago);
         let Device {
             name,
@@ -208,7 +210,7 @@ fn devices(report: &Report, order: Order) -> Section {
             ..
         } = device;
         format!(
-            "{:<12} {:<18} {state:<6} {age:>8} {faults:>6}  {event}",
+            "{:<12} {:<18} {state:<6} {age:>8} {faults:>6}  {quality}{event}",
             cut(name, 12),
             cut(kind, 18)
         )

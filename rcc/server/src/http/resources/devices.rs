@@ -26,6 +26,7 @@ impl Handler<'_> {
             let details = details.into_iter().flat_map(details_of);
             self.describe_device(&d)
                 .containing(details)
+                .containing(self.figures_of_driver(&d.name))
                 .containing(self.reports(&d.name))
         });
         let buses = self.controller.bus_loads();
@@ -42,14 +43,18 @@ impl Handler<'_> {
         let details = self.controller.device_details();
         let details = details.iter().filter(|details| details.info.name == name);
         let device = device.containing(details.flat_map(details_of));
+        let device = device.containing(self.figures_of_driver(name));
+        Ok(self.show(&device.containing(self.reports(name))))
+    }
+
+    /// What its driver reports of itself, such as the quality of an FRI session.
+    fn figures_of_driver(&self, name: &str) -> impl Iterator<Item = Element> + use<> {
         let figures = self.controller.driver_figures(name).into_iter();
-        let figures = figures.map(|(name, value)| {
+        figures.map(|(name, value)| {
             Element::new("figure")
                 .with("name", name)
                 .with("value", value)
-        });
-        let device = device.containing(figures);
-        Ok(self.show(&device.containing(self.reports(name))))
+        })
     }
 
     /// The last second of values before the last fault of a device, or before now.
