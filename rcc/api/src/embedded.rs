@@ -19,7 +19,8 @@ impl Cell {
     /// The cells are `two_lwr` (KUKA LWRs `left` and `right`), `iiwa` (`arm`), `factory` (`left` and `right`, Stäubli
     /// `tx90`, KUKA youBot `arm`, `hand` and `base`; it takes seconds to start, since the youBot searches its stops),
     /// `lwr_wsg` (`arm` with Schunk WSG `gripper`), `lwr_table` (`arm` above the table at the frame `table`, which
-    /// vanishes while the digital output 0 of `arm` is true) and `lola` (`arm` of three servo axes without power).
+    /// vanishes while the digital output 0 of `arm` is true), `assembly` (LWRs `left` and `right`, grippers `left_hand` and
+    /// `right_hand`, a screwdriver at the inputs and outputs of `right`, youBot `base`) and `lola` (`arm` of three servo axes without power).
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] if there is no cell of that name; it lists those that exist. [`ErrorKind::Connection`] if the system

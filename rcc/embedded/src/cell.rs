@@ -13,18 +13,19 @@ use crate::error::Error;
 use crate::surroundings::CellWorld;
 
 /// Names and texts of the cells.
-const CELLS: [(&str, &str); 6] = [
+const CELLS: [(&str, &str); 7] = [
     ("two_lwr", include_str!("../cells/two_lwr.toml")),
     ("iiwa", include_str!("../cells/iiwa.toml")),
     ("factory", include_str!("../cells/factory.toml")),
     ("lwr_wsg", include_str!("../cells/lwr_wsg.toml")),
     ("lwr_table", include_str!("../cells/lwr_table.toml")),
+    ("assembly", include_str!("../cells/assembly.toml")),
     ("lola", include_str!("../cells/lola.toml")),
 ];
 
 /// Names of the emulated cells.
-pub const NAMES: [&str; 6] = [
-    CELLS[0].0, CELLS[1].0, CELLS[2].0, CELLS[3].0, CELLS[4].0, CELLS[5].0,
+pub const NAMES: [&str; 7] = [
+    CELLS[0].0, CELLS[1].0, CELLS[2].0, CELLS[3].0, CELLS[4].0, CELLS[5].0, CELLS[6].0,
 ];
 
 /// Any free port of loopback.
@@ -103,6 +104,7 @@ mod tests {
                 (2, 2, 0),
                 (2, 0, 1),
                 (1, 0, 0),
+                (4, 1, 2),
                 (0, 1, 0)
             ]
         );
@@ -112,7 +114,7 @@ mod tests {
     fn emulated_cell_unknown_name_lists_all() {
         let error = EmulatedCell::named("three_lwr").unwrap_err().to_string();
         let expected = "there is no emulated cell `three_lwr`\n\
-                        hint: the emulated cells are two_lwr, iiwa, factory, lwr_wsg, lwr_table, lola";
+                        hint: the emulated cells are two_lwr, iiwa, factory, lwr_wsg, lwr_table, assembly, lola";
         assert_eq!(error, expected);
     }
 }

@@ -17,7 +17,7 @@ use takt_ethercat::emulator::{
     StationMotor, YouBot, YouBotConfig,
 };
 use takt_ethercat::linux::{cable, monotonic};
-use takt_fri::lwr::emulator::{Contact, Krc, Script, Shape};
+use takt_fri::lwr::emulator::{Contact, Krc, Screwdriver, Script, Shape};
 use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
 use takt_rt::Nanos;
 use takt_rt::stats::stalls;
@@ -27,10 +27,12 @@ use crate::cell::EmulatedCell;
 use crate::error::Error;
 use crate::surroundings::{CellWorld, Wheeled};
 
-/// Time from one measurement of an emulated LWR to the next.
+/// Shortest time from one measurement of an emulated LWR to the next.
 const LWR_PERIOD: Duration = Duration::from_millis(1);
 /// Frame of a cell where its emulated table is.
 const TABLE: &str = "table";
+/// Frame of a cell where what its emulated screwing arm pushes against is, and that arm.
+const SEAT: (&str, &str) = ("seat", "right");
 /// Stiffness of the table, N/m.
 const TABLE_STIFFNESS: f64 = 10_000.0;
 /// Damping of the table, Ns/m.
@@ -81,8 +83,9 @@ impl Machines {
         for (seed, (name, address)) in (1..).zip(controller.waits_at()) {
             machines.arm(&cell.config, world, (name, address), seed, drop)?;
         }
+        let has_parts = contact(&cell.config, SEAT.0).is_some();
         for (name, port) in cell.grippers {
-            machines.gripper(name, port, world)?;
+            machines.gripper(name, port, (world, has_parts))?;
         }
         for config in &cell.segments {
             machines.on_request.extend(config.on_request().cloned());
@@ -148,10 +151,21 @@ impl Machines {
             self.cabinets.push((name, robot));
             return Ok(());
         }
-        let mut config = resting(LWR_PERIOD);
-        if let Some(table) = table(cell).filter(|_| mounted.is_none()) {
+        let mut config = resting(cell.controller.period.max(LWR_PERIOD));
+        if let Some(table) = contact(cell, TABLE).filter(|_| mounted.is_none()) {
             config.contact = Some(table);
             config.contact_off = Some(TABLE_OFF);
+        }
+        if name == SEAT.1
+            && mounted.is_none()
+            && let Some(seat) = contact(cell, SEAT.0)
+        {
+            config.contact = Some(seat);
+            config.screwdriver = Some(Screwdriver::default());
+        }
+        let mut tools = cell.frames.tools.iter();
+        if let Some(tool) = tools.find(|tool| tool.device == name) {
+            config.tool_m = tool.placement().frame().translation.vector.into();
         }
         let lwr = cell.of_kind::<LwrConfig>().find(|lwr| lwr.name == name);
         if let Some(handshake) = lwr.and_then(|lwr| lwr.handshake) {
@@ -178,9 +192,10 @@ impl Machines {
         &mut self,
         name: String,
         mut port: Port,
-        world: Option<&CellWorld>,
+        (world, has_parts): (Option<&CellWorld>, bool),
     ) -> Result<(), Error> {
         let mut gripper = Gripper::new(GripperConfig::default(), Port::now());
+        gripper.knobs.always_finds = has_parts && world.is_none();
         if let Some(pads) = world.and_then(|world| world.pads(&name)) {
             gripper.set_surroundings(pads);
         }
@@ -208,7 +223,10 @@ impl Machines {
     /// The slaves that a segment is configured for.
     fn slaves(&mut self, config: &EthercatConfig) -> Result<Segment, Error> {
         if !config.youbot_bases.is_empty() {
-            let (slaves, bot) = YouBot::segment(&YouBotConfig::default());
+            let (slaves, bot) = YouBot::segment(&YouBotConfig {
+                arms: config.youbot_arms.len(),
+                ..YouBotConfig::default()
+            });
             self.wheels = bot.wheels.into_iter().collect();
             return Ok(slaves);
         }
@@ -251,10 +269,11 @@ impl Machines {
     }
 }
 
-/// The emulated table: the plane z = 0 of the cell's frame `table`, for arms whose base is the world.
-fn table(cell: &CellConfig) -> Option<Contact> {
+/// What an emulated arm touches: the plane z = 0 of a frame of the cell, which is placed in the base of the arm, or in the world if
+/// that is the base.
+fn contact(cell: &CellConfig, name: &str) -> Option<Contact> {
     let frames = &cell.frames.frames;
-    let table = frames.iter().find(|frame| frame.name == TABLE)?;
+    let table = frames.iter().find(|frame| frame.name == name)?;
     let frame = table.placement().frame();
     let [_, _, normal]: [[f64; 3]; 3] = (*frame.rotation.to_rotation_matrix().matrix()).into();
     Some(Contact {

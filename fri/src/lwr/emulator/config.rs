@@ -33,6 +33,8 @@ pub struct KrcConfig {
     pub tool_m: [f64; 3],
     /// How it estimates external forces.
     pub sensing: Sensing,
+    /// A screwdriver at its user variables.
+    pub screwdriver: Option<super::Screwdriver>,
     /// The KRL program.
     pub script: Script,
     /// Faults.
@@ -56,6 +58,7 @@ impl Default for KrcConfig {
             contact_off: None,
             tool_m: [0.0; 3],
             sensing: Sensing::default(),
+            screwdriver: None,
             script: Script::default(),
             faults: Faults::default(),
             seed: 1,

@@ -124,6 +124,8 @@ pub struct Krc {
     random: Random,
     krl_out: Krl,
     krl_in: Krl,
+    /// Angle of the screw, rad.
+    screw_rad: f64,
     program: Option<Program>,
     control: Control,
     /// Active parameters: `$STIFFNESS`, or the client's.
@@ -174,6 +176,7 @@ impl Krc {
             random: Random::new(config.seed),
             krl_out: Krl::default(),
             krl_in: Krl::default(),
+            screw_rad: 0.0,
             program: match config.script {
                 Script::Handshake(protocol) => Some(Program::new(protocol)),
                 Script::Manual | Script::Auto { .. } => None,
@@ -422,6 +425,7 @@ impl Krc {
         self.arm.body.now = self.grid.now();
         self.move_joints();
         self.sensor.sense(&self.arm.body, self.grid.period());
+        self.turn_screw();
         self.measure(now);
     }
 
@@ -493,6 +497,21 @@ impl Krc {
         if let Some(signal) = self.config.contact_off {
             let is_off = self.krl_in.bool(signal);
             self.arm.body.contact = self.config.contact.filter(|_| !is_off);
+        }
+    }
+
+    fn turn_screw(&mut self) {
+        let (Some(driver), [speed, ..]) = (self.config.screwdriver, self.krl_in.real) else {
+            return;
+        };
+        let [x, y, z] = self.force();
+        let force = x.hypot(y).hypot(z);
+        let (angle, torque) = driver.turn(self.screw_rad, speed.into(), force, self.grid.period());
+        self.screw_rad = angle;
+        if let Some(out) = self.krl_out.real.first_mut() {
+            #[expect(clippy::cast_possible_truncation, reason = "user variables are f32")]
+            let torque = torque as f32;
+            *out = torque;
         }
     }
 

@@ -11,6 +11,7 @@ mod exit;
 mod krc;
 mod krl;
 mod parameter;
+mod screwdriver;
 mod status;
 
 #[cfg(target_os = "linux")]
@@ -23,4 +24,5 @@ pub use config::{Faults, KrcConfig, Limits, Script, Stiffness};
 pub use exit::ExitReason;
 pub use krc::{Exit, Krc, StartError};
 pub use parameter::Parameter;
+pub use screwdriver::Screwdriver;
 pub use status::KrcStatus;

@@ -73,6 +73,8 @@ pub trait Surroundings: Send + std::fmt::Debug {
 pub struct Knobs {
     /// Width of the part between the fingers, mm; `None` for no part. Surroundings replace it.
     pub part: Option<f64>,
+    /// A part of the width that a grasp expects is always between the fingers.
+    pub always_finds: bool,
     /// It answers nothing.
     pub silent: bool,
     /// Checksums of its answers are wrong.
@@ -387,7 +389,7 @@ impl Gripper {
 
     fn advance(&mut self, dt_s: f64) {
         let holds = self.grasping == grasping::HOLDING;
-        if holds && self.knobs.part.is_none() {
+        if holds && self.knobs.part.is_none() && !self.knobs.always_finds {
             self.grasping = grasping::PART_LOST;
         }
         let Some(motion) = self.motion else {
@@ -407,6 +409,7 @@ impl Gripper {
         let blocked = self
             .knobs
             .part
+            .or_else(|| motion.expects.filter(|_| self.knobs.always_finds))
             .filter(|part| way < 0.0 && moved < *part && self.width >= *part);
         match blocked {
             Some(part) => self.block(motion, part),

@@ -64,7 +64,7 @@ def emulate(name: str) -> Cell:
 
     `name`: `two_lwr` (arms `left`, `right`), `iiwa` (`arm`), `factory` (`left`, `right`, `tx90`, youBot `arm`, `hand`,
     `base`), `lwr_wsg` (`arm`, `gripper`), `lwr_table` (`arm` above a table at the frame `table`, which vanishes while the
-    digital output 0 of `arm` is true), or `lola` (`arm`).
+    digital output 0 of `arm` is true), `assembly` (`left`, `right`, `left_hand`, `right_hand`, `base`), or `lola` (`arm`).
 
     Raises `Invalid` for another name.
     """

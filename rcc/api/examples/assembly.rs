@@ -1,0 +1,325 @@
+//! Two arms assemble a workpiece. A mobile base brings two supply boxes; both arms lift each of them onto the bench as one. The left
+//! arm fetches the socket, the right one the peg, and pushes it in until it feels the bottom; then it fetches a screw, and drives it
+//! in under impedance control until the torque is reached. A table of the steps, with and without blending.
+//! `cargo run -p takt-api --features embedded --example assembly`
+
+#![expect(clippy::print_stdout, reason = "an example shows what it does")]
+
+use std::error::Error;
+use std::f64::consts::FRAC_1_SQRT_2 as HALF;
+use std::time::{Duration, Instant};
+
+use takt_api::{
+    Activity, Arm, Base, CartesianLimits, Cell, Composite, Control, Frame, Gripper, Io, Number,
+    Outcome, Pose, coupled, deg, together,
+};
+
+type Done<T = ()> = Result<T, Box<dyn Error>>;
+
+/// Joints above the bench, tools down; the other arm has the mirrored ones.
+const READY: [f64; 7] = [30.0, 20.0, 0.0, -95.0, 0.0, 65.0, 120.0];
+/// Orientations of a tool that points down, and along y of the world, forwards and backwards.
+const DOWN: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
+const FORTH: [f64; 4] = [-HALF, 0.0, 0.0, HALF];
+const BACK: [f64; 4] = [HALF, 0.0, 0.0, HALF];
+/// Where the base docks, and where each box stands then and on the bench, x, m.
+const DOCK: f64 = 1.0;
+const BOXES: [[f64; 2]; 2] = [[0.87, 0.22], [1.12, 0.53]];
+/// Half the distance of the grips of a box, m, and their height on the platform and on the bench.
+const GRIP: f64 = 0.175;
+const HEIGHTS: [f64; 2] = [0.14, 0.09];
+/// Where the fingers of the left arm hold the socket, and where those of the right one are when the peg is seated.
+const HELD: [f64; 3] = [0.28, 0.13, 0.55];
+const SEATED: f64 = 0.065;
+/// How far beside the fingers of the right arm the bit of its screwdriver is, m.
+const BIT: f64 = 0.1;
+/// Contact, N; pressing, N; the torque of the screw, Nm.
+const CONTACT: f64 = 10.0;
+const PRESS: f64 = 15.0;
+const TORQUE: f64 = 1.5;
+/// A peg whose tip stops this far before its seat jams, m.
+const JAMMED: f64 = 0.004;
+/// How long driving the screw may take.
+const SCREW_WITHIN: Duration = Duration::from_secs(20);
+
+/// A step of the assembly.
+#[derive(Clone, Debug)]
+pub(crate) struct Step {
+    pub(crate) name: &'static str,
+    pub(crate) duration: Duration,
+}
+
+/// The devices of the cell, and the steps so far.
+pub(crate) struct Station {
+    world: Frame,
+    arms: [Arm; 2],
+    bit: Arm,
+    hands: [Gripper; 2],
+    base: Base,
+    driver: Io,
+    is_blended: bool,
+    began: Instant,
+    pub(crate) steps: Vec<Step>,
+}
+
+fn main() -> Done {
+    let cell = Cell::emulated("assembly")?;
+    let (blended, stopping) = (run(&cell, true)?, run(&cell, false)?);
+    println!("step                   blended   stopping");
+    for (step, other) in blended.iter().zip(&stopping) {
+        let [with, without] = [step, other].map(|step| step.duration.as_secs_f64());
+        println!("{:20} {with:7.2} s  {without:7.2} s", step.name);
+    }
+    let [with, without] = [blended, stopping].map(|steps| {
+        let durations = steps.iter().map(|step| step.duration);
+        durations.sum::<Duration>().as_secs_f64()
+    });
+    println!(
+        "cycle {with:.1} s, {:.0} % of {without:.1} s without blending",
+        100.0 * with / without
+    );
+    Ok(())
+}
+
+/// Assembles one workpiece.
+pub(crate) fn run(cell: &Cell, is_blended: bool) -> Done<Vec<Step>> {
+    let mut station = Station::new(cell, is_blended)?;
+    station.start()?;
+    for [from, to] in BOXES {
+        station.unload(from, to)?;
+    }
+    let home = station.base.go_to(Pose::IDENTITY).begin()?;
+    station.fetch()?;
+    station.insert()?;
+    station.screw()?;
+    station.deliver()?;
+    expect("the base goes home", &home.wait()?, &Outcome::Completed)?;
+    Ok(station.steps)
+}
+
+impl Station {
+    fn new(cell: &Cell, is_blended: bool) -> Done<Self> {
+        let arm =
+            |name, x| Ok::<_, takt_api::Error>(cell.arm(name)?.with_tool(Pose::xyz(x, 0.0, 0.16)));
+        Ok(Self {
+            world: cell.frame("world")?,
+            arms: [arm("left", 0.0)?, arm("right", 0.0)?],
+            bit: arm("right", BIT)?,
+            hands: [cell.gripper("left_hand")?, cell.gripper("right_hand")?],
+            base: cell.base("base")?,
+            driver: cell.io("right")?,
+            is_blended,
+            began: Instant::now(),
+            steps: Vec::new(),
+        })
+    }
+
+    fn note(&mut self, name: &'static str) {
+        let duration = self.began.elapsed();
+        self.began = Instant::now();
+        self.steps.push(Step { name, duration });
+    }
+
+    /// A motion whose successor takes over before its end.
+    fn round(&self, motion: Activity) -> Activity {
+        if self.is_blended {
+            motion.blend(0.7)
+        } else {
+            motion
+        }
+    }
+
+    fn lin(&self, arm: &Arm, at: [f64; 3], orientation: [f64; 4]) -> Activity {
+        arm.lin(self.world.pose(Pose::quaternion(at, orientation)))
+    }
+
+    fn both(&self, task: impl Fn(&Gripper) -> Activity) -> Composite {
+        together(self.hands.each_ref().map(task))
+    }
+
+    /// Above a place, by the joints; the elbow stays up.
+    fn ptp(&self, arm: &Arm, at: [f64; 3]) -> Activity {
+        let [_, side, _] = arm.base().position();
+        arm.ptp_near(self.world.pose(Pose::quaternion(at, DOWN)), ready(side))
+    }
+
+    /// A motion to above a place, and a line down to it.
+    fn reach(&self, arm: &Arm, [x, y, z]: [f64; 3]) -> Composite {
+        self.ptp(arm, [x, y, z + 0.12])
+            .then(self.lin(arm, [x, y, z], DOWN))
+    }
+
+    /// The base docks while the arms take their posture, and the hands open.
+    fn start(&mut self) -> Done {
+        let [left, right] = &self.arms;
+        let [a, b] = &self.hands;
+        let dock = self.base.go_to(Pose::xyz(DOCK, 0.0, 0.0));
+        let arms = [left.ptp(ready(1.0)), right.ptp(ready(-1.0))];
+        let all = arms.into_iter().chain([dock, a.open(), b.open()]);
+        perform("start", together(all))?;
+        self.note("start and dock");
+        Ok(())
+    }
+
+    /// Both arms lift a box from the platform onto the bench: from its grasp on as one.
+    fn unload(&mut self, from: f64, to: f64) -> Done {
+        let [left, right] = &self.arms;
+        let at = |arm, y, z| self.lin(arm, [from, y, z], DOWN);
+        let [platform, bench] = HEIGHTS;
+        let above = |arm: &Arm, y| self.ptp(arm, [from, y, platform + 0.12]);
+        let above = together([above(left, GRIP), above(right, -GRIP)]);
+        let down = together([at(left, GRIP, platform), at(right, -GRIP, platform)]);
+        perform("reach the box", above.then(down))?;
+        perform("grasp the box", self.both(|hand| hand.grasp(0.01, 40.0)))?;
+        let place = |x, z| Pose::quaternion([x, 0.0, z], DOWN);
+        let load = coupled(place(from, platform), &self.arms)?.with_limits(limits(0.2));
+        let up = self.round(load.lin(place(from, platform + 0.2)));
+        let across = self.round(load.lin(place(to, bench + 0.27)));
+        let down = load.lin(place(to, bench));
+        perform("carry the box", up.then(across).then(down))?;
+        perform("release the box", self.both(|hand| hand.move_to(0.04)))?;
+        let back = |arm, y| self.lin(arm, [to, y, bench + 0.15], DOWN);
+        let back = [back(left, GRIP), back(right, -GRIP)];
+        perform("leave the box", together(back))?;
+        self.note("unload a box");
+        Ok(())
+    }
+
+    /// The left arm fetches the socket, the right one the peg.
+    fn fetch(&mut self) -> Done {
+        let ([left, right], [[_, pegs], [_, sockets]]) = (&self.arms, BOXES);
+        let [a, b] = &self.hands;
+        perform("open", together([a.move_to(0.08), b.move_to(0.05)]))?;
+        // One after the other: both arms come over the boxes.
+        for (arm, hand, at, width) in [
+            (left, a, [sockets, 0.0, 0.06], 0.06),
+            (right, b, [pegs, 0.0, 0.1], 0.03),
+        ] {
+            perform("reach the part", self.reach(arm, at))?;
+            perform("grasp the part", hand.grasp(width, 40.0))?;
+            let [x, y, z] = at;
+            let [_, beside, _] = arm.base().position();
+            let up = self.round(self.lin(arm, [x, y, z + 0.2], DOWN));
+            let clear = self.lin(arm, [x, y + 0.25 * beside.signum(), z + 0.3], DOWN);
+            perform("lift the part", up.then(clear))?;
+        }
+        let [x, _, z] = HELD;
+        let hold = self.lin(left, HELD, BACK);
+        let before = self.lin(right, [x, SEATED - 0.15, z], FORTH);
+        perform("meet", together([hold, before]))?;
+        self.note("fetch the parts");
+        Ok(())
+    }
+
+    /// The right arm inserts the peg until it feels the bottom, and presses.
+    fn insert(&mut self) -> Done {
+        let right = &self.arms[1];
+        let [x, _, z] = HELD;
+        let near = self.round(self.lin(right, [x, SEATED - 0.04, z], FORTH));
+        perform("approach", near)?;
+        let slow = right.clone().with_limits(limits(0.02));
+        let insert = self.lin(&slow, [x, SEATED + 0.02, z], FORTH);
+        let outcome = insert.until("contact", force(right).over(CONTACT)).run()?;
+        let [_, depth, _] = self.tip(right)?;
+        if !outcome.is_stopped_by("contact") {
+            return Err("there is no socket before the peg: does the left hand hold it?".into());
+        }
+        if depth < SEATED - JAMMED {
+            let left = (SEATED - depth) * 1e3;
+            return Err(format!("the peg jams {left:.1} mm before its seat").into());
+        }
+        let press = right.press(self.world.direction([0.0, 1.0, 0.0]), PRESS);
+        expect("press the peg", &press.run()?, &Outcome::Maintaining)?;
+        let away = self.lin(right, [x, SEATED - 0.2, z], FORTH);
+        perform("release the peg", self.hands[1].move_to(0.05))?;
+        perform("leave the peg", away)?;
+        self.note("insert the peg");
+        Ok(())
+    }
+
+    /// The right arm fetches a screw, and drives it in under impedance control.
+    fn screw(&mut self) -> Done {
+        let [x, _, z] = HELD;
+        let bit = &self.bit;
+        perform("fetch a screw", self.reach(bit, [0.3, -0.3, 0.06]))?;
+        perform("take the screw", self.lin(bit, [0.3, -0.3, 0.25], DOWN))?;
+        let before = Pose::quaternion([x + 0.022, SEATED - 0.04, z], FORTH);
+        perform("turn", bit.ptp_to(self.world.pose(before)))?;
+        let soft = Control::cartesian([2000.0, 2000.0, 2000.0, 200.0, 200.0, 200.0], [0.7; 6]);
+        perform("impedance", bit.switch_to(soft))?;
+        let torque = self.driver.analogue_input(0)?;
+        let press = bit.press(self.world.direction([0.0, 1.0, 0.0]), PRESS);
+        let press = press.until("tight", torque.over(TORQUE)).begin()?;
+        expect("press the screw", &press.wait()?, &Outcome::Maintaining)?;
+        perform("driver on", self.driver.set_analogue(0, 20.0))?;
+        let ended = press.wait_to_end_for(SCREW_WITHIN);
+        perform("driver off", self.driver.set_analogue(0, 0.0))?;
+        let Some(ended) = ended else {
+            press.cancel();
+            return Err(format!("the screw does not reach {TORQUE} Nm").into());
+        };
+        let tight = Outcome::Stopped("tight".to_owned());
+        expect("drive the screw", &ended?, &tight)?;
+        let away = self.lin(bit, [x, SEATED - 0.15, z], FORTH);
+        perform("leave the screw", away)?;
+        // As a spring, the elbow comes to rest seconds after the tool.
+        std::thread::sleep(Duration::from_secs(3));
+        perform("stiff", bit.switch_to(Control::position()))?;
+        self.note("drive the screw");
+        Ok(())
+    }
+
+    /// The left arm puts the workpiece into the second box; both arms go back.
+    fn deliver(&mut self) -> Done {
+        let ([left, _], [_, [_, x]]) = (&self.arms, BOXES);
+        let over = self.round(self.lin(left, [x, 0.15, 0.36], DOWN));
+        let place = over.then(self.reach(left, [x, 0.0, 0.06]));
+        perform("place the workpiece", place)?;
+        perform("release the workpiece", self.hands[0].move_to(0.08))?;
+        perform("leave the workpiece", self.lin(left, [x, 0.0, 0.36], DOWN))?;
+        self.note("deliver");
+        Ok(())
+    }
+
+    /// Where the tip of an arm is measured in the world, m.
+    fn tip(&self, arm: &Arm) -> Done<[f64; 3]> {
+        let tool = Pose::xyz(0.0, 0.0, 0.16);
+        Ok((arm.base() * arm.pose()? * tool).position())
+    }
+}
+
+/// The joints of [`READY`] for the arm on that side of the bench, rad.
+fn ready(side: f64) -> Vec<f64> {
+    let signs = [side, 1.0, side, 1.0, side, 1.0, side].map(f64::signum);
+    let joints = READY.iter().zip(signs);
+    joints.map(|(angle, sign)| deg(*angle) * sign).collect()
+}
+
+/// Limits of motions with another speed, m/s.
+fn limits(velocity: f64) -> CartesianLimits {
+    CartesianLimits {
+        velocity,
+        ..CartesianLimits::default()
+    }
+}
+
+/// The magnitude of the force at a tool, N.
+fn force(arm: &Arm) -> Number {
+    let force = arm.force();
+    let [x, y, z] = [force.x(), force.y(), force.z()];
+    (x.clone() * x + y.clone() * y + z.clone() * z).sqrt()
+}
+
+/// Runs what is to be completed.
+fn perform(what: &str, activity: impl Into<Composite>) -> Done {
+    let run = activity.into().run();
+    let outcome = run.map_err(|error| format!("{what}: {error}"))?;
+    expect(what, &outcome, &Outcome::Completed)
+}
+
+fn expect(what: &str, outcome: &Outcome, wanted: &Outcome) -> Done {
+    if outcome == wanted {
+        return Ok(());
+    }
+    Err(format!("{what}: {outcome:?}, not {wanted:?}").into())
+}
