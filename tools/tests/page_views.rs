@@ -1,7 +1,11 @@
 //! The views of the page in a real browser: each loads without errors and shows what the controller has; nothing acts without the
 //! control switch; the keyboard reaches everything; it is legible at 1280 and at 390 px. Pictures of all views, light and dark,
 //! are in `page` of the target directory.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot go on ends"
+)]
 
 #[path = "common/browser.rs"]
 mod browser;
@@ -341,6 +345,37 @@ fn page_is_reachable_by_keyboard() {
             "{wanted}: {reached:?}"
         );
     }
+    // The focus is visible at each stop, within what is shown.
+    bench.open(&mut browser, "devices");
+    browser.wait_for("device", "measured rad");
+    let seen = "(() => { const e = document.activeElement, s = getComputedStyle(e), r = e.getBoundingClientRect(); \
+        return [e.id || e.textContent.trim().slice(0, 20), e.matches(':focus-visible') && s.outlineStyle !== 'none' && parseFloat(s.outlineWidth) >= 2, \
+        r.bottom > 0 && r.top < innerHeight && r.right > 0 && r.left < innerWidth]; })()";
+    let mut order = Vec::new();
+    for _ in 0..16 {
+        browser.key("rawKeyDown", "Tab");
+        browser.key("keyUp", "Tab");
+        let stop = browser.value(seen);
+        assert_eq!((&stop[1], &stop[2]), (&true.into(), &true.into()), "{stop}");
+        order.push(stop[0].as_str().unwrap().to_owned());
+    }
+    // From the top: STOP comes before all views, these in their order, then the contents.
+    let place = |name: &str| {
+        let found = order.iter().position(|it| it == name);
+        found.unwrap_or_else(|| panic!("{name} is not in {order:?}"))
+    };
+    let wanted = [
+        "Skip to content",
+        "control",
+        "stop",
+        "Overview",
+        "Plots",
+        "Nets",
+        "Flights",
+        "Log",
+    ];
+    assert!(wanted.map(place).is_sorted(), "{order:?}");
+    assert!(place("Log") < 15, "contents follow: {order:?}");
     // Views open by Enter.
     browser.value("document.querySelector('#views a[href=\"#log\"]').focus()");
     browser.key("rawKeyDown", "Enter");

@@ -101,6 +101,9 @@ async function openView() {
     if (link.getAttribute("href") === "#" + known.id) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
+  const nav = byId("views"), at = /** @type {HTMLElement | null} */ (nav.querySelector("[aria-current]"));
+  // On a narrow display the names of views scroll: the present one is in the middle.
+  if (at) nav.scrollLeft = at.offsetLeft - (nav.clientWidth - at.offsetWidth) / 2;
   document.title = known.title + " · Takt";
   const close = () => {
     mounted?.unmount();
