@@ -149,6 +149,94 @@ fn cell_view_of_factory_shows_all_that_it_has() {
     assert_eq!(browser.errors, [""; 0]);
 }
 
+/// An arm of two joints: a box as its base, a good mesh, and one that is cut off beside a sphere.
+const URDF: &str = r#"<robot name="two">
+  <link name="base"><visual><geometry><box size="0.3 0.3 0.1"/></geometry></visual></link>
+  <link name="one"><visual><origin xyz="0 0 0.2"/><geometry><mesh filename="good.stl" scale="0.2 0.2 0.4"/></geometry></visual></link>
+  <link name="two"><visual><geometry><mesh filename="cut.stl"/></geometry></visual><visual><geometry><sphere radius="0.05"/></geometry></visual></link>
+  <joint name="a" type="revolute"><parent link="base"/><child link="one"/><origin xyz="0 0 0.1"/><axis xyz="0 0 1"/>
+    <limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
+  <joint name="b" type="revolute"><parent link="one"/><child link="two"/><origin xyz="0 0 0.4"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
+</robot>"#;
+
+/// A tetrahedron as binary STL.
+fn tetrahedron() -> Vec<u8> {
+    let corners = [
+        [-0.5, -0.5, -0.5],
+        [0.5, -0.5, -0.5],
+        [0.0, 0.5, -0.5],
+        [0.0, 0.0, 0.5_f32],
+    ];
+    let faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+    let mut bytes = vec![0; 80];
+    bytes.extend(4_u32.to_le_bytes());
+    for face in faces {
+        bytes.extend([0; 12]);
+        let values = face.into_iter().flat_map(|corner: usize| corners[corner]);
+        bytes.extend(values.flat_map(f32::to_le_bytes));
+        bytes.extend([0; 2]);
+    }
+    bytes
+}
+
+#[test]
+fn cell_view_draws_meshes_that_urdf_names() {
+    let _alone = alone();
+    let Some(mut browser) = browser("cell_view_draws_meshes_that_urdf_names") else {
+        return;
+    };
+    let folder = common::Folder::new();
+    let urdf = folder.write("two.urdf", URDF);
+    let mesh = tetrahedron();
+    std::fs::write(folder.file("good.stl"), &mesh).unwrap();
+    std::fs::write(folder.file("cut.stl"), &mesh[..200]).unwrap();
+    let mut cell = Cell::start_with(&format!(
+        "[[device]]\nname = \"two arm\"\ntype = \"arm_sim\"\nmodel = \"urdf:{urdf}\"\n"
+    ));
+    browser.open(&format!("http://{}/#cell", cell.http));
+    wait(
+        &mut browser,
+        "document.querySelector('canvas.space')?.dataset.meshes === '1'",
+    );
+    let shown = browser.wait_for("view", "Drawn as simple solids:");
+    assert!(
+        shown.contains("cut.stl: it is no STL file, or cut off"),
+        "{shown}"
+    );
+    cell.process.wait_for("cut.stl is drawn as a simple solid");
+    // The box and the mesh replace the simple solids of their links.
+    let drawn = browser.value(
+        "fetch('/geometry/?format=json').then(it => it.json()).then(it => it.device.find(it => it.name === 'two arm').solid.filter(it => it.role === 'visual').map(it => it.kind + it.link).join())",
+    );
+    assert_eq!(drawn, "box0,mesh1,mesh2,capsule2");
+    let good = "/geometry/meshes/two%20arm/1";
+    let got = browser.value(&format!(
+        "fetch('{good}').then(it => it.arrayBuffer()).then(it => it.byteLength)"
+    ));
+    assert_eq!(got, mesh.len());
+    // No other file, whatever the path is.
+    for path in [
+        "two%20arm/0",
+        "two%20arm/2",
+        "two%20arm/9",
+        "two%20arm/-1",
+        "two%20arm/..%2f..%2fgood.stl",
+        "left/1",
+        "two%20arm",
+        "none/1",
+    ] {
+        let status = browser.value(&format!(
+            "fetch('/geometry/meshes/{path}').then(it => it.status)"
+        ));
+        let expected = if path == "two%20arm/2" { 409 } else { 404 };
+        assert_eq!(status, expected, "{path}");
+    }
+    browser.resize(1280, 900, false);
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    browser.picture("meshes-light-1280");
+}
+
 #[test]
 fn cell_view_without_webgl_shows_numbers() {
     let Some(mut browser) = browser("cell_view_without_webgl_shows_numbers") else {

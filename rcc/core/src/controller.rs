@@ -83,6 +83,7 @@ pub use rejections::{RejectReason, RejectedCounts, RejectedInfo};
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 pub use sessions::SESSIONS_MAX;
 pub use takt_motion::kinematics::{Axis, Chain};
+pub use takt_motion::urdf::{ArmModel, Shape as VisualShape};
 
 /// Ends a watch when dropped.
 #[derive(Debug)]

@@ -100,6 +100,7 @@ impl Site {
             ("failed connections", &limits.failures),
             ("rejected clients", &limits.denials),
             ("scopes that lose samples", &limits.scopes),
+            ("meshes that cannot be drawn", &limits.meshes),
         ] {
             if let Some(more) = limit.flush(self.now()) {
                 tracing::warn!("{more} lines about {subject} suppressed");
@@ -119,6 +120,8 @@ pub(crate) struct Limits {
     pub(crate) denials: LineLimit,
     /// Clients of the scope that lose samples.
     pub(crate) scopes: LineLimit,
+    /// Meshes that cannot be drawn.
+    pub(crate) meshes: LineLimit,
 }
 
 /// Counters of one server.

@@ -94,7 +94,7 @@ impl Handler<'_> {
             ("ethercat", [segment, slave, kind, rest @ ..], false) => {
                 self.slave_part(segment, slave, kind, rest)
             }
-            ("geometry", [], false) => Ok(self.geometry()),
+            ("geometry", path, false) => self.geometry_part(path),
             ("eval", [], true) => self.evaluate(),
             ("rules", [], false) => Ok(self.rules()),
             ("host", [], false) => self.host_findings(),

@@ -1,6 +1,7 @@
 //! `/geometry/`: where everything in the cell is and how it moves, so that a viewer computes poses from joint positions
 //! itself. Live values are not here: they are probes.
 
+mod meshes;
 mod solids;
 
 use takt_core::cell::{ObjectConfig, Placement};
@@ -9,15 +10,23 @@ use takt_core::net::Frame;
 
 use super::super::Response;
 use super::super::element::{Element, NetValue};
-use super::Handler;
+use super::{Handler, Outcome};
 use solids::{Model, Shape, Solid};
 
 /// Version of the resource.
 const VERSION: u32 = 1;
 
 impl Handler<'_> {
+    pub(super) fn geometry_part(&self, path: &[&str]) -> Outcome {
+        match path {
+            [] => Ok(self.geometry()),
+            ["meshes", device, number] => self.mesh(device, number),
+            _ => Err(Response::not_found("/geometry/ has meshes/DEVICE/NUMBER")),
+        }
+    }
+
     /// Frames, devices and objects of the cell; lengths in m, angles in rad, rotations as quaternions x, y, z, w.
-    pub(super) fn geometry(&self) -> Response {
+    fn geometry(&self) -> Response {
         let cell = self.controller.frames();
         let frames = cell.frames.iter().map(|frame| {
             let element = Element::new("frame").with("name", &frame.name);
@@ -94,6 +103,15 @@ fn solid(solid: &Solid) -> Element {
         Shape::Box { pose, size } => {
             posed(element.with("kind", "box"), pose).with("size", numbers(size.as_slice()))
         }
+        Shape::Mesh {
+            pose,
+            uri,
+            file,
+            scale,
+        } => posed(element.with("kind", "mesh"), pose)
+            .with("uri", uri)
+            .with("file", file)
+            .with("scale", numbers(scale.as_slice())),
     };
     match &solid.slide {
         Some(slide) => element.with("slide", numbers(slide.as_slice())),

@@ -3,8 +3,10 @@
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use takt_core::cell::ObjectShape;
-use takt_core::controller::{Axis, Chain, DeviceDetails};
+use takt_core::controller::{ArmModel, Axis, Chain, DeviceDetails, VisualShape};
 use takt_core::net::Frame;
+
+use super::meshes::{file_name, mesh_uri};
 
 type Point = Vector3<f64>;
 
@@ -72,9 +74,27 @@ const fn ball(centre: Point, radius: f64) -> Shape {
 /// Dimensions in m.
 #[derive(Debug)]
 pub(super) enum Shape {
-    Capsule { from: Point, to: Point, radius: f64 },
-    Cylinder { from: Point, to: Point, radius: f64 },
-    Box { pose: Frame, size: Point },
+    Capsule {
+        from: Point,
+        to: Point,
+        radius: f64,
+    },
+    Cylinder {
+        from: Point,
+        to: Point,
+        radius: f64,
+    },
+    Box {
+        pose: Frame,
+        size: Point,
+    },
+    /// A file of the model, of which a client gets the bytes at `uri`.
+    Mesh {
+        pose: Frame,
+        uri: String,
+        file: String,
+        scale: Point,
+    },
 }
 
 impl Model {
@@ -87,6 +107,9 @@ impl Model {
         match &device.chain {
             Some(chain) => model.arm(chain, device),
             None => model.dials(device.joints.len()),
+        }
+        if let Some(arm) = device.model.arm() {
+            model.visuals(arm, &device.info.name);
         }
         if let Some(base) = device.abilities.get("robotbase") {
             let wheels = base.get("wheels").map_or("", String::as_str);
@@ -160,6 +183,36 @@ impl Model {
                 let radius = 0.35 * radius;
                 self.add(last, "tool", Shape::Capsule { from, to, radius });
             }
+        }
+    }
+
+    /// The shapes that a URDF gives to its links. The simple solids of a link stand for them where one cannot be drawn.
+    fn visuals(&mut self, arm: &ArmModel, device: &str) {
+        let joints = arm.joints.iter().scan(Frame::identity(), |at, joint| {
+            *at *= joint.origin;
+            Some(*at)
+        });
+        let at: Vec<_> = std::iter::once(Frame::identity()).chain(joints).collect();
+        for (number, visual) in arm.visuals.iter().enumerate() {
+            let Some(at) = at.get(visual.joint) else {
+                continue;
+            };
+            let pose = at * visual.origin;
+            let shape = match &visual.shape {
+                VisualShape::Box(size) => Shape::Box { pose, size: *size },
+                VisualShape::Cylinder(radius, length) => {
+                    let end = |z: f64| (pose * nalgebra::Point3::new(0.0, 0.0, z)).coords;
+                    cylinder(end(-0.5 * length), end(0.5 * length), *radius)
+                }
+                VisualShape::Sphere(radius) => ball(pose.translation.vector, *radius),
+                VisualShape::Mesh(path, scale) => Shape::Mesh {
+                    pose,
+                    uri: mesh_uri(device, number),
+                    file: file_name(path),
+                    scale: *scale,
+                },
+            };
+            self.add(visual.joint, "visual", shape);
         }
     }
 
