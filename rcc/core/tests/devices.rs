@@ -7,6 +7,7 @@
 )]
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use takt_core::controller::{LoadRequest, NetState};
@@ -111,6 +112,22 @@ fn net_period_not_multiple_is_rejected_with_figure() {
         rejection.contains("1.5ms is not a whole multiple of the controller's 1ms"),
         "{rejection}"
     );
+}
+
+#[test]
+fn arm_of_client_names_no_files() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/cells/ur5e.urdf");
+    let text = takt_motion::Model::of_arm(takt_motion::urdf::read_arm(&file, None, None).unwrap());
+    let mesh = ";V 0 0 0 0 0 0 0 1 mesh /root/secret.stl 1 1 1";
+    let model = format!("{}{mesh}", text.full_text());
+    let parameters = BTreeMap::from([("model".to_owned(), model)]);
+    let controller = Controller::start(&CellConfig::default()).unwrap();
+    controller
+        .add_device("arm", "arm_sim", &parameters)
+        .unwrap();
+    let details = controller.device_details();
+    let arm = details[0].model.arm().unwrap();
+    assert_eq!((arm.joints.len(), arm.visuals.len()), (6, 0));
 }
 
 #[test]

@@ -87,6 +87,15 @@ impl Model {
         Some(Arc::new(arm.serial.clone().within(&ranges)?))
     }
 
+    /// The same model without what it looks like, and so without paths of files.
+    #[must_use]
+    pub fn without_solids(mut self) -> Self {
+        if let Some(arm) = &mut self.arm {
+            Arc::make_mut(arm).visuals.clear();
+        }
+        self
+    }
+
     /// Its name or its chain, by which [`str::parse`] makes the same model again; without what it looks like.
     #[must_use]
     pub fn text(&self) -> Cow<'_, str> {

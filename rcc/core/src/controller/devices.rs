@@ -26,7 +26,9 @@ impl Controller {
         kind: &str,
         parameters: &BTreeMap<String, String>,
     ) -> Result<(), Error> {
-        let (description, device) = sim::make(name, kind, parameters)?;
+        let (mut description, device) = sim::make(name, kind, parameters)?;
+        // Clients give chains, too: they must not name files of this host, which the page would show.
+        description.model = description.model.without_solids();
         let wrong = |what| Error::DeviceParameter {
             name: name.to_owned(),
             what,
