@@ -1,11 +1,7 @@
 //! The views of the page in a real browser: each loads without errors and shows what the controller has; nothing acts without the
 //! control switch; the keyboard reaches everything; it is legible at 1280 and at 390 px. Pictures of all views, light and dark,
 //! are in `page` of the target directory.
-#![expect(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test that cannot go on ends"
-)]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 #[path = "common/browser.rs"]
 mod browser;

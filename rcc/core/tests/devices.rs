@@ -167,7 +167,11 @@ fn sim_device_wrong_parameters_are_reported() {
             .unwrap_err()
             .to_string()
     };
-    assert!(refused("kuka_lwr_simm", ("", "")).contains("there are kuka_lwr_sim, kuka_iiwa_sim"));
+    let unknown = refused("kuka_lwr_simm", ("", ""));
+    assert!(
+        unknown.contains("there are arm_sim, kuka_lwr_sim, kuka_iiwa_sim"),
+        "{unknown}"
+    );
     assert!(refused("kuka_lwr_sim", ("max_vel", "[1,2]")).contains("max_vel: 7 numbers"));
     let unreadable = refused("kuka_lwr_sim", ("max_vel", "x"));
     assert!(
