@@ -7,9 +7,10 @@
     reason = "test support, which may fail anywhere with a message"
 )]
 
+use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
@@ -34,9 +35,7 @@ static ALONE: RwLock<()> = RwLock::new(());
 pub fn steady<T>(test: impl Fn() -> T) -> T {
     let mut attempt = 1;
     loop {
-        // Dropped in any order: at most one of them holds.
-        let _beside = (attempt == 1).then(|| ALONE.read().unwrap_or_else(PoisonError::into_inner));
-        let _alone = (attempt > 1).then(|| ALONE.write().unwrap_or_else(PoisonError::into_inner));
+        let _turn = Turn::take(attempt > 1);
         let host = Stalls::watch();
         let panic = match catch_unwind(AssertUnwindSafe(&test)) {
             Ok(made) => return made,
@@ -48,6 +47,37 @@ pub fn steady<T>(test: impl Fn() -> T) -> T {
         }
         eprintln!("attempt {attempt}: the host stalled for {longest:?}; trying again");
         attempt += 1;
+    }
+}
+
+thread_local! {
+    /// Whether this thread has its turn: what it repeats inside of it takes no other.
+    static HAS_TURN: Cell<bool> = const { Cell::new(false) };
+}
+
+/// An attempt beside others, or alone.
+struct Turn(
+    #[expect(dead_code, reason = "held")]
+    Result<RwLockReadGuard<'static, ()>, RwLockWriteGuard<'static, ()>>,
+);
+
+impl Turn {
+    /// Waits for it; `None` if this thread has one.
+    fn take(is_alone: bool) -> Option<Self> {
+        if HAS_TURN.replace(true) {
+            return None;
+        }
+        Some(Self(if is_alone {
+            Err(ALONE.write().unwrap_or_else(PoisonError::into_inner))
+        } else {
+            Ok(ALONE.read().unwrap_or_else(PoisonError::into_inner))
+        }))
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        HAS_TURN.set(false);
     }
 }
 
@@ -112,7 +142,7 @@ fn measure(stop: &AtomicBool, longest: &AtomicU64) {
 
 #[cfg(test)]
 mod tests {
-    use std::cell::Cell;
+    use std::sync::Barrier;
 
     use super::*;
 
@@ -127,6 +157,33 @@ mod tests {
         }));
         assert!(failed.is_err());
         assert!((1..=ATTEMPTS).contains(&attempts.get()));
+    }
+
+    #[test]
+    fn steady_within_steady_repeats_beside_others() {
+        let begin = Arc::new(Barrier::new(2));
+        let other = Arc::clone(&begin);
+        // Fails once, and is repeated alone while the first one is under way.
+        let thread = std::thread::spawn(move || {
+            let attempts = Cell::new(0);
+            let _ = catch_unwind(AssertUnwindSafe(|| {
+                steady(|| {
+                    attempts.set(attempts.get() + 1);
+                    if attempts.get() == 1 {
+                        other.wait();
+                        std::thread::sleep(Duration::from_millis(20));
+                        panic!("once");
+                    }
+                    steady(|| ());
+                });
+            }));
+        });
+        steady(|| {
+            begin.wait();
+            std::thread::sleep(Duration::from_millis(100));
+            steady(|| ());
+        });
+        thread.join().unwrap();
     }
 
     #[test]
