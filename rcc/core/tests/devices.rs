@@ -118,7 +118,7 @@ fn net_period_not_multiple_is_rejected_with_figure() {
 fn arm_of_client_names_no_files() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/cells/ur5e.urdf");
     let text = takt_motion::Model::of_arm(takt_motion::urdf::read_arm(&file, None, None).unwrap());
-    let mesh = ";V 0 0 0 0 0 0 0 1 mesh /root/secret.stl 1 1 1";
+    let mesh = ";V 0 0 0 0 0 0 0 1 mesh /secret.stl 1 1 1";
     let model = format!("{}{mesh}", text.full_text());
     let parameters = BTreeMap::from([("model".to_owned(), model)]);
     let controller = Controller::start(&CellConfig::default()).unwrap();
