@@ -18,7 +18,7 @@ mod tests;
 use std::sync::Arc;
 use std::time::Duration;
 
-use takt_motion::Model;
+use takt_motion::{Model, URDF};
 use takt_motion::plan::FrameBounds;
 use takt_net::device::Kinematics;
 
@@ -286,6 +286,12 @@ impl ArmDescription {
     pub(crate) fn no_model(&self) -> ErrorKind {
         let cause = if self.model.is_empty() {
             "the controller describes no kinematics of this arm".to_owned()
+        } else if self.model.name().starts_with(URDF) {
+            format!(
+                "this program cannot read the chain of joints that the controller describes as `{}`\nhint: use the version of \
+                 Takt that the controller has",
+                self.model
+            )
         } else {
             format!(
                 "the model `{}` of its kinematics is not known here",

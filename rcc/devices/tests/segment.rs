@@ -129,17 +129,23 @@ fn segment_differences_are_reported_per_slave() {
     assert_eq!(bench.cell().status("tx90"), DeviceStatus::Offline);
 }
 
+/// A segment of terminals without drives, operational on a cable that delays every answer.
+fn late(latency: Duration) -> bench::TestBench {
+    let (terminal, _) = Io::digital(8, 8);
+    let segment = Segment::line([Coupler::slave(), terminal]);
+    let mut config = config();
+    config.slaves.truncate(2);
+    config.arms.clear();
+    let bench = bench::TestBench::start_late(&config, segment, latency);
+    bench.wait_until_operational();
+    bench
+}
+
 #[test]
 fn segment_start_up_burst_reads_last_answer() {
     steady(|| {
         // An answer takes longer than a cycle of start-up leaves after the previous answer.
-        let (terminal, _) = Io::digital(8, 8);
-        let segment = Segment::line([Coupler::slave(), terminal]);
-        let mut config = config();
-        config.slaves.truncate(2);
-        config.arms.clear();
-        let bench = bench::TestBench::start_late(&config, segment, Duration::from_micros(800));
-        bench.wait_until_operational();
+        let bench = late(Duration::from_micros(800));
         let figures = bench.figures();
         assert!(figures.lost < 10, "{figures:?}");
     });
@@ -149,13 +155,7 @@ fn segment_start_up_burst_reads_last_answer() {
 fn segment_answers_late_in_cycle_are_not_lost() {
     steady(|| {
         // In a cycle of 2 ms the driver waits 1 ms for them; they are there when the next one begins.
-        let (terminal, _) = Io::digital(8, 8);
-        let segment = Segment::line([Coupler::slave(), terminal]);
-        let mut config = config();
-        config.slaves.truncate(2);
-        config.arms.clear();
-        let bench = bench::TestBench::start_late(&config, segment, Duration::from_micros(1500));
-        bench.wait_until_operational();
+        let bench = late(Duration::from_micros(1500));
         let before = bench.figures();
         bench
             .cell()
