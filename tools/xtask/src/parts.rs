@@ -64,6 +64,7 @@ const PARTS: &[Part] = &[
     part("irl", &["takt-irl"]),
     part("core", &["takt-core"]),
     part("server", &["takt-client", "takt-server"]),
+    part("fleet", &["takt-fleet"]),
     part(
         "api",
         &["takt-client", "takt-embedded", "takt-api", "takt-tests"],

@@ -91,6 +91,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     ("takt-client", &[]),
     ("takt-server", &["takt-client", "takt-core"]),
+    ("takt-fleet", &["takt-client", "takt-core"]),
     (
         "takt-embedded",
         &[

@@ -1,0 +1,1 @@
+//! The table `[fleet]` of a cell file. It opens nothing.

@@ -1,0 +1,1 @@
+//! Key expressions of the fleet. It knows no network.

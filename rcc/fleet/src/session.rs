@@ -1,0 +1,1 @@
+//! The zenoh session of a cell. No real-time thread calls it.

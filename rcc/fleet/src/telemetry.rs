@@ -1,0 +1,1 @@
+//! What a cell publishes about itself. It commands nothing.
