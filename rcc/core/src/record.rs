@@ -52,7 +52,7 @@ pub use journal::Journal;
 pub use live::LiveStream;
 pub use parts::{PART_BYTES_MIN, Rotation};
 pub use replay::{Replay, replay};
-pub use ros2::{Sink, Stamp};
+pub use ros2::{Cdr, Sink, Stamp};
 pub use values::numbers;
 
 /// Buffers between the net thread and the file; each holds one cycle.

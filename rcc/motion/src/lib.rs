@@ -17,7 +17,7 @@ pub mod urdf;
 use takt_net::Definition;
 
 pub use model::{Model, TextError, URDF};
-pub use motion::{live, plan};
+pub use motion::{live, plan, trajectory};
 
 /// All definitions of this crate.
 pub fn all() -> Vec<Definition> {

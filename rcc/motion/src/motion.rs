@@ -19,6 +19,7 @@ mod spline;
 #[cfg(test)]
 mod tests;
 mod track;
+pub mod trajectory;
 
 use takt_net::Definition;
 
@@ -34,5 +35,6 @@ pub(crate) fn table() -> Vec<Definition> {
         cartesian::circ(),
         cartesian::spline(),
         track::definition(),
+        trajectory::definition(),
     ]
 }

@@ -20,7 +20,7 @@ use crate::executor::flight::NET_WORDS;
 use crate::ids::NetId;
 use crate::record::notes::LEVEL_WARN;
 use crate::record::words::{Entry, Inputs, Reader, start};
-use cdr::Cdr;
+pub use cdr::Cdr;
 pub(super) use device::ShownDevice;
 use device::{DeviceTopics, Reported, transform};
 use machines::MachineTopic;

@@ -250,8 +250,11 @@ impl Build<'_, '_> {
         Ok(samples)
     }
 
-    /// Adds `bytes` to the net's memory.
-    pub(crate) fn take_memory(&mut self, bytes: usize) -> Result<(), Fault> {
+    /// Adds `bytes` to the net's memory: what a primitive keeps for parameters of any size.
+    ///
+    /// # Errors
+    /// If the net then has more than it may.
+    pub fn take_memory(&mut self, bytes: usize) -> Result<(), Fault> {
         let bound = self.limits().memory_bytes;
         let found = self.parts.memory.saturating_add(bytes);
         if found > bound {

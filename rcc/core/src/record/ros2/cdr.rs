@@ -6,17 +6,19 @@ const HEADER: [u8; 4] = [0, 1, 0, 0];
 
 /// A message that is being written. Writing it again reuses its memory.
 #[derive(Debug, Default)]
-pub(in crate::record) struct Cdr(Vec<u8>);
+pub struct Cdr(Vec<u8>);
 
 impl Cdr {
     /// Begins a message; the one before is gone.
-    pub(in crate::record) fn begin(&mut self) -> &mut Self {
+    pub fn begin(&mut self) -> &mut Self {
         self.0.clear();
         self.0.extend_from_slice(&HEADER);
         self
     }
 
-    pub(in crate::record) fn bytes(&self) -> &[u8] {
+    /// The message with its header.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
         &self.0
     }
 
@@ -32,39 +34,45 @@ impl Cdr {
         self
     }
 
-    pub(in crate::record) fn u8(&mut self, value: u8) -> &mut Self {
+    /// An octet, or an `int8` as its bits.
+    pub fn u8(&mut self, value: u8) -> &mut Self {
         self.aligned([value])
     }
 
-    pub(in crate::record) fn i32(&mut self, value: i32) -> &mut Self {
+    /// A signed number of 32 bits.
+    pub fn i32(&mut self, value: i32) -> &mut Self {
         self.aligned(value.to_le_bytes())
     }
 
-    pub(in crate::record) fn u32(&mut self, value: u32) -> &mut Self {
+    /// An unsigned number of 32 bits.
+    pub fn u32(&mut self, value: u32) -> &mut Self {
         self.aligned(value.to_le_bytes())
     }
 
-    pub(in crate::record) fn u64(&mut self, value: u64) -> &mut Self {
+    /// An unsigned number of 64 bits.
+    pub fn u64(&mut self, value: u64) -> &mut Self {
         self.aligned(value.to_le_bytes())
     }
 
-    pub(in crate::record) fn f64(&mut self, value: f64) -> &mut Self {
+    /// A double.
+    pub fn f64(&mut self, value: f64) -> &mut Self {
         self.aligned(value.to_le_bytes())
     }
 
     /// The number of elements that follow.
-    pub(in crate::record) fn count(&mut self, elements: usize) -> &mut Self {
+    pub fn count(&mut self, elements: usize) -> &mut Self {
         self.u32(u32::try_from(elements).unwrap_or(u32::MAX))
     }
 
     /// A string with its zero.
-    pub(in crate::record) fn text(&mut self, text: &str) -> &mut Self {
+    pub fn text(&mut self, text: &str) -> &mut Self {
         self.count(text.len() + 1);
         self.0.extend_from_slice(text.as_bytes());
         self.u8(0)
     }
 
-    pub(in crate::record) fn texts(&mut self, texts: &[String]) -> &mut Self {
+    /// A sequence of strings.
+    pub fn texts(&mut self, texts: &[String]) -> &mut Self {
         self.count(texts.len());
         for text in texts {
             self.text(text);
@@ -72,8 +80,19 @@ impl Cdr {
         self
     }
 
+    /// Octets without a length, such as a UUID.
+    pub fn octets(&mut self, octets: &[u8]) -> &mut Self {
+        self.0.extend_from_slice(octets);
+        self
+    }
+
+    /// A truth value.
+    pub fn bool(&mut self, value: bool) -> &mut Self {
+        self.u8(value.into())
+    }
+
     /// A sequence of words.
-    pub(in crate::record) fn words(&mut self, words: &[u64]) -> &mut Self {
+    pub fn words(&mut self, words: &[u64]) -> &mut Self {
         self.count(words.len());
         if !words.is_empty() {
             let bytes = self.align(size_of::<u64>());
@@ -86,10 +105,7 @@ impl Cdr {
     }
 
     /// A sequence of numbers.
-    pub(in crate::record) fn numbers(
-        &mut self,
-        numbers: impl ExactSizeIterator<Item = f64>,
-    ) -> &mut Self {
+    pub fn numbers(&mut self, numbers: impl ExactSizeIterator<Item = f64>) -> &mut Self {
         self.count(numbers.len());
         for number in numbers {
             self.f64(number);
