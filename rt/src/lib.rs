@@ -25,13 +25,15 @@ pub mod servo;
 #[cfg(not(loom))]
 pub mod stats;
 #[cfg(not(loom))]
+pub mod tai;
+#[cfg(not(loom))]
 pub mod thread;
 
 #[cfg(not(loom))]
 pub use self::{
     grant::{Grant, Outcome},
     linux::{
-        clock::{monotonic, sleep_until},
+        clock::{monotonic, read_tai, sleep_until},
         ethtool, interface,
         usage::{Usage, thread_usage},
     },

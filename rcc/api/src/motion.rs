@@ -18,8 +18,8 @@ mod tests;
 use std::sync::Arc;
 use std::time::Duration;
 
-use takt_motion::{Model, URDF};
 use takt_motion::plan::FrameBounds;
+use takt_motion::{Model, URDF};
 use takt_net::device::Kinematics;
 
 use crate::engine::Failure;

@@ -27,7 +27,8 @@ pub use ids::{NetId, SessionId};
 pub use takt_machine as machine;
 pub use takt_net as net;
 pub use takt_rt::stats::{Snapshot, Summary};
-pub use takt_rt::{Nanos, monotonic};
+pub use takt_rt::tai;
+pub use takt_rt::{Nanos, monotonic, read_tai};
 
 use takt_net::Registry;
 

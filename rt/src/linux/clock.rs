@@ -11,7 +11,7 @@ use std::{io, ptr};
 
 use nix::errno::Errno;
 
-use crate::Nanos;
+use crate::{Nanos, tai::Reading};
 
 const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
@@ -29,6 +29,53 @@ pub fn monotonic() -> Nanos {
     let status = unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
     assert!(status == 0, "every Linux has CLOCK_MONOTONIC");
     Nanos(now.tv_sec * NANOS_PER_SECOND + now.tv_nsec)
+}
+
+/// Triples that a reading of TAI is chosen from.
+const TRIPLES: usize = 8;
+
+fn clock(id: libc::clockid_t) -> Option<Nanos> {
+    let mut now = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
+    // SAFETY: `now` is valid for writing a timespec, and is not kept.
+    let status = unsafe { libc::clock_gettime(id, &raw mut now) };
+    (status == 0).then_some(Nanos(now.tv_sec * NANOS_PER_SECOND + now.tv_nsec))
+}
+
+/// Reads `CLOCK_TAI` against `CLOCK_MONOTONIC`, and what the kernel knows of its time service. Not for real-time
+/// threads: it makes a system call.
+///
+/// # Errors
+/// If the kernel has no such clock or a system call filter rejects the call.
+pub fn read_tai() -> io::Result<Reading> {
+    // SAFETY: all fields of a `timex` are integers, for which zero is a value.
+    let mut kernel: libc::timex = unsafe { std::mem::zeroed() };
+    // SAFETY: `kernel` is valid for reading and writing a timex; `modes` is 0, so that nothing is set.
+    let status = unsafe { libc::adjtimex(&raw mut kernel) };
+    if status < 0 {
+        return Err(io::Error::last_os_error());
+    }
+    let mut narrowest = None;
+    for _ in 0..TRIPLES {
+        let before = monotonic();
+        let tai = clock(libc::CLOCK_TAI).ok_or_else(io::Error::last_os_error)?;
+        let after = monotonic();
+        if narrowest.is_none_or(|(b, _, a): (Nanos, _, Nanos)| after - before < a - b) {
+            narrowest = Some((before, tai, after));
+        }
+    }
+    let (before, tai, after) = narrowest.unwrap_or_default();
+    Ok(Reading {
+        before,
+        tai,
+        after,
+        tai_utc_s: kernel.tai,
+        unsynchronised: kernel.status & libc::STA_UNSYNC != 0,
+        max_error: Nanos::from_micros(kernel.maxerror),
+        estimated_error: Nanos::from_micros(kernel.esterror),
+    })
 }
 
 /// The processor on which the calling thread runs; `None` if the system does not say. No system call on common hosts,
@@ -77,6 +124,15 @@ pub fn sleep_until(deadline: Nanos) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn tai_reading_lies_between_readings_of_monotonic() {
+        let before = monotonic();
+        let reading = read_tai().unwrap();
+        assert!(before <= reading.before && reading.before <= reading.after);
+        assert!(reading.after <= monotonic());
+        assert!(reading.tai > Nanos::ZERO);
+    }
 
     #[test]
     fn sleep_until_uses_absolute_deadline() {
