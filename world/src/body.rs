@@ -21,6 +21,8 @@ pub struct BodyConfig {
     pub rests_on: Option<String>,
     /// Where fingers may grasp it, in its frame: the fingers close along y, the hand comes along z. With the width there, m.
     pub grips: Vec<(Pose, f64)>,
+    /// Its grips have notches: fingers centre it along x of the grip too.
+    pub is_notched: bool,
     /// Its peg, if it has one.
     pub peg: Option<PegConfig>,
 }
@@ -36,6 +38,7 @@ impl BodyConfig {
             pose: Pose::identity(),
             rests_on: None,
             grips: Vec::new(),
+            is_notched: false,
             peg: None,
         }
     }
@@ -55,6 +58,15 @@ impl BodyConfig {
     pub fn grip(mut self, at: Pose, width_m: f64) -> Self {
         self.grips.push((at, width_m));
         self
+    }
+
+    /// Gives its grips notches.
+    #[must_use]
+    pub fn notched(self) -> Self {
+        Self {
+            is_notched: true,
+            ..self
+        }
     }
 
     /// Gives it a peg.

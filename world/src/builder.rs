@@ -1,6 +1,7 @@
 //! Describes a world part by part and checks it: unknown names and impossible figures are errors with the name in them.
 
 use crate::body::{Body, BodyConfig, Carrier};
+use crate::dock::{Dock, DockConfig};
 use crate::geometry::{Pose, finite_pose};
 use crate::grasp::GraspConfig;
 use crate::handle::World;
@@ -60,6 +61,7 @@ pub enum BuildError {
 #[derive(Debug, Clone, Default)]
 pub struct Builder {
     bases: Vec<(String, Pose)>,
+    docks: Vec<DockConfig>,
     surfaces: Vec<SurfaceConfig>,
     bodies: Vec<BodyConfig>,
     holes: Vec<HoleConfig>,
@@ -81,6 +83,13 @@ impl Builder {
     #[must_use]
     pub fn base(mut self, name: &str, pose: Pose) -> Self {
         self.bases.push((name.into(), pose));
+        self
+    }
+
+    /// Adds a place where a base docks.
+    #[must_use]
+    pub fn dock(mut self, dock: DockConfig) -> Self {
+        self.docks.push(dock);
         self
     }
 
@@ -149,6 +158,11 @@ impl Builder {
         self.check_figures()?;
         let bases: Vec<_> = self.bases.clone();
         let base = |part: &str, name: &str| index(part, name, bases.iter().map(|it| &*it.0));
+        let mut docks = Vec::new();
+        for config in self.docks {
+            let base = base(&config.name, &config.base)?;
+            docks.push(Dock { config, base });
+        }
         let mut surfaces = Vec::new();
         for config in self.surfaces {
             let carrier = match &config.on_base {
@@ -189,9 +203,12 @@ impl Builder {
         let hands = hands.map(|(name, tool, kind)| HandState::new(name, tool, kind));
         let bases = self.bases.into_iter();
         let scene = Scene::new(
-            bases
-                .map(|(name, pose)| BaseState::new(name, pose))
-                .collect(),
+            (
+                bases
+                    .map(|(name, pose)| BaseState::new(name, pose))
+                    .collect(),
+                docks,
+            ),
             surfaces,
             bodies,
             holes,
@@ -205,6 +222,7 @@ impl Builder {
         let hands = self.hands.iter().map(|it| &*it.0);
         unique("hand", hands)?;
         unique("base", self.bases.iter().map(|it| &*it.0))?;
+        unique("dock", self.docks.iter().map(|it| &*it.name))?;
         unique("surface", self.surfaces.iter().map(|it| &*it.name))?;
         unique("body", self.bodies.iter().map(|it| &*it.name))?;
         unique("hole", self.holes.iter().map(|it| &*it.name))?;
@@ -220,6 +238,17 @@ impl Builder {
     fn check_figures(&self) -> Result<(), BuildError> {
         for (name, pose) in &self.bases {
             check_pose(name, pose)?;
+        }
+        for it in &self.docks {
+            check_pose(&it.name, &it.pose)?;
+            let least = it.tolerance_m.min(it.tolerance_rad);
+            within(
+                &it.name,
+                "tolerance",
+                least,
+                [0.0, 10.0],
+                "0 to 10 m and rad",
+            )?;
         }
         for it in &self.surfaces {
             check_pose(&it.name, &it.pose)?;

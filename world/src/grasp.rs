@@ -44,6 +44,8 @@ pub(crate) struct FingersState {
     /// N.
     pub(crate) force: f64,
     pub(crate) held: Option<Held>,
+    /// Scales the friction of its pads: 1, less for oil on them.
+    pub(crate) friction: f64,
     /// Fully slid so far, m.
     pub(crate) slip_m: f64,
 }
@@ -78,7 +80,7 @@ pub(crate) fn is_within(config: &GraspConfig, tcp: &Pose, grip: &Pose) -> bool {
 }
 
 /// Where a body rests between fingers that closed on it: centred, pads flat on its sides.
-pub(crate) fn anchor(tcp: &Pose, body: &Pose, grip: &Pose) -> Pose {
+pub(crate) fn anchor(tcp: &Pose, body: &Pose, grip: &Pose, is_notched: bool) -> Pose {
     let in_hand = tcp.inverse() * body;
     let grip = tcp.inverse() * grip;
     let side = grip.rotation * Vector3::y();
@@ -86,7 +88,8 @@ pub(crate) fn anchor(tcp: &Pose, body: &Pose, grip: &Pose) -> Pose {
     let turn = UnitQuaternion::rotation_between(&side, &flat).unwrap_or_default();
     let centre = origin(&grip);
     let from_centre = turn * (origin(&in_hand) - centre);
-    let centred = Vector3::new(centre.x, 0.0, centre.z);
+    let beside = if is_notched { 0.0 } else { centre.x };
+    let centred = Vector3::new(beside, 0.0, centre.z);
     Pose::from_parts((centred + from_centre).into(), turn * in_hand.rotation)
 }
 

@@ -88,6 +88,17 @@ impl World {
         self.scene().remove_body(name)
     }
 
+    /// Scales the friction of the fingers of a hand, 1 for none: oil on its pads; false if there are none.
+    pub fn oil(&self, hand: &str, friction: f64) -> bool {
+        self.scene().oil(hand, friction)
+    }
+
+    /// Whether the base of a dock is within its tolerance; `None` if there is no dock of that name.
+    #[must_use]
+    pub fn docked(&self, dock: &str) -> Option<bool> {
+        self.scene().docked(dock)
+    }
+
     /// Takes a screw out of its magazine; false if there is none of that name.
     pub fn remove_screw(&self, name: &str) -> bool {
         self.scene().remove_screw(name)

@@ -3,6 +3,7 @@
 
 mod body;
 mod builder;
+mod dock;
 mod event;
 mod geometry;
 mod grasp;
@@ -20,6 +21,7 @@ mod truth;
 
 pub use body::BodyConfig;
 pub use builder::{BuildError, Builder};
+pub use dock::DockConfig;
 pub use event::{Event, EventKind};
 pub use geometry::{Pose, Twist, Wrench};
 pub use grasp::GraspConfig;

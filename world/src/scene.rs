@@ -5,13 +5,14 @@ mod gather;
 mod report;
 
 use crate::body::{Body, Carrier};
+use crate::dock::Dock;
 use crate::event::{EventKind, Log};
 use crate::geometry::{Pose, Twist, Wrench, finite_pose, moved, origin};
 use crate::grasp::{FingersState, GraspConfig, Held, anchor, is_within};
 use crate::handle::Stopped;
 use crate::hole::Hole;
 use crate::motion::Motion;
-use crate::screw::{Bit, Place, Screw, Thread};
+use crate::screw::{Bit, Place, Screw, Thread, engage};
 use crate::solver::{Element, Mass, Solver};
 use crate::surface::{Anchor, Surface};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -70,6 +71,7 @@ impl Tool {
             width: f64::INFINITY,
             force: 0.0,
             held: None,
+            friction: 1.0,
             slip_m: 0.0,
         }))
     }
@@ -138,6 +140,8 @@ pub(crate) struct PegState {
     pub(crate) depth: f64,
     pub(crate) offset: f64,
     pub(crate) force: f64,
+    /// Largest so far, N.
+    pub(crate) force_max: f64,
     pub(crate) touches: bool,
     pub(crate) is_seated: bool,
 }
@@ -166,6 +170,7 @@ pub(crate) struct Scene {
     origin: Option<Duration>,
     steps: u64,
     bases: Vec<BaseState>,
+    docks: Vec<Dock>,
     surfaces: Vec<Surface>,
     bodies: Vec<Body>,
     holes: Vec<Hole>,
@@ -182,7 +187,7 @@ pub(crate) struct Scene {
 
 impl Scene {
     pub(crate) fn new(
-        bases: Vec<BaseState>,
+        (bases, docks): (Vec<BaseState>, Vec<Dock>),
         surfaces: Vec<Surface>,
         bodies: Vec<Body>,
         holes: Vec<Hole>,
@@ -205,6 +210,7 @@ impl Scene {
             origin: None,
             steps: 0,
             bases,
+            docks,
             surfaces,
             bodies,
             holes,
@@ -258,6 +264,23 @@ impl Scene {
             }
         }
         true
+    }
+
+    /// Scales the friction of the fingers of a hand.
+    pub(crate) fn oil(&mut self, hand: &str, friction: f64) -> bool {
+        let found = self.hands.iter_mut().find(|it| it.name == hand);
+        let Some(Tool::Fingers(fingers)) = found.map(|it| &mut it.kind) else {
+            return false;
+        };
+        fingers.friction = friction.max(0.0);
+        true
+    }
+
+    /// Whether the base of a dock is within its tolerance.
+    pub(crate) fn docked(&self, name: &str) -> Option<bool> {
+        let dock = self.docks.iter().find(|dock| dock.config.name == name)?;
+        let base = self.bases.get(dock.base)?;
+        Some(dock.is_closed(&base.pose))
     }
 
     pub(crate) fn remove_screw(&mut self, name: &str) -> bool {
@@ -322,7 +345,11 @@ impl Scene {
         let Some(state) = self.bases.get_mut(base) else {
             return;
         };
-        let pose = flat([x, y, heading], state.pose.translation.z) * offset;
+        let mut pose = flat([x, y, heading], state.pose.translation.z);
+        for dock in self.docks.iter().filter(|dock| dock.base == base) {
+            pose = dock.guided(&pose);
+        }
+        let pose = pose * offset;
         if state.motion.post(at, &pose, None) {
             self.advance(at);
         }
@@ -388,7 +415,7 @@ impl Scene {
             fingers.held = Some(Held {
                 body,
                 grip,
-                anchor: anchor(tcp, &taken.pose, &grip_pose),
+                anchor: anchor(tcp, &taken.pose, &grip_pose, taken.config.is_notched),
                 slips: false,
             });
             taken.wake();
@@ -544,36 +571,4 @@ fn between(bodies: &[Body], config: &GraspConfig, tcp: &Pose) -> Option<(usize, 
     grips
         .find(|(.., grip)| finite_pose(grip) && is_within(config, tcp, grip))
         .map(|(body, grip, width, _)| (body, grip, width))
-}
-
-/// A turning screw bites where its tip presses on a mouth.
-fn engage(
-    screw: &mut Screw,
-    threads: &mut [Thread],
-    (tcp, axial): (&Pose, f64),
-    cross: bool,
-    mut report: impl FnMut(EventKind),
-) {
-    let way = tcp.rotation * Vector3::z();
-    let tip = origin(tcp) + way * screw.config.length_m;
-    for (index, thread) in threads.iter_mut().enumerate() {
-        let off = crate::geometry::local(&thread.pose, &tip).xy().norm();
-        let tilt = -way.dot(&(thread.pose.rotation * Vector3::z()));
-        let presses = axial >= thread.config.axial_n;
-        if thread.is_taken || off > thread.config.capture_m || !presses || tilt < 0.5 {
-            continue;
-        }
-        let askew =
-            off > thread.config.capture_m / 2.0 || tilt.min(1.0).acos() > thread.config.tilt_rad;
-        screw.is_cross = cross || askew;
-        screw.place = Place::Thread(index);
-        thread.is_taken = true;
-        let (screw, thread) = (screw.config.name.clone(), thread.config.name.clone());
-        report(if cross || askew {
-            EventKind::CrossThreaded { screw, thread }
-        } else {
-            EventKind::ScrewEngaged { screw, thread }
-        });
-        return;
-    }
 }

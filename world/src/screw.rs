@@ -4,6 +4,7 @@
 use crate::body::Carrier;
 use crate::event::EventKind;
 use crate::geometry::{Pose, local, origin};
+use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
 /// Spring between bit and screw along the axis, N/m.
@@ -219,4 +220,36 @@ pub(crate) struct Bit {
 /// Whether the bit has left a head that is `beyond` it, m.
 pub(crate) fn has_left(beyond: f64) -> bool {
     beyond < -LEAVES
+}
+
+/// A turning screw bites where its tip presses on a mouth.
+pub(crate) fn engage(
+    screw: &mut Screw,
+    threads: &mut [Thread],
+    (tcp, axial): (&Pose, f64),
+    cross: bool,
+    mut report: impl FnMut(EventKind),
+) {
+    let way = tcp.rotation * Vector3::z();
+    let tip = origin(tcp) + way * screw.config.length_m;
+    for (index, thread) in threads.iter_mut().enumerate() {
+        let off = local(&thread.pose, &tip).xy().norm();
+        let tilt = -way.dot(&(thread.pose.rotation * Vector3::z()));
+        let presses = axial >= thread.config.axial_n;
+        if thread.is_taken || off > thread.config.capture_m || !presses || tilt < 0.5 {
+            continue;
+        }
+        let askew =
+            off > thread.config.capture_m / 2.0 || tilt.min(1.0).acos() > thread.config.tilt_rad;
+        screw.is_cross = cross || askew;
+        screw.place = Place::Thread(index);
+        thread.is_taken = true;
+        let (screw, thread) = (screw.config.name.clone(), thread.config.name.clone());
+        report(if cross || askew {
+            EventKind::CrossThreaded { screw, thread }
+        } else {
+            EventKind::ScrewEngaged { screw, thread }
+        });
+        return;
+    }
 }

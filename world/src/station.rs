@@ -2,6 +2,7 @@
 
 use crate::body::BodyConfig;
 use crate::builder::BuildError;
+use crate::dock::DockConfig;
 use crate::geometry::Pose;
 use crate::grasp::GraspConfig;
 use crate::handle::World;
@@ -16,6 +17,8 @@ use std::f64::consts::PI;
 const PLACED: f64 = 0.000_3;
 /// How far a base docks beside its place, m, and askew, rad.
 const DOCKED: [f64; 2] = [0.002, 0.003];
+/// Tolerances of the switch at the dock, m and rad.
+const DOCK: [f64; 2] = [0.004, 0.01];
 
 fn at(x: f64, y: f64, z: f64) -> Pose {
     Pose::translation(x, y, z)
@@ -31,17 +34,18 @@ fn down(x: f64, y: f64, z: f64) -> Pose {
 ///
 /// | what | where |
 /// |---|---|
-/// | surface `bench` | x 0.15 to 0.65, y -0.7 to 0.7, z 0 |
+/// | surface `bench` | x 0.1 to 0.7, y -0.75 to 0.75, z 0 |
 /// | surface `floor` | z -0.75 |
-/// | base `base` | at the origin at first; docks at x 1.0, y 0. Its surface `deck`: x -0.25 to 0.25, y -0.3 to 0.3, z 0.05 |
-/// | body `box_1`, `box_2` | on the deck at x -0.13 and 0.12, 0.2 x 0.36 x 0.1, 1.2 kg; grips on the walls at y = +-0.175, 40 mm above its centre, 10 mm wide, closed along y |
+/// | base `base` | at x 2.0 at first. Its surface `deck`: x -0.25 to 0.25, y -0.3 to 0.3, z 0.05 |
+/// | dock `dock` | at x 1.0, y 0, for `base`: guides from 60 mm on, its switch is closed within 4 mm and 10 mrad |
+/// | body `box_1`, `box_2` | on the deck at x -0.13 and 0.12, 0.2 x 0.36 x 0.1, 1.2 kg; grips on the walls at y = +-0.175, 40 mm above its centre, 10 mm wide, closed along y, with notches |
 /// | body `peg` | in `box_1`, 0.2 kg, 30 x 30 x 80 mm, radius of the peg 10 mm; grip 20 mm above its centre |
 /// | body `socket` | in `box_2`, 0.6 kg, 60 x 60 x 50 mm; grip 10 mm above its centre, 60 mm wide |
-/// | hole `bore` | in the top of `socket`: 0.1 mm clearance, 30 mm deep, chamfer 1.5 mm |
-/// | thread `m4` | in the top of `socket` at x 22 mm |
-/// | screw `screw` | head in the magazine at x 0.3, y -0.55, z 0.06 |
+/// | hole `bore` | in the bottom of `socket`: 0.1 mm clearance, 30 mm deep, chamfer 1.5 mm |
+/// | thread `m4` | in the bottom of `socket` at x 22 mm, with a countersink of 2 mm |
+/// | screw `screw` | head in the magazine at x 0.3, y -0.3, z 0.06 |
 /// | hands `left`, `right` | grippers, tool centre point 0.16 m before the flange |
-/// | hand `driver` | screwdriver at the flange of the right arm: 0.10 m to the side (x) and 0.16 m before it |
+/// | hand `driver` | screwdriver at the flange of the right arm: 0.12 m to the side (x) and 0.16 m before it |
 ///
 /// By the seed, parts lie up to 0.3 mm beside their places, and the base docks up to 2 mm and 3 mrad off.
 ///
@@ -55,9 +59,10 @@ pub fn assembly(seed: u64) -> Result<World, BuildError> {
         let walls = [0.175, -0.175];
         let supply =
             BodyConfig::new(name, 1.2, [0.2, 0.36, 0.1]).at(at(x, 0.0, 0.05), Some("deck"));
-        walls
-            .into_iter()
+        let grips = walls.into_iter();
+        grips
             .fold(supply, |it, y| it.grip(down(0.0, y, 0.04), 0.01))
+            .notched()
     };
     let deck = SurfaceConfig {
         on_base: Some("base".into()),
@@ -65,11 +70,19 @@ pub fn assembly(seed: u64) -> Result<World, BuildError> {
     };
     let tool = at(0.0, 0.0, 0.16);
     let world = World::builder()
-        .base("base", Pose::identity())
+        .base("base", at(2.0, 0.0, 0.0))
+        .dock(DockConfig {
+            name: "dock".into(),
+            base: "base".into(),
+            pose: at(1.0, 0.0, 0.0),
+            guides_m: 0.06,
+            tolerance_m: DOCK[0],
+            tolerance_rad: DOCK[1],
+        })
         .surface(SurfaceConfig::table(
             "bench",
             at(0.4, 0.0, 0.0),
-            [0.25, 0.7],
+            [0.3, 0.75],
         ))
         .surface(SurfaceConfig::table(
             "floor",
@@ -94,19 +107,18 @@ pub fn assembly(seed: u64) -> Result<World, BuildError> {
                 .grip(down(0.0, 0.0, 0.01), 0.06),
         )
         .hole(bore())
-        .thread(ThreadConfig::m4(
-            "m4",
-            at(0.022, 0.0, 0.025),
-            Some("socket"),
-        ))
+        .thread(ThreadConfig {
+            capture_m: 0.002,
+            ..ThreadConfig::m4("m4", down(0.022, 0.0, -0.025), Some("socket"))
+        })
         .screw(ScrewConfig {
             name: "screw".into(),
-            pose: near(0.3, -0.55, 0.06),
+            pose: near(0.3, -0.3, 0.06),
             length_m: 0.016,
         })
         .gripper("left", tool, GraspConfig::default())
         .gripper("right", tool, GraspConfig::default())
-        .driver("driver", at(0.10, 0.0, 0.16))
+        .driver("driver", at(0.12, 0.0, 0.16))
         .build()?;
     let offset = [
         random.within(DOCKED[0]),
@@ -117,11 +129,11 @@ pub fn assembly(seed: u64) -> Result<World, BuildError> {
     Ok(world)
 }
 
-/// The hole in the socket.
+/// The hole in the socket, which stands on it in its box: a hand from above presents it downwards.
 fn bore() -> HoleConfig {
     HoleConfig {
         name: "bore".into(),
-        pose: at(0.0, 0.0, 0.025),
+        pose: down(0.0, 0.0, -0.025),
         in_body: Some("socket".into()),
         radius_m: 0.010_05,
         depth_m: 0.03,

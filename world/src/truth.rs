@@ -85,6 +85,8 @@ pub struct PegTruth {
     pub offset_m: f64,
     /// Force on the peg out of the hole, N.
     pub force_n: f64,
+    /// Largest so far, N.
+    pub force_max_n: f64,
     /// Whether it has reached the bottom.
     pub is_seated: bool,
 }

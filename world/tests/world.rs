@@ -273,7 +273,7 @@ fn world_base_carries_bodies_with_docking_offset() {
     let base = world.base("base").unwrap();
     let before = world.truth();
     for cycle in 0..=1000_u32 {
-        let x = f64::from(cycle) * 0.001;
+        let x = 2.0 - f64::from(cycle) * 0.001;
         base.post(Duration::from_millis(10 * u64::from(cycle)), x, 0.0, 0.0);
     }
     base.post(Duration::from_millis(10_010), 1.0, 0.0, 0.0);
@@ -283,7 +283,7 @@ fn world_base_carries_bodies_with_docking_offset() {
         let [from, to] = [&before, &after].map(|truth| truth.body(body).unwrap().pose);
         let way = to.translation.vector - from.translation.vector;
         assert!(
-            (way - Vector3::new(1.008, 0.0, 0.0)).norm() < 1e-9,
+            (way - Vector3::new(-0.992, 0.0, 0.0)).norm() < 1e-9,
             "{body} {way}"
         );
         assert!(after.body(body).unwrap().is_resting);
@@ -358,8 +358,8 @@ fn story(seed: u64) -> String {
     let world = assembly(seed).unwrap();
     let base = world.base("base").unwrap();
     for cycle in 0..200_u32 {
-        let share = f64::from(cycle.min(100)) / 100.0;
-        let x = (1.0 - (share * std::f64::consts::PI).cos()) / 2.0;
+        let share = f64::from(cycle.min(190)) / 190.0;
+        let x = 2.0 - (1.0 - (share * std::f64::consts::PI).cos()) / 2.0;
         base.post(Duration::from_millis(u64::from(cycle) * 5), x, 0.0, 0.0);
     }
     let tcp = |y: f64| down(0.87, y, 0.14);
@@ -405,7 +405,7 @@ fn world_thread_order_changes_little() {
             let at = Duration::from_millis(cycle);
             for hand in order {
                 let y = [0.175, -0.175][hand];
-                let tcp = down(-0.13, y, 0.14 + lift);
+                let tcp = down(1.87, y, 0.14 + lift);
                 let flange = tcp * hands[hand].tool().inverse();
                 let twist = Twist {
                     linear: Vector3::z() * speed,

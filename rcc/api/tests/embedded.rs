@@ -6,9 +6,6 @@
 )]
 
 #[allow(dead_code, reason = "tests call what `main` calls")]
-#[path = "../examples/assembly.rs"]
-mod assembly;
-#[allow(dead_code, reason = "tests call what `main` calls")]
 #[path = "../examples/figures.rs"]
 mod figures;
 #[path = "../examples/first.rs"]
@@ -121,26 +118,6 @@ fn lift_example_keeps_the_grasp() {
             assert!(step.planned < 2e-5, "{} m", step.planned);
             assert!(step.rested < 1e-4, "{} m", step.rested);
         }
-    });
-}
-
-#[test]
-fn assembly_example_inserts_peg_and_drives_screw() {
-    steady(|| {
-        let cell = Cell::emulated("assembly").unwrap();
-        let steps = assembly::run(&cell, true).unwrap();
-        let names: Vec<_> = steps.iter().map(|step| step.name).collect();
-        let expected = [
-            "start and dock",
-            "unload a box",
-            "unload a box",
-            "fetch the parts",
-            "insert the peg",
-            "drive the screw",
-            "deliver",
-        ];
-        assert_eq!(names, expected);
-        cell.close().unwrap();
     });
 }
 

@@ -28,6 +28,9 @@ pub const NAMES: [&str; 7] = [
     CELLS[0].0, CELLS[1].0, CELLS[2].0, CELLS[3].0, CELLS[4].0, CELLS[5].0, CELLS[6].0,
 ];
 
+/// Of the world of a cell, unless it is replaced.
+const SEED: u64 = 1;
+
 /// Any free port of loopback.
 pub(crate) const ANY_PORT: SocketAddr =
     SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
@@ -41,7 +44,7 @@ pub struct EmulatedCell {
     pub(crate) segments: Vec<EthercatConfig>,
     /// Where emulated grippers accept their driver, by device.
     pub(crate) grippers: Vec<(String, Port)>,
-    /// The world around the robots; without one, arms meet at most a table.
+    /// The world around the robots; without one, arms meet at most a table. `assembly` has [`CellWorld::assembly`].
     pub world: Option<CellWorld>,
 }
 
@@ -76,11 +79,12 @@ impl EmulatedCell {
             grippers.push((moved.name.clone(), port));
             *device = Arc::new(moved) as Arc<dyn DriverConfig>;
         }
+        let world = (name == "assembly").then(|| CellWorld::assembly(&config, SEED));
         Ok(Self {
+            world: world.transpose()?,
             config,
             segments,
             grippers,
-            world: None,
         })
     }
 }

@@ -48,7 +48,14 @@ impl Embedded {
     /// If there is no cell of that name, the system refuses threads or sockets, or a device does not become operational
     /// within a minute.
     pub fn emulated(name: &str) -> Result<Self, Error> {
-        let cell = EmulatedCell::named(name)?;
+        Self::emulate(EmulatedCell::named(name)?)
+    }
+
+    /// The same for a cell that the program may have changed, such as its world.
+    ///
+    /// # Errors
+    /// As [`Self::emulated`].
+    pub fn emulate(cell: EmulatedCell) -> Result<Self, Error> {
         let controller = Controller::start(&cell.config)?;
         let machines = Machines::start(&controller, cell, 0.0)?;
         let embedded = Self::serve(controller, machines, None)?;

@@ -33,6 +33,9 @@ pub enum Error {
         /// The cause.
         source: Box<dyn StdError + Send + Sync>,
     },
+    /// The world of a cell cannot be built.
+    #[error(transparent)]
+    World(#[from] takt_world::BuildError),
     /// A device did not become operational.
     #[error(
         "{device} is still {status} after {after:?}: {why}\nhint: check how busy this host is; emulated robots need it to answer in time"

@@ -1,11 +1,13 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod assembly;
 mod cell;
 mod embedded;
 mod error;
 mod machines;
 mod surroundings;
+mod watch;
 
 pub use cell::{EmulatedCell, NAMES};
 pub use embedded::Embedded;
@@ -14,3 +16,4 @@ pub use machines::Machines;
 pub use surroundings::{CellWorld, Mounted};
 pub use takt_core::CellConfig;
 pub use takt_world as world;
+pub use watch::{Figures, Moment, Record, watch};

@@ -17,7 +17,7 @@ use takt_ethercat::emulator::{
     StationMotor, YouBot, YouBotConfig,
 };
 use takt_ethercat::linux::{cable, monotonic};
-use takt_fri::lwr::emulator::{Contact, Krc, Screwdriver, Script, Shape};
+use takt_fri::lwr::emulator::{Contact, Krc, Script, Shape};
 use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
 use takt_rt::Nanos;
 use takt_rt::stats::stalls;
@@ -31,8 +31,6 @@ use crate::surroundings::{CellWorld, Wheeled};
 const LWR_PERIOD: Duration = Duration::from_millis(1);
 /// Frame of a cell where its emulated table is.
 const TABLE: &str = "table";
-/// Frame of a cell where what its emulated screwing arm pushes against is, and that arm.
-const SEAT: (&str, &str) = ("seat", "right");
 /// Stiffness of the table, N/m.
 const TABLE_STIFFNESS: f64 = 10_000.0;
 /// Damping of the table, Ns/m.
@@ -83,9 +81,8 @@ impl Machines {
         for (seed, (name, address)) in (1..).zip(controller.waits_at()) {
             machines.arm(&cell.config, world, (name, address), seed, drop)?;
         }
-        let has_parts = contact(&cell.config, SEAT.0).is_some();
         for (name, port) in cell.grippers {
-            machines.gripper(name, port, (world, has_parts))?;
+            machines.gripper(name, port, world)?;
         }
         for config in &cell.segments {
             machines.on_request.extend(config.on_request().cloned());
@@ -93,7 +90,8 @@ impl Machines {
             let service = segment(controller, config, slaves)?;
             machines.services.push((config.name.clone(), service));
         }
-        machines.follow_wheels(world)?;
+        let start = cell.segments.iter().find_map(|it| start(&cell.config, it));
+        machines.follow_wheels(world, start.unwrap_or_default())?;
         Ok(machines)
     }
 
@@ -130,6 +128,9 @@ impl Machines {
         let failed = |error| Error::emulator(&name, error);
         let sensing = world.map(|world| world.sensing).unwrap_or_default();
         let mounted = world.and_then(|world| world.arm(&name));
+        let periphery = world
+            .map(|world| world.periphery(&name))
+            .unwrap_or_default();
         if cell.of_kind::<IiwaConfig>().any(|iiwa| iiwa.name == name) {
             let config = CabinetConfig::default();
             let config = CabinetConfig {
@@ -156,13 +157,6 @@ impl Machines {
             config.contact = Some(table);
             config.contact_off = Some(TABLE_OFF);
         }
-        if name == SEAT.1
-            && mounted.is_none()
-            && let Some(seat) = contact(cell, SEAT.0)
-        {
-            config.contact = Some(seat);
-            config.screwdriver = Some(Screwdriver::default());
-        }
         let mut tools = cell.frames.tools.iter();
         if let Some(tool) = tools.find(|tool| tool.device == name) {
             config.tool_m = tool.placement().frame().translation.vector.into();
@@ -180,6 +174,9 @@ impl Machines {
             if let Some(mounted) = mounted {
                 krc.set_surroundings(Box::new(mounted));
             }
+            for device in periphery {
+                krc.add_periphery(device);
+            }
             krc
         };
         let link = local(address).map_err(failed)?;
@@ -192,10 +189,9 @@ impl Machines {
         &mut self,
         name: String,
         mut port: Port,
-        (world, has_parts): (Option<&CellWorld>, bool),
+        world: Option<&CellWorld>,
     ) -> Result<(), Error> {
         let mut gripper = Gripper::new(GripperConfig::default(), Port::now());
-        gripper.knobs.always_finds = has_parts && world.is_none();
         if let Some(pads) = world.and_then(|world| world.pads(&name)) {
             gripper.set_surroundings(pads);
         }
@@ -206,11 +202,11 @@ impl Machines {
     }
 
     /// Brings the base of the world to where the wheels of the emulated base roll.
-    fn follow_wheels(&mut self, world: Option<&CellWorld>) -> Result<(), Error> {
+    fn follow_wheels(&mut self, world: Option<&CellWorld>, start: [f64; 3]) -> Result<(), Error> {
         let Some(base) = world.and_then(CellWorld::base) else {
             return Ok(());
         };
-        let mut wheeled = Wheeled::new(self.wheels.clone(), base);
+        let mut wheeled = Wheeled::new(self.wheels.clone(), base, start);
         let thread = serve("world-base", move || {
             wheeled.follow(Port::now());
             takt_rt::sleep_until(takt_rt::monotonic() + WAIT.into()).map_err(io::Error::other)
@@ -267,6 +263,15 @@ impl Machines {
             .find_map(|(name, ended)| ended.err().map(|error| Error::emulator(name, error)));
         failed.map_or(Ok(()), Err)
     }
+}
+
+/// Where the base of a segment stands first: x and y, m, and heading, rad.
+fn start(cell: &CellConfig, segment: &EthercatConfig) -> Option<[f64; 3]> {
+    let base = segment.youbot_bases.first()?;
+    let mut bases = cell.frames.bases.iter();
+    let placed = bases.find(|it| it.device == base.name)?.placement().frame();
+    let (_, _, heading) = placed.rotation.euler_angles();
+    Some([placed.translation.x, placed.translation.y, heading])
 }
 
 /// What an emulated arm touches: the plane z = 0 of a frame of the cell, which is placed in the base of the arm, or in the world if

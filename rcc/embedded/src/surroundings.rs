@@ -7,8 +7,12 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use takt_devices::wsg::emulator::Surroundings as Grasping;
 use takt_ethercat::emulator::DriveHandle;
 use takt_ethercat::youbot::Mecanum;
-use takt_fri::lwr::emulator::{Flange, Sensing, Surroundings};
+use takt_fri::lwr::emulator::{Flange, Periphery, Screwdriver, Sensing, Surroundings};
+use takt_fri::lwr::wire::Krl;
 use takt_world::{Base, Fingers, Hand, Twist, World};
+
+/// A late cycle turns a bit by at most this much time.
+const LATE_MAX: Duration = Duration::from_millis(100);
 
 /// The world of a cell, and which of its parts each emulated device moves.
 #[derive(Debug, Clone)]
@@ -19,6 +23,11 @@ pub struct CellWorld {
     pub arms: Vec<(String, Isometry3<f64>, Vec<String>)>,
     /// Grippers by device, and the hand whose fingers they move.
     pub grippers: Vec<(String, String)>,
+    /// Arms whose controller drives the screwdriver of a hand: its first real output is the speed, rad/s, its first real input the
+    /// torque, Nm.
+    pub screwdrivers: Vec<(String, String)>,
+    /// Arms whose controller reads the switch of a dock at a digital input, from 0.
+    pub switches: Vec<(String, u32, String)>,
     /// The base of the world that the wheels of an emulated youBot move.
     pub base: Option<String>,
     /// How the arms' controllers estimate external forces.
@@ -31,6 +40,22 @@ impl CellWorld {
         let (_, base, hands) = self.arms.iter().find(|(name, ..)| name == device)?;
         let hands = hands.iter().filter_map(|name| self.world.hand(name));
         Some(Mounted::new(*base, hands.collect()))
+    }
+
+    /// What is at the user variables of the controller of an arm.
+    pub(crate) fn periphery(&self, device: &str) -> Vec<Box<dyn Periphery>> {
+        let bits = self.screwdrivers.iter().filter(|(arm, _)| arm == device);
+        let bits = bits.filter_map(|(_, hand)| self.world.screwdriver(hand));
+        let bits = bits.map(|bit| Box::new(Driven::new(bit)) as Box<dyn Periphery>);
+        let switches = self.switches.iter().filter(|(arm, ..)| arm == device);
+        let switches = switches.map(|(_, input, dock)| {
+            Box::new(Switch {
+                world: self.world.clone(),
+                dock: dock.clone(),
+                input: *input,
+            }) as Box<dyn Periphery>
+        });
+        bits.chain(switches).collect()
     }
 
     /// Fingers of a gripper, for its emulator; `None` if it is in no world.
@@ -98,6 +123,59 @@ impl Grasping for Pads {
     }
 }
 
+/// The screwdriver of a hand, driven by the controller of its arm.
+#[derive(Debug)]
+struct Driven {
+    bit: takt_world::Screwdriver,
+    driver: Screwdriver,
+    /// rad
+    angle: f64,
+    /// Nm
+    torque: f64,
+    last: Option<Duration>,
+}
+
+impl Driven {
+    fn new(bit: takt_world::Screwdriver) -> Self {
+        Self {
+            bit,
+            driver: Screwdriver::default(),
+            angle: 0.0,
+            torque: 0.0,
+            last: None,
+        }
+    }
+}
+
+impl Periphery for Driven {
+    fn exchange(&mut self, at: Duration, from_client: &Krl, to_client: &mut Krl) {
+        let last = self.last.replace(at).unwrap_or(at);
+        let span = at.saturating_sub(last).min(LATE_MAX);
+        let [speed, ..] = from_client.real;
+        self.angle += self.driver.step(speed.into(), self.torque, span);
+        self.torque = self.bit.post(at, self.angle);
+        #[expect(clippy::cast_possible_truncation, reason = "user variables are f32")]
+        let torque = self.torque as f32;
+        let [out, ..] = &mut to_client.real;
+        *out = torque;
+    }
+}
+
+/// The switch of a dock, at a digital input of the controller of an arm.
+#[derive(Debug)]
+struct Switch {
+    world: World,
+    dock: String,
+    input: u32,
+}
+
+impl Periphery for Switch {
+    fn exchange(&mut self, _at: Duration, _from_client: &Krl, to_client: &mut Krl) {
+        let is_closed = self.world.docked(&self.dock).unwrap_or(false);
+        to_client.set_bool(self.input, is_closed);
+    }
+}
+
 /// The true pose of a base on emulated wheels.
 #[derive(Debug)]
 pub(crate) struct Wheeled {
@@ -110,12 +188,13 @@ pub(crate) struct Wheeled {
 }
 
 impl Wheeled {
-    pub(crate) fn new(wheels: Vec<DriveHandle>, base: Base) -> Self {
+    /// It stands at `start` first: x and y, m, and heading, rad.
+    pub(crate) fn new(wheels: Vec<DriveHandle>, base: Base, start: [f64; 3]) -> Self {
         Self {
             wheels,
             mecanum: Mecanum::default(),
             angles: None,
-            pose: [0.0; 3],
+            pose: start,
             base,
         }
     }

@@ -263,7 +263,7 @@ fn rmp_true_pose_moves_bodies() {
             driver.handle_frame(channel, &frame, now);
         }
         let truth = powerbase.truth();
-        base.post(now, truth.x, truth.y, truth.heading);
+        base.post(now, 2.0 + truth.x, truth.y, truth.heading);
     }
     let way = powerbase.truth().x;
     assert!(way > 0.5, "{way}");
@@ -323,6 +323,8 @@ fn wsg_fingers_stop_at_body_and_notice_loss() {
         world: world.clone(),
         arms: Vec::new(),
         grippers: vec![("gripper".into(), "hand".into())],
+        screwdrivers: Vec::new(),
+        switches: Vec::new(),
         base: None,
         sensing: Sensing::default(),
     };

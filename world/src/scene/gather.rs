@@ -106,37 +106,44 @@ impl Scene {
         true
     }
 
-    /// Corners of bodies on surfaces.
+    /// Corners of bodies on surfaces: of those that move, and of those that ride on them.
     pub(super) fn surfaces(&mut self) {
         for number in 0..self.bodies.len() {
-            let Some(slot) = self.bodies[number].slot else {
+            let body = &self.bodies[number];
+            let owner = if body.slot.is_some() {
+                Some(number)
+            } else {
+                self.carried_by(body.rest.map(|rest| rest.0))
+            };
+            let Some(owner) = owner.filter(|_| !body.is_missing && !self.is_at_hole(number)) else {
                 continue;
             };
-            if self.is_at_hole(number) {
-                continue;
-            }
             for (corner, at) in self.bodies[number].corners().into_iter().enumerate() {
-                self.corner(number, slot, corner, &at);
+                self.corner(number, owner, corner, &at);
             }
         }
     }
 
-    /// The face of a hole stands in for the surface around it.
+    /// The face of a hole that is in no body stands in for the surface around it.
     fn is_at_hole(&self, body: usize) -> bool {
         let mut pegs = self.pegs.iter().filter(|peg| peg.body == body);
         pegs.any(|peg| {
-            let face = self
-                .holes
-                .get(peg.hole)
-                .map_or(0.0, |it| it.config.face_radius_m);
-            peg.touches || (peg.depth > 0.0 && peg.offset < face)
+            let hole = self.holes.get(peg.hole);
+            let hole = hole.filter(|it| !matches!(it.carrier, Carrier::Body(_)));
+            let face = hole.map_or(0.0, |it| it.config.face_radius_m);
+            hole.is_some() && (peg.touches || (peg.depth > 0.0 && peg.offset < face))
         })
     }
 
-    fn corner(&mut self, number: usize, slot: usize, corner: usize, at: &Vector3<f64>) {
+    /// A corner of a body that is, or rides on, the body `owner`, which moves.
+    fn corner(&mut self, number: usize, owner: usize, corner: usize, at: &Vector3<f64>) {
         let body = &self.bodies[number];
-        let (at, mass) = (point(&body.pose, at), body.config.mass_kg);
+        let at = point(&body.pose, at);
         let velocity = body.twist.at(&(at - origin(&body.pose)));
+        let (mover, mass) = (&self.bodies[owner], self.bodies[owner].config.mass_kg);
+        let (Some(slot), arm) = (mover.slot, at - origin(&mover.pose)) else {
+            return;
+        };
         let Anchor(anchor) = body.anchors[corner];
         let mut kept = Anchor(None);
         for (index, surface) in self.surfaces.iter().enumerate() {
@@ -166,7 +173,7 @@ impl Scene {
             self.elements.push((
                 Element {
                     body: slot,
-                    arm: at - origin(&body.pose),
+                    arm,
                     against: carrier.against(&at),
                     force: push.force,
                     torque: Vector3::zeros(),
@@ -176,10 +183,9 @@ impl Scene {
                 Source::Other,
             ));
         }
-        let body = &mut self.bodies[number];
-        body.anchors[corner] = kept;
+        self.bodies[number].anchors[corner] = kept;
         if let Anchor(Some((index, _))) = kept {
-            body.support = Some(self.surfaces[index].carrier);
+            self.bodies[owner].support = Some(self.surfaces[index].carrier);
         }
     }
 
@@ -209,6 +215,7 @@ impl Scene {
             };
             let slipped = held.slips;
             let mass = body.config.mass_kg;
+            let slack = slack * fingers.friction;
             let (hold, slid) = held.hold(fingers, slack, (tcp, &body.pose), mass, STEP_S);
             let says = |lost: bool| {
                 let (hand, body) = (name.clone(), body.config.name.clone());

@@ -22,6 +22,13 @@ const FALLS: f64 = 0.3;
 impl Scene {
     /// Forces of the step on hands and pegs.
     pub(super) fn react(&mut self) {
+        self.react_elements();
+        for peg in &mut self.pegs {
+            peg.force_max = peg.force_max.max(peg.force);
+        }
+    }
+
+    fn react_elements(&mut self) {
         for (element, source) in &self.elements {
             match *source {
                 Source::Other => {}
@@ -160,6 +167,7 @@ impl Scene {
                 depth_m: peg.depth,
                 offset_m: peg.offset,
                 force_n: peg.force,
+                force_max_n: peg.force_max,
                 is_seated: peg.is_seated,
             })
         };

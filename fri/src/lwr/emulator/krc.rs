@@ -4,6 +4,7 @@
 use super::config::{Faults, KrcConfig, Script, Stiffness};
 use super::exit::ExitReason;
 use super::krl::{Call, Program};
+use super::periphery::Periphery;
 use crate::emulator::{
     Arm, Body, Chain, Contact, ControllerCounters, Grid, History, Line, Sensor, Sent, Surroundings,
     Window,
@@ -126,6 +127,7 @@ pub struct Krc {
     krl_in: Krl,
     /// Angle of the screw, rad.
     screw_rad: f64,
+    periphery: Vec<Box<dyn Periphery>>,
     program: Option<Program>,
     control: Control,
     /// Active parameters: `$STIFFNESS`, or the client's.
@@ -177,6 +179,7 @@ impl Krc {
             krl_out: Krl::default(),
             krl_in: Krl::default(),
             screw_rad: 0.0,
+            periphery: Vec::new(),
             program: match config.script {
                 Script::Handshake(protocol) => Some(Program::new(protocol)),
                 Script::Manual | Script::Auto { .. } => None,
@@ -294,6 +297,11 @@ impl Krc {
     /// Puts something around the arm, beside the contact.
     pub fn set_surroundings(&mut self, surroundings: Box<dyn Surroundings>) {
         self.arm.body.surroundings = Some(surroundings);
+    }
+
+    /// Connects a device to the user variables, beside those that are connected.
+    pub fn add_periphery(&mut self, device: Box<dyn Periphery>) {
+        self.periphery.push(device);
     }
 
     /// Flange position in the base frame, m.
@@ -426,6 +434,9 @@ impl Krc {
         self.move_joints();
         self.sensor.sense(&self.arm.body, self.grid.period());
         self.turn_screw();
+        for device in &mut self.periphery {
+            device.exchange(self.grid.now(), &self.krl_in, &mut self.krl_out);
+        }
         self.measure(now);
     }
 

@@ -11,6 +11,7 @@ mod exit;
 mod krc;
 mod krl;
 mod parameter;
+mod periphery;
 mod screwdriver;
 mod status;
 
@@ -24,5 +25,6 @@ pub use config::{Faults, KrcConfig, Limits, Script, Stiffness};
 pub use exit::ExitReason;
 pub use krc::{Exit, Krc, StartError};
 pub use parameter::Parameter;
+pub use periphery::Periphery;
 pub use screwdriver::Screwdriver;
 pub use status::KrcStatus;

@@ -36,21 +36,31 @@ impl Default for Screwdriver {
 }
 
 impl Screwdriver {
+    /// How far the bit turns in a span at a wanted speed, rad/s, against a torque, Nm: not at all beyond that of the clutch. A
+    /// speed that is not finite counts as 0.
+    pub fn step(&self, speed: f64, torque: f64, span: Duration) -> f64 {
+        let speed = if speed.is_finite() { speed } else { 0.0 };
+        let most = self.speed_max.max(0.0);
+        let is_open = speed > 0.0 && torque >= self.clutch_nm;
+        if is_open {
+            return 0.0;
+        }
+        speed.clamp(-most, most) * span.as_secs_f64()
+    }
+
     /// Turns the screw from `angle`, rad, at a wanted speed, rad/s, under a force on the tool, N: the new angle, and the
     /// torque, Nm. A speed that is not finite counts as 0.
     pub(super) fn turn(&self, angle: f64, speed: f64, force: f64, span: Duration) -> (f64, f64) {
-        let speed = if speed.is_finite() { speed } else { 0.0 };
-        let most = self.speed_max.max(0.0);
-        let speed = speed.clamp(-most, most);
+        let step = self.step(speed, 0.0, span);
         if force < self.force_min {
-            let is_replaced = speed == 0.0;
+            let is_replaced = step == 0.0;
             return (if is_replaced { 0.0 } else { angle }, 0.0);
         }
         let rate = self.seating_nm_per_rad.max(1e-9);
         let last = self.seat_rad + (self.clutch_nm - self.running_nm).max(0.0) / rate;
-        let angle = (angle + speed * span.as_secs_f64()).clamp(0.0, last.max(0.0));
+        let angle = (angle + step).clamp(0.0, last.max(0.0));
         let seating = (angle - self.seat_rad).max(0.0) * rate;
-        let is_turned = speed != 0.0 || seating > 0.0;
+        let is_turned = step != 0.0 || seating > 0.0;
         let running = if is_turned { self.running_nm } else { 0.0 };
         (angle, running + seating)
     }
@@ -71,6 +81,15 @@ mod tests {
         assert_eq!(driver.turn(1.0, f64::NAN, 10.0, SPAN), (1.0, 0.0));
         // The next screw.
         assert_eq!(driver.turn(75.0, 0.0, 0.0, SPAN), (0.0, 0.0));
+    }
+
+    #[test]
+    fn clutch_lets_bit_turn_back_only() {
+        let driver = Screwdriver::default();
+        assert_eq!(driver.step(10.0, 2.0, SPAN), 0.0);
+        assert!((driver.step(-10.0, 2.0, SPAN) + 1.0).abs() < 1e-12);
+        assert!((driver.step(f64::MAX, 1.9, SPAN) - 6.0).abs() < 1e-12);
+        assert_eq!(driver.step(f64::INFINITY, 0.0, SPAN), 0.0);
     }
 
     #[test]
