@@ -146,7 +146,7 @@ fn net(table: &Table, more: &str) -> String {
     format!(
         "s=Core::BooleanNetcommIn(Key='s'),m=Core::DoubleArrayNetcommIn(Key='m',Value='[0]'),\
          t=Motion::Trajectory(inStop=s.outValue,inMeasured=m.outValue,Joints='1',Table='{}',\
-         Velocity='[2]',Acceleration='[10]',Jerk='[100]'{more}),\
+         Velocity='[2]',Acceleration='[10]',Jerk='[1000]'{more}),\
          p=Core::DoubleArrayNetcommOut(inValue=t.outPosition,Key='p'),\
          v=Core::DoubleArrayNetcommOut(inValue=t.outVelocity,Key='v'),\
          x=Core::DoubleNetcommOut(inValue=t.outTime,Key='t'),\
