@@ -144,6 +144,8 @@ pub struct Axis {
     /// Position to hold while it is enabled without a target position. The actual position of each cycle would yield to
     /// any load.
     held: Option<i32>,
+    /// 60B2h beside a target position, per mille of the rated torque.
+    torque_offset: i16,
     /// The values that were last sent.
     sent: Values,
     /// Number of cycles since homing was started by bit 4.
@@ -169,6 +171,7 @@ impl Axis {
             prover: Prover::new(slave, axis, layout.carried(), Objects::default()),
             target: Target::Hold,
             held: None,
+            torque_offset: 0,
             sent: Values::default(),
             begun: None,
             online: false,
@@ -207,6 +210,12 @@ impl Axis {
     /// itself.
     pub fn set_goal(&mut self, goal: Goal) {
         self.profile.set_goal(goal);
+    }
+
+    /// Sets the torque offset (60B2h) that is sent with target positions while the axis follows them, where it is mapped; per mille
+    /// of the rated torque.
+    pub const fn set_torque_offset(&mut self, offset: i16) {
+        self.torque_offset = offset;
     }
 
     /// Requests a fault reset.
@@ -317,7 +326,14 @@ impl Axis {
         {
             torque = wanted;
         }
+        let mut offset = 0;
+        if let Target::Position(_) = self.target
+            && drive_command.follows
+        {
+            offset = self.torque_offset;
+        }
         let mut values = Values::default();
+        values.put(0x60B2, offset.cast_unsigned().into());
         values.put(0x6040, word.into());
         values.put(0x6060, drive_command.mode.cast_unsigned().into());
         values.put(0x607A, position.cast_unsigned());

@@ -326,8 +326,20 @@ impl CellConfig {
     ) -> Result<Self, toml::de::Error> {
         let mut table = DeTable::parse(text)?;
         models::resolve(table.get_mut(), folder)?;
-        let drivers::Configured { devices, buses } = drivers::take(table.get_mut(), kinds)?;
+        let drivers::Configured {
+            mut devices,
+            mut buses,
+        } = drivers::take(table.get_mut(), kinds)?;
         let rest = Rest::deserialize(toml::Deserializer::from(table))?;
+        for driver in devices.iter_mut().chain(&mut buses) {
+            let tools = rest.tool.iter().filter(|tool| tool.mass > 0.0);
+            for tool in tools {
+                // Nobody else has it yet.
+                if let Some(driver) = Arc::get_mut(driver) {
+                    driver.carry(&tool.device, &tool.body());
+                }
+            }
+        }
         Ok(Self {
             controller: rest.controller,
             live: rest.live,

@@ -46,6 +46,7 @@ fn config() -> CanopenConfig {
         velocity_max: 100.0,
         acceleration_max: 300.0,
         following_error_max: None,
+        rated_torque: None,
         not_mirrored: Vec::new(),
         quirks: Vec::new(),
     };
@@ -62,6 +63,10 @@ fn config() -> CanopenConfig {
         arms: vec![DriveArm {
             name: "arm".to_owned(),
             recovery: Recovery::default(),
+            feed_forward: 0.0,
+            down: Default::default(),
+            payload: Default::default(),
+            tools: Default::default(),
             model: "".into(),
             joints: (1..=JOINTS).map(joint).collect(),
         }],

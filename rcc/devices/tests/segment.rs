@@ -52,6 +52,7 @@ fn config() -> EthercatConfig {
         velocity_max: 300.0,
         acceleration_max: 1000.0,
         following_error_max: None,
+        rated_torque: None,
         not_mirrored: Vec::new(),
         quirks: Vec::new(),
     };
@@ -67,6 +68,10 @@ fn config() -> EthercatConfig {
         arms: vec![DriveArm {
             name: "tx90".to_owned(),
             recovery: Recovery::default(),
+            feed_forward: 0.0,
+            down: Default::default(),
+            payload: Default::default(),
+            tools: Default::default(),
             model: "staubli_tx90".into(),
             joints: (0..).zip(ranges).map(joint).collect(),
         }],

@@ -1,16 +1,20 @@
 //! Inverse dynamics of a serial arm: the torques that a motion takes, by the recursive Newton-Euler algorithm. Bounded work, no
 //! allocation. Friction, elasticity and rotor inertia are not modelled.
 
+mod load;
 mod payload;
 #[cfg(test)]
 mod tests;
+mod weighing;
 
 use nalgebra::{Matrix3, Vector3};
 use takt_net::Frame;
 
 use crate::kinematics::{Fixed, JOINTS_MAX, JointKind, Serial};
 
+pub use load::{Down, Payload, weight};
 pub use payload::{Identification, IdentifyError, Sample, identify};
+pub use weighing::{WeighError, Weighing, weigh};
 
 /// Acceleration of gravity, m/s².
 pub const GRAVITY: f64 = 9.806_65;

@@ -15,7 +15,7 @@ from conftest import program
 pin: Any = pytest.importorskip("pinocchio", reason="needs the package pin")
 data: Any = pytest.importorskip("cmeel", reason="needs the package example-robot-data")
 
-STATES = 1000
+STATES = 10_000
 """Random states of each arm."""
 
 ROBOTS = pathlib.Path(data.__file__).parent.parent / "cmeel.prefix/share/example-robot-data/robots"
@@ -92,12 +92,21 @@ def test_urdf_matches_pinocchio(name: str, base: str | None, tip: str | None, st
     states = random.uniform(-1.5, 1.5, (STATES, 3, len(arm["joints"])))
     lines = "".join(" ".join(map(repr, map(float, state.ravel()))) + "\n" for state in states)
     answers = subprocess.run(command, input=lines, capture_output=True, text=True, check=True).stdout.splitlines()
-    for state, line in zip(states, answers[1:], strict=True):
-        own = json.loads(line)
-        flange, jacobian, torques = peer.answer(state)
-        assert numpy.allclose(own["position"], flange.translation, rtol=0, atol=1e-9)
-        quaternion = pin.Quaternion(flange.rotation).coeffs()
-        assert min(numpy.abs(own["quaternion"] - sign * quaternion).max() for sign in (1, -1)) < 1e-9
-        assert numpy.allclose(numpy.array(own["jacobian"]).T, jacobian, rtol=0, atol=1e-9)
-        if own["torques"] is not None:
-            assert numpy.allclose(own["torques"], torques, rtol=1e-9, atol=1e-9)
+    own = [json.loads(line) for line in answers[1:]]
+    peers = [peer.answer(state) for state in states]
+
+    def stacked(key: str) -> Any:
+        return numpy.array([answer[key] for answer in own])
+
+    assert len(own) == STATES
+    places = numpy.array([flange.translation for flange, _, _ in peers])
+    assert numpy.abs(stacked("position") - places).max() < 1e-9
+    turns = numpy.array([pin.Quaternion(flange.rotation).coeffs() for flange, _, _ in peers])
+    # A quaternion and its negative are the same rotation.
+    apart = [numpy.abs(stacked("quaternion") - sign * turns).max(axis=1) for sign in (1, -1)]
+    assert numpy.minimum(*apart).max() < 1e-9
+    jacobians = numpy.array([jacobian for _, jacobian, _ in peers])
+    assert numpy.abs(stacked("jacobian").transpose(0, 2, 1) - jacobians).max() < 1e-9
+    if own[0]["torques"] is not None:
+        torques = numpy.array([torques for _, _, torques in peers])
+        assert numpy.allclose(stacked("torques"), torques, rtol=1e-9, atol=1e-9)

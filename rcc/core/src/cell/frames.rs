@@ -7,6 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Deserialize;
+use takt_motion::dynamics::{Body, Payload};
 use takt_net::{Frame, Rotation, Vector};
 
 use crate::cell::objects::ObjectConfig;
@@ -135,6 +136,17 @@ pub struct ToolConfig {
     /// Centre of mass in the flange, m.
     #[serde(default)]
     pub centre_of_mass: [f64; 3],
+}
+
+impl ToolConfig {
+    /// Its mass in its centre, in the frame of the flange.
+    pub(super) fn body(&self) -> Body {
+        let payload = Payload {
+            mass: self.mass,
+            centre_of_mass: self.centre_of_mass,
+        };
+        payload.body()
+    }
 }
 
 /// Where the joints of an arm are at home.

@@ -1,4 +1,4 @@
-//! Models of arms from URDF files: `model = "urdf:ur5e.urdf"`, with `base_link` and `tip_link`, anywhere in a cell file. The
+//! Models of arms from URDF files: `model = "urdf:ur5e.urdf"` (of arms with a model of their maker `kinematics`), with `base_link` and `tip_link`, anywhere in a cell file. The
 //! file is read here, so that drivers get the chain of joints itself and read no files.
 
 use std::borrow::Cow;
@@ -11,12 +11,22 @@ use toml::de::{DeTable, DeValue, Error};
 
 use super::drivers::error_at;
 
-/// The key that has such a model.
-const KEY: &str = "model";
+/// The keys that have such a model.
+const KEYS: [&str; 2] = ["model", "kinematics"];
 
 /// Replaces the name of each URDF by the chain of its joints; relative paths are in `folder`.
 pub(super) fn resolve(table: &mut DeTable<'_>, folder: &Path) -> Result<(), Error> {
-    if let Some(model) = table.get(KEY)
+    for key in KEYS {
+        resolve_key(table, key, folder)?;
+    }
+    for (_, value) in table.iter_mut() {
+        inner(value.get_mut(), folder)?;
+    }
+    Ok(())
+}
+
+fn resolve_key(table: &mut DeTable<'_>, key: &str, folder: &Path) -> Result<(), Error> {
+    if let Some(model) = table.get(key)
         && let Some(path) = model
             .get_ref()
             .as_str()
@@ -36,12 +46,9 @@ pub(super) fn resolve(table: &mut DeTable<'_>, folder: &Path) -> Result<(), Erro
             tracing::warn!("{file}:{line}: {}\nhint: {}", warning.cause, warning.hint);
         }
         let text = Model::of_arm(arm).full_text().into_owned();
-        if let Some(model) = table.get_mut(KEY) {
+        if let Some(model) = table.get_mut(key) {
             *model.get_mut() = DeValue::String(Cow::Owned(text));
         }
-    }
-    for (_, value) in table.iter_mut() {
-        inner(value.get_mut(), folder)?;
     }
     Ok(())
 }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use takt_motion::dynamics::Body;
 use takt_rt::Grant;
 use takt_rt::latest::{LatestReader, LatestWriter};
 use takt_rt::servo::Estimate;
@@ -228,6 +229,10 @@ pub trait DriverConfig: Compare + fmt::Debug + Send + Sync {
 
     /// `SCHED_FIFO` priority of its thread, 1 to 98; `None` for an ordinary thread.
     fn priority(&self) -> Option<u8>;
+
+    /// Adds what an arm of its devices carries: a tool, in the frame of the flange. Called before [`Self::check`]; drivers that compute
+    /// no torques ignore it.
+    fn carry(&mut self, _device: &str, _tool: &Body) {}
 
     /// Checks what is not a matter of one value.
     ///

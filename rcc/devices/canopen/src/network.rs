@@ -80,6 +80,13 @@ pub fn check(config: &CanopenConfig) -> Result<(), String> {
             Err(error) => Err(error.to_string()),
         };
         drives::check(arm, drive).map_err(|what| format!("{name}: {what}"))?;
+        if let Some(joint) = arm.joints.iter().position(|it| it.rated_torque.is_some()) {
+            return Err(format!(
+                "{name}: arm {}: joint {joint}: torques (`rated_torque`, `feed_forward`) are not exchanged over CANopen: one PDO of an \
+                 axis has 8 bytes, and they are full\nhint: leave out both keys",
+                arm.name
+            ));
+        }
     }
     network(config)
         .map(drop)
@@ -554,6 +561,7 @@ fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Optio
         follows: state.follows,
         state: state.status.state().ok(),
         increments: state.position,
+        torque: None,
     })
 }
 

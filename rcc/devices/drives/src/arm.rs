@@ -14,14 +14,18 @@ use takt_cia402::{Goal, Power, Runaway, Shutdown, State, axis_goal};
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 
+use crate::check::parts;
 use crate::config::{DriveArm, Recovery};
 use crate::driven::{Driven, When, time_of};
-use takt_core::device::DeviceStatus;
+use crate::torque::{Cut, Torques};
 use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::Endpoint;
+use takt_core::device::{ARM_JOINTS_MAX, DeviceStatus};
 
 /// Faults of drives are reset after this time without a command.
 const REST: Duration = Duration::from_secs(1);
+/// A joint that accelerates less is steady, rad/s².
+const STEADY: f64 = 0.2;
 /// The latest state of an axis.
 #[derive(Clone, Copy, Debug)]
 pub struct Feedback {
@@ -38,6 +42,8 @@ pub struct Feedback {
     /// Whether it heeds no targets, as its zero is not known yet or being found: set-points of its joint are refused, and the
     /// joint is where the axis is.
     pub is_homing: bool,
+    /// 6077h, per mille of the rated torque; `None` if it is not mapped.
+    pub torque: Option<i16>,
 }
 
 /// An event of a joint, reported once per occurrence.
@@ -52,6 +58,21 @@ pub enum JointEvent {
         /// Range, degrees.
         range: [f64; 2],
     },
+    /// Its feed-forward torque was cut off at its limit.
+    FeedForward(Cut),
+    /// The arm carries another load than the cell states: so much more, kg.
+    Load(f64),
+}
+
+impl JointEvent {
+    /// Whether the joint does its work all the same.
+    #[must_use]
+    pub const fn is_warning(&self) -> bool {
+        match self {
+            Self::OutOfRange { .. } | Self::FeedForward(_) | Self::Load(_) => true,
+            Self::Runaway(_) => false,
+        }
+    }
 }
 
 impl fmt::Display for JointEvent {
@@ -66,6 +87,22 @@ impl fmt::Display for JointEvent {
                 "position {position:.2} degrees is out of range {low:.2} to {high:.2}\nhint: move it back by set-points \
                  that begin at its position, which it follows slowly, or correct `zero` and `range`"
             ),
+            Self::FeedForward(Cut { wanted, .. }) if !wanted.is_finite() => f.write_str(
+                "the model has no feed-forward torque for this motion; none is sent\nhint: check masses and inertia of its \
+                 URDF: `takt arm check FILE`",
+            ),
+            Self::FeedForward(Cut { wanted, most }) => write!(
+                f,
+                "feed-forward of {wanted:.1} Nm is cut off at {most:.1} Nm\nhint: check the masses of its URDF and `payload`, or \
+                 raise `feed_forward`"
+            ),
+            Self::Load(more) => write!(
+                f,
+                "the arm carries about {:.1} kg {} than its cell states, by its torques\nhint: `takt arm identify ARM` weighs \
+                 the payload; correct `payload` in the cell, or the masses of the URDF",
+                more.abs(),
+                if *more > 0.0 { "more" } else { "less" }
+            ),
         }
     }
 }
@@ -79,6 +116,8 @@ pub struct Order {
     pub reset: bool,
     /// 607Ah; `None` while the axis does not follow: its target is its position.
     pub target: Option<i32>,
+    /// 60B2h, per mille of the rated torque.
+    pub torque_offset: i16,
 }
 
 /// The arm.
@@ -86,6 +125,7 @@ pub struct Order {
 pub struct Arm {
     recovery: Recovery,
     joints: Vec<Driven>,
+    torques: Torques,
     period: Nanos,
     end: Endpoint,
     /// The last cycle in which a net commanded it.
@@ -121,8 +161,9 @@ impl Arm {
         Self {
             recovery: arm.recovery,
             joints: arm.joints.iter().map(Driven::new).collect(),
+            torques: Torques::new(arm),
             period: cycle.into(),
-            end: Endpoint::new(end, &[], arm.joints.len()),
+            end: Endpoint::new(end, &parts(arm), arm.joints.len()),
             commanded: Nanos(0),
             last: None,
             powered: false,
@@ -153,7 +194,13 @@ impl Arm {
     /// The next event of a joint.
     pub fn poll_event(&mut self) -> Option<(usize, JointEvent)> {
         let mut joints = self.joints.iter_mut().enumerate();
-        joints.find_map(|(number, joint)| Some((number, joint.poll_event()?)))
+        let event = joints.find_map(|(number, joint)| Some((number, joint.poll_event()?)));
+        let torques = &mut self.torques;
+        let event = event.or_else(|| {
+            let (joint, cut) = torques.poll_cut()?;
+            Some((joint, JointEvent::FeedForward(cut)))
+        });
+        event.or_else(|| Some((0, JointEvent::Load(torques.poll_heavy()?))))
     }
 
     fn follows(&self) -> bool {
@@ -203,17 +250,32 @@ impl Arm {
             },
             fresh: self.end.is_fresh(now, self.period),
         };
+        let mut targets = [None; ARM_JOINTS_MAX];
+        let mut motions = [[0.0; 3]; ARM_JOINTS_MAX];
         let joints = self.joints.iter_mut().zip(&self.end.taken.joints);
-        for (number, (driven, set_points)) in joints.enumerate() {
-            let target = driven.aim(set_points, may_move, &when);
+        let places = targets.iter_mut().zip(&mut motions);
+        for ((driven, set_points), (target, motion)) in joints.zip(places) {
+            *target = driven.aim(set_points, may_move, &when);
+            *motion = driven.joint.motion().into();
+        }
+        let motions = motions.get(..self.joints.len()).unwrap_or_default();
+        self.torques.expect(motions);
+        for (number, (driven, target)) in self.joints.iter_mut().zip(targets).enumerate() {
             let goal = axis_goal(goal, driven.power(), driven.has_run_away());
             let order = Order {
                 goal,
                 reset,
                 target,
+                torque_offset: self.torques.offset(number, target.is_some(), when.dt_s),
             };
-            driven.take(axis(number, order), target, &when);
+            let feedback = axis(number, order);
+            let torque = feedback.filter(|it| it.online).and_then(|it| it.torque);
+            self.torques.measure(number, torque);
+            driven.take(feedback, target, &when);
         }
+        let follows = targets.iter().take(motions.len()).all(Option::is_some);
+        let is_steady = follows && motions.iter().all(|[.., rate]| rate.abs() < STEADY);
+        self.torques.compare(motions, is_steady, when.dt_s);
         self.publish(tick);
     }
 
@@ -273,6 +335,20 @@ impl Arm {
         }));
         for (reported, driven) in self.end.reported.joints.iter_mut().zip(&self.joints) {
             reported.error = driven.error(status) as i32;
+        }
+        let signals = &mut self.end.reported.signals;
+        for (joint, place) in self
+            .end
+            .interfaces
+            .torques
+            .iter()
+            .flat_map(|it| it.iter())
+            .enumerate()
+        {
+            place.measured.report(signals, self.torques.measured(joint));
+            place
+                .estimated
+                .report(signals, self.torques.estimated(joint));
         }
         self.end.publish();
     }

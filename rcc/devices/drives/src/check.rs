@@ -4,7 +4,8 @@ use takt_cia402::proof::Objects;
 use takt_net::JointLimits;
 
 use crate::config::{DriveArm, DriveJoint};
-use takt_core::device::{ARM_JOINTS_MAX, DeviceDescription, LEAST, MOST};
+use crate::torque::Torques;
+use takt_core::device::{ARM_JOINTS_MAX, DeviceDescription, LEAST, MOST, Part};
 
 /// The limits of a joint as nets see them.
 pub fn limits_of<D>(joint: &DriveJoint<D>) -> JointLimits {
@@ -16,6 +17,13 @@ pub fn limits_of<D>(joint: &DriveJoint<D>) -> JointLimits {
     }
 }
 
+/// Parts of an arm besides its joints.
+#[must_use]
+pub fn parts<D>(arm: &DriveArm<D>) -> Vec<Part> {
+    let torques = Torques::is_measuring(arm).then_some(Part::Torques);
+    torques.into_iter().collect()
+}
+
 /// The arm as a device of that type.
 pub fn describe<D>(arm: &DriveArm<D>, kind: &'static str) -> DeviceDescription {
     DeviceDescription {
@@ -23,7 +31,7 @@ pub fn describe<D>(arm: &DriveArm<D>, kind: &'static str) -> DeviceDescription {
         kind,
         limits: arm.joints.iter().map(limits_of).collect(),
         model: arm.model.clone(),
-        parts: Vec::new(),
+        parts: parts(arm),
     }
 }
 

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Deserializer};
 use takt_cia402::{MasterOptions, Quirk, UnknownQuirk};
 use takt_motion::Model;
+use takt_motion::dynamics::{Body, Down, Payload};
 use takt_motion::urdf::ArmJoint;
 
 /// Recovery of a device after a fault, once its drives can follow commands again. In each case, nothing moves before
@@ -27,6 +28,14 @@ pub struct DriveArm<D> {
     pub model: Model,
     /// Recovery after a fault.
     pub recovery: Recovery,
+    /// Feed-forward torque by the masses of its URDF (60B2h): the largest share of each joint's effort; 0 for none.
+    pub feed_forward: f64,
+    /// Direction of gravity in its base.
+    pub down: Down,
+    /// What it carries at its flange, beside its tools.
+    pub payload: Payload,
+    /// Its tools, in the frame of its flange.
+    pub tools: Body,
     /// Its joints, from the base.
     pub joints: Vec<DriveJoint<D>>,
 }
@@ -40,8 +49,24 @@ struct Given<D> {
     model: Model,
     #[serde(default)]
     recovery: Recovery,
+    #[serde(default, deserialize_with = "share")]
+    feed_forward: f64,
+    #[serde(default)]
+    down: Down,
+    #[serde(default)]
+    payload: Payload,
     #[serde(rename = "joint")]
     joints: Vec<DriveJoint<D>>,
+}
+
+fn share<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    let share = f64::deserialize(from)?;
+    if (0.0..=1.0).contains(&share) {
+        return Ok(share);
+    }
+    Err(serde::de::Error::custom(format!(
+        "a share of {share}; it must be 0 for none to 1 for the whole effort of each joint"
+    )))
 }
 
 impl<D> TryFrom<Given<D>> for DriveArm<D> {
@@ -53,6 +78,9 @@ impl<D> TryFrom<Given<D>> for DriveArm<D> {
             name,
             model,
             recovery,
+            feed_forward,
+            down,
+            payload,
             mut joints,
         } = given;
         for (number, joint) in joints.iter_mut().enumerate() {
@@ -60,12 +88,82 @@ impl<D> TryFrom<Given<D>> for DriveArm<D> {
             let missing = joint.complete(of_file);
             missing.map_err(|key| format!("arm {name}: joint {number}: missing field `{key}`"))?;
         }
-        Ok(Self {
+        let arm = Self {
             name,
             model,
             recovery,
+            feed_forward,
+            down,
+            payload,
+            tools: Body::default(),
             joints,
-        })
+        };
+        arm.check_torques()?;
+        Ok(arm)
+    }
+}
+
+impl<D> DriveArm<D> {
+    /// Tools and payload, in the frame of the flange.
+    #[must_use]
+    pub fn load(&self) -> Body {
+        self.tools.with(&self.payload.body())
+    }
+
+    /// Adds a tool, in the frame of the flange, if it is of this arm.
+    pub fn carry(&mut self, device: &str, tool: &Body) {
+        if self.name == device {
+            self.tools = self.tools.with(tool);
+        }
+    }
+
+    /// Checks what feed-forward needs.
+    fn check_torques(&self) -> Result<(), String> {
+        let name = &self.name;
+        for (number, joint) in self.joints.iter().enumerate() {
+            let sound = |rated: f64| (1e-6..=1e9).contains(&rated);
+            if let Some(rated) = joint.rated_torque.filter(|rated| !sound(*rated)) {
+                return Err(format!(
+                    "arm {name}: joint {number}: `rated_torque` is {rated}; it must be above 0, Nm at the joint"
+                ));
+            }
+        }
+        if self.feed_forward <= 0.0 {
+            return Ok(());
+        }
+        let Some(of_file) = self.model.arm() else {
+            return Err(format!(
+                "arm {name}: `feed_forward` needs the masses of a URDF\nhint: `model = \"urdf:FILE\"`"
+            ));
+        };
+        let file = &of_file.file;
+        if of_file.dynamics.is_none() {
+            let mut joints = of_file.joints.iter();
+            let (joint, line) = joints
+                .find(|joint| joint.body.mass <= 0.0)
+                .map_or(("", 0), |joint| (&*joint.name, joint.line));
+            return Err(format!(
+                "arm {name}: `feed_forward` needs masses, but {file}:{line} gives none behind joint `{joint}`"
+            ));
+        }
+        for (number, joint) in self.joints.iter().enumerate() {
+            if joint.rated_torque.is_none() {
+                return Err(format!(
+                    "arm {name}: joint {number}: `feed_forward` needs `rated_torque`\nhint: rated torque of the motor \
+                     (6076h) times gear ratio and efficiency, Nm"
+                ));
+            }
+            let of_file = of_file.joints.get(number);
+            if let Some(joint) = of_file.filter(|joint| joint.effort_max.is_none_or(|it| it <= 0.0))
+            {
+                let (joint, line) = (&joint.name, joint.line);
+                return Err(format!(
+                    "arm {name}: joint {number}: `feed_forward` is a share of its effort, but {file}:{line} gives none for \
+                     `{joint}`"
+                ));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -97,6 +195,10 @@ pub struct DriveJoint<D> {
     /// motion in a tenth of a second at its largest speed, but not less than one degree.
     #[serde(default)]
     pub following_error_max: Option<f64>,
+    /// Torque at the joint at the rated torque of its motor (6076h), gear ratio and efficiency included, Nm; with it torques are
+    /// measured (6077h) and may be fed forward. `None` for neither.
+    #[serde(default)]
+    pub rated_torque: Option<f64>,
     /// Objects, by their index on the first axis, whose SDO upload does not mirror the PDO values, according to the
     /// drive's manual. They are excluded from the comparison before power-on; every other mapped object of the axis
     /// is compared.

@@ -6,6 +6,7 @@ use std::time::Duration;
 use takt_core::Error;
 use takt_core::device::DeviceDescription;
 use takt_core::device::driver::{DeviceDriver, DriverConfig, DriverEnds};
+use takt_motion::dynamics::Body;
 
 use crate::config::EthercatConfig;
 use crate::segment::{self, Ethercat};
@@ -21,6 +22,12 @@ impl DriverConfig for EthercatConfig {
 
     fn priority(&self) -> Option<u8> {
         self.priority
+    }
+
+    fn carry(&mut self, device: &str, tool: &Body) {
+        for arm in &mut self.arms {
+            arm.carry(device, tool);
+        }
     }
 
     fn check(&self) -> Result<(), String> {

@@ -591,4 +591,6 @@ fn since_start(time: Nanos) -> Duration {
 #[cfg(test)]
 mod recovery_tests;
 #[cfg(test)]
+mod torque_tests;
+#[cfg(test)]
 mod wire_tests;

@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use serde::{Deserialize, Deserializer};
 use takt_fri::lwr::Protocol as Handshake;
+use takt_motion::Model;
+use takt_motion::dynamics::{Down, Payload};
 
 use takt_core::device::on_end::OutputsOnEnd;
 use takt_core::span;
@@ -15,6 +17,15 @@ use takt_core::span;
 pub struct LwrConfig {
     /// Name by which nets find it.
     pub name: String,
+    /// Kinematics by a URDF, such as a calibrated one or one with a mounted tool; empty for that of the maker.
+    #[serde(default)]
+    pub kinematics: Model,
+    /// What it carries beyond the load that its controller knows: in joint impedance with added torques its weight is held.
+    #[serde(default)]
+    pub payload: Payload,
+    /// Direction of gravity in its base, for that.
+    #[serde(default)]
+    pub down: Down,
     /// Local address and port for the KRC's datagrams.
     #[serde(default = "LwrConfig::default_listen")]
     pub listen: SocketAddr,
@@ -54,6 +65,9 @@ impl LwrConfig {
         let (name, priority) = (name.into(), Self::default_priority());
         Self {
             name,
+            kinematics: Model::default(),
+            payload: Payload::default(),
+            down: Down::default(),
             listen,
             priority,
             cpus: Vec::new(),
@@ -100,6 +114,15 @@ pub struct IiwaConfig {
     /// `iiwa7` or `iiwa14`.
     #[serde(default)]
     pub model: IiwaModel,
+    /// Kinematics by a URDF, such as a calibrated one or one with a mounted tool; empty for that of the maker.
+    #[serde(default)]
+    pub kinematics: Model,
+    /// What it carries beyond the load that its controller knows: in joint impedance with added torques its weight is held.
+    #[serde(default)]
+    pub payload: Payload,
+    /// Direction of gravity in its base, for that.
+    #[serde(default)]
+    pub down: Down,
     /// Local address and port for the cabinet's datagrams.
     #[serde(default = "IiwaConfig::default_listen")]
     pub listen: SocketAddr,
@@ -141,6 +164,9 @@ impl IiwaConfig {
         Self {
             name: name.into(),
             model: IiwaModel::default(),
+            kinematics: Model::default(),
+            payload: Payload::default(),
+            down: Down::default(),
             listen,
             priority: LwrConfig::default_priority(),
             cpus: Vec::new(),

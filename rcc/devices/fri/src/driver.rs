@@ -29,7 +29,7 @@ impl DriverConfig for LwrConfig {
     }
 
     fn devices(&self) -> Vec<DeviceDescription> {
-        vec![lwr::describe(&self.name).with(lwr::PARTS)]
+        vec![lwr::describe_config(self).with(lwr::PARTS)]
     }
 
     fn start(&self, ends: DriverEnds) -> Result<Box<dyn DeviceDriver>, Error> {
@@ -55,7 +55,7 @@ impl DriverConfig for IiwaConfig {
     }
 
     fn devices(&self) -> Vec<DeviceDescription> {
-        vec![iiwa::describe(&self.name, self.model).with(&iiwa::parts(&self.io))]
+        vec![iiwa::describe_config(self).with(&iiwa::parts(&self.io))]
     }
 
     fn start(&self, ends: DriverEnds) -> Result<Box<dyn DeviceDriver>, Error> {

@@ -11,6 +11,8 @@ use takt_net::JointLimits;
 
 use crate::config::{IiwaConfig, IiwaIo, IiwaModel};
 use crate::fri::{self, AXES, FriArm, FriFigures, Settings};
+use crate::kinematics;
+use crate::payload::Weight;
 use takt_core::Error;
 use takt_core::device::driver::DriverEnds;
 use takt_core::device::{ArmDescription, Part};
@@ -85,6 +87,8 @@ pub fn check(config: &IiwaConfig) -> Result<(), String> {
         )),
         None => {
             let checked = config.on_end.check(bool_out.len(), real_out.len());
+            let arm = describe(name, config.model);
+            let checked = checked.and_then(|()| kinematics::check(&arm, &config.kinematics));
             checked.map_err(|what| format!("{name}: {what}"))
         }
     }
@@ -137,6 +141,12 @@ pub fn describe(name: &str, model: IiwaModel) -> ArmDescription {
     }
 }
 
+/// An iiwa as its configuration has it: with the kinematics and the narrower limits of its URDF, if there is one.
+#[must_use]
+pub fn describe_config(config: &IiwaConfig) -> ArmDescription {
+    kinematics::with_kinematics(describe(&config.name, config.model), &config.kinematics)
+}
+
 /// Opens the socket for the cabinet's datagrams.
 ///
 /// # Errors
@@ -157,8 +167,12 @@ impl Iiwa {
             priority: config.priority,
             cpus: config.cpus.clone(),
         };
-        let description = describe(&config.name, config.model).with(&parts(&config.io));
-        let end = End::new(config.model, config.io.clone()).on_end(config.on_end.clone());
+        let description = describe_config(config).with(&parts(&config.io));
+        let weight = Weight::new(&description.model, &config.payload, &config.down);
+        let end = End::new(config.model, config.io.clone())
+            .on_end(config.on_end.clone())
+            .within(&description.limits)
+            .carrying(weight);
         Self::launch(end, description, settings, link, ends)
     }
 }

@@ -6,7 +6,9 @@ mod driver;
 pub mod emulator;
 mod fri;
 pub mod iiwa;
+mod kinematics;
 pub mod lwr;
+mod payload;
 #[cfg(test)]
 #[path = "../../tests/plant/mod.rs"]
 mod plant;

@@ -12,6 +12,8 @@ use takt_net::JointLimits;
 
 use crate::config::LwrConfig;
 use crate::fri::{self, AXES, FriArm, FriFigures, Settings};
+use crate::kinematics;
+use crate::payload::Weight;
 use takt_core::Error;
 use takt_core::device::driver::DriverEnds;
 use takt_core::device::{ArmDescription, Part};
@@ -47,6 +49,12 @@ pub fn describe(name: &str) -> ArmDescription {
     }
 }
 
+/// An LWR as its configuration has it: with the kinematics and the narrower limits of its URDF, if there is one.
+#[must_use]
+pub fn describe_config(config: &LwrConfig) -> ArmDescription {
+    kinematics::with_kinematics(describe(&config.name), &config.kinematics)
+}
+
 /// Parts of an LWR besides its joints. Its inputs and outputs are the FRI user data: port n is KRL index n + 1,
 /// inputs are `$FRI_TO_BOOL` and `$FRI_TO_REA` as the program writes them, outputs are `$FRI_FRM_BOOL` and
 /// `$FRI_FRM_REA` as it reads them.
@@ -71,6 +79,8 @@ pub const PARTS: &[Part] = &[
 /// With a text that names what to change.
 pub fn check(config: &LwrConfig) -> Result<(), String> {
     let checked = config.on_end.check(16, 16);
+    let arm = describe(&config.name);
+    let checked = checked.and_then(|()| kinematics::check(&arm, &config.kinematics));
     checked.map_err(|what| format!("{}: {what}", config.name))
 }
 
@@ -94,8 +104,12 @@ impl Lwr {
             priority: config.priority,
             cpus: config.cpus.clone(),
         };
-        let description = describe(&config.name).with(PARTS);
-        let end = End::new(config.handshake).on_end(config.on_end.clone());
+        let description = describe_config(config).with(PARTS);
+        let weight = Weight::new(&description.model, &config.payload, &config.down);
+        let end = End::new(config.handshake)
+            .on_end(config.on_end.clone())
+            .within(&description.limits)
+            .carrying(weight);
         Self::launch(end, description, settings, link, ends)
     }
 }

@@ -212,3 +212,113 @@ fn body_that_cannot_be_is_detected() {
     assert!(!moments(1.0, 1.0, -0.1).is_possible());
     assert!(!Body::default().is_possible(), "no mass");
 }
+
+/// A point mass at the flange.
+fn point(mass: f64, centre: [f64; 3]) -> Body {
+    Payload {
+        mass,
+        centre_of_mass: centre,
+    }
+    .body()
+}
+
+#[test]
+fn weight_of_load_is_what_arm_holds_more() {
+    let mut random = Random::new(7);
+    for _ in 0..20 {
+        let arm = arm(&mut random);
+        let load = point(2.5, [0.03, -0.05, 0.12]);
+        let loaded = arm.clone().with_payload(&load);
+        let at: Vec<_> = (0..7).map(|_| random.between(-1.5, 1.5)).collect();
+        let rest: Vec<_> = at.iter().map(|at| [*at, 0.0, 0.0]).collect();
+        let gravity = Vector3::new(1.0, -3.0, -9.0);
+        let mut own = vec![0.0; 7];
+        weight(arm.arm(), &at, &load, &gravity, &mut own);
+        let with = torques(&loaded, &rest, &gravity);
+        let without = torques(&arm, &rest, &gravity);
+        for ((own, with), without) in own.iter().zip(with).zip(without) {
+            assert!((own - (with - without)).abs() < 1e-10, "{own}");
+        }
+        weight(arm.arm(), &at[1..], &load, &gravity, &mut own);
+        assert!(own.iter().all(|it| it.is_nan()));
+    }
+}
+
+/// External torques of an LWR that swings slowly about a bent pose, with a load, dry friction and noise.
+fn swung(load: &Body, moves: usize, friction: f64, noise: f64) -> Vec<Sample> {
+    let arm = crate::kinematics::named("kuka_lwr4").unwrap();
+    let mut random = Random::new(8);
+    let bent = [0.2, 0.6, -0.3, -1.2, 0.4, 0.9, -0.2];
+    let swing = |joint: usize, t: f64| {
+        let rate = 0.3 + 0.13 * joint as f64;
+        let moves = if joint >= 7 - moves { 0.3 } else { 0.0 };
+        (moves * (rate * t).sin(), moves * rate * (rate * t).cos())
+    };
+    (0..400)
+        .map(|number| {
+            let t = 0.05 * f64::from(number);
+            let motions: Vec<_> = bent
+                .iter()
+                .enumerate()
+                .map(|(joint, at)| {
+                    let (by, speed) = swing(joint, t);
+                    [at + by, speed, 0.0]
+                })
+                .collect();
+            let at: Vec<_> = motions.iter().map(|it| it[0]).collect();
+            let mut torques = vec![0.0; 7];
+            weight(&*arm, &at, load, &DOWN, &mut torques);
+            for (torque, [_, speed, _]) in torques.iter_mut().zip(&motions) {
+                *torque += friction * speed.signum() * speed.abs().min(1.0).ceil();
+                *torque += random.between(-noise, noise);
+            }
+            Sample { motions, torques }
+        })
+        .collect()
+}
+
+#[test]
+fn load_is_weighed_beside_friction_and_noise() {
+    let arm = crate::kinematics::named("kuka_lwr4").unwrap();
+    let load = point(3.2, [0.02, -0.01, 0.11]);
+    let found = weigh(&*arm, None, &swung(&load, 7, 1.5, 0.5), &DOWN).unwrap();
+    assert!(
+        (found.mass - 3.2).abs() < found.uncertainty.max(0.02),
+        "{found:?}"
+    );
+    assert!(
+        (found.centre - Vector3::new(0.02, -0.01, 0.11)).norm() < 0.01,
+        "{found:?}"
+    );
+    assert!(
+        found.residual < 0.4 && found.uncertainty < 0.15,
+        "{found:?}"
+    );
+    let none = weigh(&*arm, None, &swung(&Body::default(), 7, 0.0, 0.2), &DOWN).unwrap();
+    assert!(none.mass.abs() <= none.uncertainty, "{none:?}");
+    assert_eq!(none.centre, Vector3::zeros());
+}
+
+#[test]
+fn weighing_of_poor_motion_is_refused_with_cause() {
+    let arm = crate::kinematics::named("kuka_lwr4").unwrap();
+    let load = point(3.2, [0.02, -0.01, 0.11]);
+    let refused = |samples: &[Sample], gravity: &Vector3<f64>| weigh(&*arm, None, samples, gravity);
+    // The axes of the wrist meet in one point: a heavy load near is as a light one far.
+    let wrist = refused(&swung(&load, 3, 0.0, 0.0), &DOWN);
+    assert!(matches!(wrist, Err(WeighError::Motion(_))), "{wrist:?}");
+    let still = refused(&swung(&load, 0, 0.0, 0.0), &DOWN);
+    assert_eq!(still, Err(WeighError::Few(0)));
+    let noisy = refused(&swung(&load, 7, 0.0, 30.0), &DOWN);
+    assert!(
+        matches!(noisy, Err(WeighError::Residual { .. })),
+        "{noisy:?}"
+    );
+    let lifted = refused(&swung(&load, 7, 0.0, 0.1), &-DOWN);
+    assert!(matches!(lifted, Err(WeighError::Negative(_))), "{lifted:?}");
+    let mut broken = swung(&load, 7, 0.0, 0.0);
+    broken[3].torques[1] = f64::NAN;
+    assert_eq!(refused(&broken, &DOWN), Err(WeighError::Sample(3)));
+    broken[3].torques.pop();
+    assert_eq!(refused(&broken, &DOWN), Err(WeighError::Sample(3)));
+}

@@ -31,12 +31,13 @@ impl NetworkEvent {
             Self::Runs(_) | Self::Proven(..) => Severity::Info,
             // Error code 0000h clears an emergency.
             Self::Emergency(_, emergency, _) if emergency.code == 0 => Severity::Info,
-            Self::Fault(_, NodeFault::Garbled { .. } | NodeFault::PdoShort { .. })
-            | Self::Joint(_, _, JointEvent::OutOfRange { .. }) => Severity::Warning,
-            Self::Fault(..)
-            | Self::Emergency(..)
-            | Self::Axis(..)
-            | Self::Joint(_, _, JointEvent::Runaway(_)) => Severity::Error,
+            Self::Joint(_, _, event) if event.is_warning() => Severity::Warning,
+            Self::Fault(_, NodeFault::Garbled { .. } | NodeFault::PdoShort { .. }) => {
+                Severity::Warning
+            }
+            Self::Fault(..) | Self::Emergency(..) | Self::Axis(..) | Self::Joint(..) => {
+                Severity::Error
+            }
         }
     }
 }

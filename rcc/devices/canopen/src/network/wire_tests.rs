@@ -34,6 +34,7 @@ fn config() -> CanopenConfig {
         velocity_max: VELOCITY,
         acceleration_max: ACCELERATION,
         following_error_max: None,
+        rated_torque: None,
         not_mirrored: Vec::new(),
         quirks: Vec::new(),
     };
@@ -52,6 +53,10 @@ fn config() -> CanopenConfig {
             model: "".into(),
             joints: vec![joint(1), joint(2)],
             recovery: Recovery::default(),
+            feed_forward: 0.0,
+            down: Default::default(),
+            payload: Default::default(),
+            tools: Default::default(),
         }],
     }
 }

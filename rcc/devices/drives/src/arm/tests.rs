@@ -34,6 +34,7 @@ fn config(joints: u8) -> DriveArm<u8> {
         velocity_max: 100.0,
         acceleration_max: 300.0,
         following_error_max: None,
+        rated_torque: None,
         not_mirrored: Vec::new(),
         quirks: Vec::new(),
     };
@@ -41,6 +42,10 @@ fn config(joints: u8) -> DriveArm<u8> {
         name: "arm".to_owned(),
         recovery: Recovery::default(),
         model: "".into(),
+        feed_forward: 0.0,
+        down: Default::default(),
+        payload: Default::default(),
+        tools: Default::default(),
         joints: (0..joints).map(joint).collect(),
     }
 }
@@ -119,6 +124,7 @@ impl Drive {
             increments: rounded(self.position),
             refused: false,
             is_homing: false,
+            torque: None,
         })
     }
 

@@ -189,6 +189,7 @@ impl Arm {
             if order.reset {
                 axis.reset_fault();
             }
+            axis.set_torque_offset(order.torque_offset);
             let target = order.target.map_or(Target::Hold, Target::Position);
             let state = axis.cycle(master, target, now);
             let (took, refused) = (axis.proof().took(), axis.proof().fault().is_some());
@@ -200,6 +201,7 @@ impl Arm {
                 follows: state.follows,
                 state: state.state,
                 increments: state.position,
+                torque: state.torque,
             })
         });
     }

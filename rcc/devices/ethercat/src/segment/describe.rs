@@ -25,6 +25,8 @@ use takt_device_drives::{DriveArm, DriveJoint, Recovery};
 
 /// Mailbox datagrams per cycle: up to nine youBot drives are polled at once.
 const YOUBOT_ACYCLIC: u8 = 4;
+/// Torque offset of the first axis.
+const TORQUE_OFFSET: Address = Address::new(0x60B2, 0);
 /// Most bits of one device: the payload of a frame.
 const BITS_MAX: usize = 8 * IMAGE_MAX;
 /// Longest watchdog: 65,535 steps of 100 us.
@@ -105,7 +107,7 @@ pub fn master_config(config: &EthercatConfig) -> MasterConfig {
         slaves: config
             .slaves
             .iter()
-            .map(|slave| spec(slave, config.cycle))
+            .map(|slave| spec(slave, config))
             .chain(youbot::specs(config))
             .collect(),
         redundant: config.second.is_some(),
@@ -127,7 +129,16 @@ pub fn master_config(config: &EthercatConfig) -> MasterConfig {
     }
 }
 
-fn spec(slave: &EthercatSlave, cycle: Duration) -> SlaveSpec {
+/// Axes of a slave to which torques are fed forward.
+fn fed_forward(config: &EthercatConfig, slave: &str) -> impl Iterator<Item = u8> {
+    let arms = config.arms.iter().filter(|arm| arm.feed_forward > 0.0);
+    let joints = arms.flat_map(|arm| &arm.joints);
+    let joints = joints.filter(move |joint| joint.drive == slave);
+    joints.map(|joint| joint.axis)
+}
+
+fn spec(slave: &EthercatSlave, config: &EthercatConfig) -> SlaveSpec {
+    let cycle = config.cycle;
     let mut spec = SlaveSpec {
         vendor: slave.vendor,
         product: slave.product,
@@ -147,7 +158,13 @@ fn spec(slave: &EthercatSlave, cycle: Duration) -> SlaveSpec {
         ..SlaveSpec::new(slave.name.clone(), location(slave))
     };
     if slave.axes > 0 {
-        let (outputs, inputs) = axis::pdos(slave.axes);
+        let (mut outputs, inputs) = axis::pdos(slave.axes);
+        for axis in fed_forward(config, &slave.name) {
+            let address = TORQUE_OFFSET.on_axis(axis);
+            if let (Some(address), Some(pdo)) = (address, outputs.get_mut(usize::from(axis))) {
+                pdo.entries.push(Mapped { address, bits: 16 });
+            }
+        }
         (spec.outputs, spec.inputs) = (Some(outputs), Some(inputs));
         let interpolation = (0..slave.axes).flat_map(|a| axis::interpolation(a, cycle));
         spec.startup.extend(interpolation);
@@ -214,7 +231,7 @@ pub fn check(config: &EthercatConfig) -> Result<(), String> {
     check_segment(config).map_err(named)?;
     Master::new(master_config(config)).map_err(|error| named(error.to_string()))?;
     for slave in &config.slaves {
-        check_slave(slave, config.cycle)
+        check_slave(slave, config)
             .map_err(|what| named(format!("slave {}: {what}", slave.name)))?;
     }
     for arm in &config.arms {
@@ -254,7 +271,8 @@ fn check_segment(config: &EthercatConfig) -> Result<(), String> {
     Ok(())
 }
 
-fn check_slave(slave: &EthercatSlave, cycle: Duration) -> Result<(), String> {
+fn check_slave(slave: &EthercatSlave, config: &EthercatConfig) -> Result<(), String> {
+    let cycle = config.cycle;
     let places = [
         slave.position.is_some(),
         slave.alias.is_some(),
@@ -290,11 +308,11 @@ fn check_slave(slave: &EthercatSlave, cycle: Duration) -> Result<(), String> {
     if let Some(key) = slave.timeouts.out_of_range() {
         return Err(format!("`timeouts.{key}` must be from 1ms to 10min"));
     }
-    check_axes(slave)
+    check_axes(slave, config)
 }
 
 /// PDOs that replace those of the axes must carry the objects for position control.
-fn check_axes(slave: &EthercatSlave) -> Result<(), String> {
+fn check_axes(slave: &EthercatSlave, config: &EthercatConfig) -> Result<(), String> {
     let lacks = |pdos: &Option<Vec<SlavePdo>>, index: u16, axis: u8| {
         let pdos = pdos.as_ref()?;
         let address = Address::new(index, 0).on_axis(axis)?;
@@ -304,6 +322,13 @@ fn check_axes(slave: &EthercatSlave) -> Result<(), String> {
         let mapped = entries.any(|(index, sub, _)| Address::new(*index, *sub) == address);
         (!kept && !mapped).then_some(address)
     };
+    for axis in fed_forward(config, &slave.name) {
+        if let Some(address) = lacks(&slave.outputs, TORQUE_OFFSET.index, axis) {
+            return Err(format!(
+                "axis {axis} of an arm with `feed_forward` has no {address}; map it, 16 bits, or omit `outputs`"
+            ));
+        }
+    }
     for axis in 0..slave.axes {
         let outputs = [0x6040, 0x607A].map(|index| lacks(&slave.outputs, index, axis));
         let inputs = [0x6041, 0x6064].map(|index| lacks(&slave.inputs, index, axis));
@@ -457,6 +482,12 @@ fn check_homing(homing: &EthercatHoming) -> Result<(), String> {
 
 fn check_drive(config: &EthercatConfig, joint: &DriveJoint<String>) -> Result<(), String> {
     if servo(config, &joint.drive).is_some() {
+        if joint.rated_torque.is_some() {
+            return Err(format!(
+                "servo axis {} measures no torque and takes none: leave out `rated_torque`",
+                joint.drive
+            ));
+        }
         return if joint.axis == 0 {
             Ok(())
         } else {

@@ -59,14 +59,14 @@ impl SegmentEvent {
             Self::Emergency(report) if report.emergency.code == 0 => Severity::Info,
             Self::Servo(_, ServoEvent::Homed) => Severity::Info,
             Self::AsExpected | Self::Axis(_, _, AxisEvent::Proven(..)) => Severity::Info,
-            Self::Joint(_, _, JointEvent::OutOfRange { .. }) => Severity::Warning,
+            Self::Joint(_, _, event) if event.is_warning() => Severity::Warning,
             Self::Emergency(_)
             | Self::Difference(_)
             | Self::TooLarge(_)
             | Self::Lack(_)
             | Self::Servo(..)
             | Self::Axis(_, _, AxisEvent::Lack(_) | AxisEvent::DriveFault(_))
-            | Self::Joint(_, _, JointEvent::Runaway(_)) => Severity::Error,
+            | Self::Joint(..) => Severity::Error,
         }
     }
 }

@@ -276,6 +276,7 @@ impl ServoAxis {
             increments: self.increments(),
             refused: false,
             is_homing: !self.is_homed || homing.is_some(),
+            torque: None,
         })
     }
 

@@ -10,12 +10,14 @@ use takt_fri::sunrise::wire::{CommandMode, ControlMode, MonitorData, Name, Quali
 use takt_fri::sunrise::{
     AXES, Demand, IoError, IoLevel, JOINT_NAMES, Phase, Session, SessionConfig, Withheld,
 };
+use takt_net::JointLimits;
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, Io, JointImpedance};
 use takt_net::value::Wrench;
 
 use crate::config::{IiwaIo, IiwaModel};
 use crate::fri::orders::{Gate, answer, error, first, from_wire, to_wire};
 use crate::fri::{Joints, Orders, Protocol, Reception, RefusedOutput, Totals, guard};
+use crate::payload::Weight;
 use takt_core::device::DeviceStatus;
 use takt_core::device::on_end::OutputsOnEnd;
 
@@ -38,6 +40,9 @@ pub struct End {
     io: IiwaIo,
     outputs: Refusals,
     on_end: OutputsOnEnd,
+    /// Of a payload that the cabinet does not know of, and its torques now, Nm.
+    weight: Option<Weight>,
+    held: Joints,
 }
 
 /// Which outputs are refused, digital ones before numbers.
@@ -122,7 +127,47 @@ impl End {
             outputs: Refusals::new(&io),
             io,
             on_end: OutputsOnEnd::default(),
+            weight: None,
+            held: [0.0; AXES],
         }
+    }
+
+    /// Narrows the guard to these limits of the joints.
+    pub(super) fn within(mut self, limits: &[JointLimits]) -> Self {
+        let Guard {
+            torque_nm, wrench, ..
+        } = self.guard;
+        self.guard = guard(JOINT_NAMES, limits, torque_nm, wrench);
+        self.session = Session::new(SessionConfig {
+            guard: self.guard,
+            ..SessionConfig::default()
+        });
+        self
+    }
+
+    /// Holds the weight of a payload by an overlay of torques.
+    pub(super) fn carrying(mut self, weight: Option<Weight>) -> Self {
+        self.weight = weight;
+        self
+    }
+
+    /// The torques that hold the payload now.
+    fn hold_weight(&mut self, now: Duration) {
+        let follows = self.session.phase() == Phase::CommandingActive
+            && self.session.command_mode() == CommandMode::Torque
+            && self.session.is_engaged();
+        let measured = self.measured();
+        if let Some(weight) = &mut self.weight {
+            self.held = weight.torques(measured, follows, now, &self.guard.torque_nm);
+        }
+    }
+
+    /// The torques that nets add and those that hold the payload; the guard's limit holds for both together.
+    fn added(&self) -> Joints {
+        std::array::from_fn(|axis| {
+            let most = self.guard.torque_nm[axis];
+            (self.torque[axis] + self.held[axis]).max(-most).min(most)
+        })
     }
 
     /// Sets the output policies at the end of a net.
@@ -370,6 +415,7 @@ impl Protocol for End {
 
     fn apply(&mut self, has: &Interfaces, orders: &Orders<'_>) {
         self.beyond = None;
+        self.hold_weight(orders.now);
         // Answered again in each cycle, because the robot program does the switching.
         if let Some(given) = has.strategy.and_then(|it| it.command.read(orders.words)) {
             self.answers.strategy = answer(given.cycle, self.take_strategy(given.value));
@@ -421,7 +467,7 @@ impl Protocol for End {
         buffer: &mut [u8],
     ) -> Option<Guarded> {
         let mode = self.session.command_mode();
-        let demand = demand(mode, joints, self.torque, self.wrench);
+        let demand = demand(mode, joints, self.added(), self.wrench);
         let demand = demand.filter(|_| self.session.is_engaged());
         let wanted = demand.unwrap_or(Demand::Hold);
         let brake = |_| Some(brake());

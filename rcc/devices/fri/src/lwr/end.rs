@@ -6,8 +6,9 @@ use std::time::Duration;
 use takt_fri::diagnosis::{Measurement, Observer};
 use takt_fri::error::DecodeError;
 use takt_fri::guard::{Guard, Guarded, Violation};
-use takt_fri::lwr::wire::{Control, Krl, Msr, Quality};
+use takt_fri::lwr::wire::{CmdFlags, Control, Krl, Msr, Quality};
 use takt_fri::lwr::{JOINT_NAMES, Phase, Session, SessionConfig};
+use takt_net::JointLimits;
 use takt_net::device::{Interfaces, Io};
 use takt_net::value::Wrench;
 
@@ -15,7 +16,8 @@ use super::impedance::{Impedance, OrderContext};
 use super::program::Program;
 use super::{TORQUE_MAX, WRENCH_MAX};
 use crate::fri::orders::from_wire;
-use crate::fri::{Joints, Orders, Protocol, Reception, Totals, guard};
+use crate::fri::{AXES, Joints, Orders, Protocol, Reception, Totals, guard};
+use crate::payload::Weight;
 use takt_core::device::DeviceStatus;
 use takt_core::device::on_end::OutputsOnEnd;
 
@@ -29,6 +31,10 @@ pub struct End {
     /// User data to send.
     krl: Krl,
     on_end: OutputsOnEnd,
+    /// Of a payload that the KRC does not know of.
+    weight: Option<Weight>,
+    /// The torques that nets add, Nm.
+    added: Joints,
 }
 
 impl End {
@@ -37,18 +43,49 @@ impl End {
     pub fn new(handshake: Option<takt_fri::lwr::Protocol>) -> Self {
         let limits = super::describe("").limits;
         let guard = guard(JOINT_NAMES, &limits, TORQUE_MAX, WRENCH_MAX);
-        let config = SessionConfig {
-            guard,
-            ..SessionConfig::default()
-        };
         Self {
-            session: Session::new(config),
+            session: session(guard),
             program: Program::new(handshake),
             impedance: Impedance::default(),
             guard,
             krl: Krl::default(),
             on_end: OutputsOnEnd::default(),
+            weight: None,
+            added: [0.0; AXES],
         }
+    }
+
+    /// Narrows the guard to these limits of the joints.
+    pub(super) fn within(mut self, limits: &[JointLimits]) -> Self {
+        self.guard = guard(JOINT_NAMES, limits, TORQUE_MAX, WRENCH_MAX);
+        self.session = session(self.guard);
+        self
+    }
+
+    /// Holds the weight of a payload in joint impedance.
+    pub(super) fn carrying(mut self, weight: Option<Weight>) -> Self {
+        self.weight = weight;
+        self
+    }
+
+    /// Adds the weight of the payload to the torques that nets add; the guard's limit holds for both together.
+    fn add_weight(&mut self, now: Duration) -> CmdFlags {
+        let context = self.context();
+        let measured = self.measured();
+        let Some(weight) = &mut self.weight else {
+            return CmdFlags::NONE;
+        };
+        let follows = context.phase == Phase::Command
+            && context.control == Control::JointImpedance
+            && context.flags.contains(CmdFlags::JNTTRQ);
+        let most = &self.guard.torque_nm;
+        let torques = weight.torques(measured, follows, now, most);
+        let fields = self.session.fields_mut();
+        let both = self.added.iter().zip(torques).zip(most);
+        for (field, ((added, torque), most)) in fields.joint_torque.iter_mut().zip(both) {
+            *field = (added + torque).max(-most).min(*most);
+        }
+        CmdFlags::JNTTRQ
     }
 
     /// Sets the output policies at the end of a net.
@@ -105,6 +142,13 @@ impl End {
     }
 }
 
+fn session(guard: Guard) -> Session {
+    Session::new(SessionConfig {
+        guard,
+        ..SessionConfig::default()
+    })
+}
+
 impl Protocol for End {
     type Quality = Quality;
 
@@ -156,10 +200,14 @@ impl Protocol for End {
         self.program.turn(has, orders, received, &mut self.krl);
         *self.session.krl_mut() = self.krl;
         let context = self.context();
-        let taken = (self.session.fields_mut(), &self.guard);
-        self.impedance.apply(has, orders, &context, taken);
+        let fields = self.session.fields_mut();
+        fields.joint_torque = self.added;
+        self.impedance
+            .apply(has, orders, &context, (&mut *fields, &self.guard));
+        self.added = fields.joint_torque;
         // Refused in command mode: then answers keep the fields with which it was entered.
-        let _in_command = self.session.choose(self.impedance.chosen());
+        let chosen = self.impedance.chosen() | self.add_weight(orders.now);
+        let _in_command = self.session.choose(chosen);
     }
 
     fn report(&self, has: &Interfaces, signals: &mut [u64]) {
