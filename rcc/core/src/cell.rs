@@ -334,7 +334,7 @@ impl CellConfig {
         for driver in devices.iter_mut().chain(&mut buses) {
             let tools = rest.tool.iter().filter(|tool| tool.mass > 0.0);
             for tool in tools {
-                // Nobody else has it yet.
+                // It is not shared yet.
                 if let Some(driver) = Arc::get_mut(driver) {
                     driver.carry(&tool.device, &tool.body());
                 }

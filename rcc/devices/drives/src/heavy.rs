@@ -15,7 +15,7 @@ const LEAST_KG: f64 = 0.75;
 const SHARE: f64 = 0.3;
 /// Share of the squared torques that the weight must explain.
 const LIKENESS: f64 = 0.6;
-/// Least torque of 1 kg, Nm: poses in which the load has hardly a lever tell nothing.
+/// Least torque of 1 kg, Nm: poses in which the load has hardly a lever show nothing.
 const LEVER: f64 = 1.5;
 
 /// The comparison.

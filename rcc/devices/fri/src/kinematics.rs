@@ -87,7 +87,7 @@ fn unlike<'a>(
             let rot = columns[at].rot;
             Vector3::new(rot.x, rot.y, rot.z)
         };
-        // To the axis before, and to that before it: the former does not tell its direction.
+        // To the axis before, and to that before it: the former does not show its direction.
         std::array::from_fn::<_, AXES, _>(|at| {
             [1, 2].map(|back| {
                 at.checked_sub(back)

@@ -13,7 +13,7 @@ use crate::kinematics::JOINTS_MAX;
 const LOAD: usize = 4;
 /// A joint slower than this may stick: its torque says nothing of the load, rad/s.
 const MOVES: f64 = 0.005;
-/// Greatest ratio of the singular values, with columns of length 1, of a motion that tells all parameters apart.
+/// Greatest ratio of the singular values, with columns of length 1, of a motion that separates all parameters.
 const CONDITION_MAX: f64 = 300.0;
 /// Uncertainty of the mass, kg and as a share of it, beyond which it is refused: three standard deviations.
 const MASS_UNSURE: f64 = 0.15;
@@ -54,7 +54,7 @@ pub enum WeighError {
     Few(usize),
     /// Mass, centre and friction look alike in this motion.
     #[error(
-        "the motion does not tell mass and centre of mass apart (condition {0:.0}, at most {CONDITION_MAX:.0})\nhint: begin in a bent pose, away from limits, and swing wider, so that the flange points sideways, up and down"
+        "the motion does not separate mass and centre of mass (condition {0:.0}, at most {CONDITION_MAX:.0})\nhint: begin in a bent pose, away from limits, and swing wider, so that the flange points sideways, up and down"
     )]
     Motion(f64),
     /// The mass is too uncertain.
