@@ -15,8 +15,8 @@ from conftest import program
 pin: Any = pytest.importorskip("pinocchio", reason="needs the package pin")
 data: Any = pytest.importorskip("cmeel", reason="needs the package example-robot-data")
 
-STATES = 10_000
-"""Random states of each arm."""
+STATES = 1000
+"""Random states of each of the ten arms."""
 
 ROBOTS = pathlib.Path(data.__file__).parent.parent / "cmeel.prefix/share/example-robot-data/robots"
 
