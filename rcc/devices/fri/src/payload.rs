@@ -89,7 +89,8 @@ mod tests {
         let bent = [0.0, std::f64::consts::FRAC_PI_2, 0.0, 0.0, 0.0, 0.0, 0.0];
         let most = [100.0; AXES];
         let at = Duration::from_millis;
-        assert_eq!(arm.torques(Some(bent), false, at(0), &most), [0.0; AXES]);
+        let is_none = |torques: Joints| torques.iter().all(|torque| torque.abs() < 1e-12);
+        assert!(is_none(arm.torques(Some(bent), false, at(0), &most)));
         assert!(arm.torques(Some(bent), true, at(10), &most)[1].abs() < 1e-9);
         let half = arm.torques(Some(bent), true, at(260), &most)[1];
         let whole = arm.torques(Some(bent), true, at(600), &most)[1];
@@ -98,7 +99,7 @@ mod tests {
         assert!((whole.abs() - 3.0 * 9.80665 * lever).abs() < 0.5, "{whole}");
         let capped = arm.torques(Some(bent), true, at(700), &[5.0; AXES])[1];
         assert!((capped.abs() - 5.0).abs() < 1e-12, "{capped}");
-        assert_eq!(arm.torques(None, true, at(800), &most), [0.0; AXES]);
+        assert!(is_none(arm.torques(None, true, at(800), &most)));
         assert!(
             arm.torques(Some(bent), true, at(900), &most)[1].abs() < 1e-9,
             "it rises again"
