@@ -12,7 +12,7 @@ mod message;
 mod session;
 
 pub use admission::{Admission, Answer, Limits, Lost, Query, check_key};
-pub use id::{Boot, Entropy, Nonce, OpenId, random};
+pub use id::{Boot, Entropy, Nonce, OpenId, Txn, random};
 pub use message::{
     CommandRequest, LossPolicy, NAME_BYTES_MAX, Refusal, Reply, SessionRequest, to_json,
 };

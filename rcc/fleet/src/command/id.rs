@@ -72,3 +72,7 @@ pub fn random() -> Entropy {
         (half(0) << 64) | half(1)
     })
 }
+id!(
+    Txn,
+    "Number of one coordinated start, chosen by its initiator."
+);
