@@ -36,7 +36,7 @@ pub struct Reading {
     pub tai: Nanos,
     /// See `before`.
     pub after: Nanos,
-    /// TAI minus UTC as the kernel was told, s; 0 if nobody did.
+    /// TAI minus UTC as configured in the kernel, s; 0 if it is not.
     pub tai_utc_s: i32,
     /// Whether the kernel counts its clock as not synchronised (`STA_UNSYNC`).
     pub unsynchronised: bool,
@@ -140,7 +140,7 @@ pub struct Tai {
     pub offset: Nanos,
     /// By how much it may be wrong.
     pub uncertainty: Nanos,
-    /// TAI minus UTC as the kernel was told, s.
+    /// TAI minus UTC as configured in the kernel, s.
     pub tai_utc_s: i32,
 }
 

@@ -91,7 +91,7 @@ pub fn of_cell(cell: &CellName, settings: &FleetSettings) -> Entries {
         &settings.connect,
         &limits,
     );
-    // A cell runs on when nobody is there, and tries again.
+    // A cell runs on without a peer, and tries again.
     entries.push(("connect/exit_on_failure", json!(false)));
     entries.push(("connect/timeout_ms", json!(0)));
     entries.extend(tls(tls_files(settings).as_ref()));
@@ -99,7 +99,7 @@ pub fn of_cell(cell: &CellName, settings: &FleetSettings) -> Entries {
     entries
 }
 
-/// The zenoh configuration of a program that is no cell. It listens nowhere, and fails if nobody answers.
+/// The zenoh configuration of a program that is no cell. It listens nowhere, and fails if no peer answers.
 ///
 /// # Errors
 /// If an endpoint is not one, or is beyond loopback without certificates.

@@ -13,7 +13,7 @@
 //!                                   running: silence of a partner for 100 ms: partner lost  (6) Participant::poll
 //! ```
 //!
-//! What is promised: nobody begins without everybody's arm; nobody begins at another instant than T because a message was late, early,
+//! What is promised: no cell begins without the arms of all; none begins at another instant than T because a message was late, early,
 //! repeated or of an earlier run; a participant that begins alone, since the last arm reached only some, learns so within 100 ms.
 //! No protocol promises that all begin or none when the network fails in the last moment (the problem of the two generals).
 

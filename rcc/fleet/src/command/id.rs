@@ -1,4 +1,4 @@
-//! Numbers of 128 bits that nobody can guess or meet twice: boot ids, nonces, ids of openings. In messages they are 32
+//! Numbers of 128 bits that cannot be guessed and do not repeat: boot ids, nonces, ids of openings. In messages they are 32
 //! hexadecimal digits, since a JSON number loses digits in many programs. They encrypt nothing.
 
 use std::fmt;
@@ -58,7 +58,7 @@ id!(
     "The client's number of one opening, by which a repeated request opens no second session."
 );
 
-/// Source of numbers that nobody can guess; tests pass their own.
+/// Source of numbers that cannot be guessed; tests pass their own.
 pub type Entropy = Box<dyn FnMut() -> u128 + Send>;
 
 /// Numbers from a keyed hash (SipHash) of a counter; its key of 128 bits comes from the operating system once.

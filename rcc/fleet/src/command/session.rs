@@ -173,7 +173,7 @@ impl Session {
     }
 }
 
-/// Tells commands of one number apart; the session is the client's own, so nobody gains from a collision.
+/// Distinguishes commands of one number; the session is the client's own, so that a collision harms no other client.
 fn content(line: &str) -> u64 {
     let mut hasher = DefaultHasher::new();
     line.hash(&mut hasher);

@@ -125,7 +125,7 @@ fn subjects(settings: &FleetSettings) -> (Vec<Value>, Vec<Value>) {
     (subjects, policies)
 }
 
-/// The rules of rights. Whoever has one sees telemetry: a command without its effect in sight is no right.
+/// The rules of rights. A client with any of them sees telemetry: a command without its effect in sight is no right.
 fn of_rights(rights: &[FleetRight]) -> Vec<&'static str> {
     let mut rules = vec![
         "own-out",

@@ -141,7 +141,7 @@ impl Initiator {
         self.failed.get_or_insert(Outcome::Refused { cell, why });
     }
 
-    /// What is due; to be called until it returns `None`. `tai` is the present instant of TAI of whoever runs this: if it is wrong,
+    /// What is due; to be called until it returns `None`. `tai` is the present instant of TAI of the host that runs this: if it is wrong,
     /// the participants refuse its start as late or too far ahead.
     pub fn poll(&mut self, tai: Nanos, now: Nanos) -> Option<Goal> {
         if self.goals.is_empty() {

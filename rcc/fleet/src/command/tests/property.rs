@@ -30,7 +30,7 @@ enum Step {
     Broadcast {
         back: usize,
     },
-    /// Somebody sends a command without knowing a nonce.
+    /// A client sends a command without knowing a nonce.
     Forge {
         session: u32,
         seq: u64,
