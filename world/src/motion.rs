@@ -5,6 +5,8 @@ use std::time::Duration;
 
 /// A hand that posts nothing goes on for this long, s; then it stands still.
 const EXTRAPOLATION_MAX_S: f64 = 0.02;
+/// The same of a base, which is slower, and whose thread has less priority.
+const BASE_EXTRAPOLATION_MAX_S: f64 = 0.1;
 /// A faster move between two posts is a jump: the hand stands at the new pose at once, without a speed, m/s.
 const SPEED_MAX: f64 = 20.0;
 
@@ -20,6 +22,8 @@ struct Post {
 #[derive(Debug, Clone)]
 pub(crate) struct Motion {
     posts: Option<[Post; 2]>,
+    /// How long it goes on beyond the last post, s.
+    beyond_max_s: f64,
     /// Posts that were refused: not finite, or of a time before the last.
     pub(crate) refused: u64,
 }
@@ -28,7 +32,15 @@ impl Motion {
     pub(crate) const fn new() -> Self {
         Self {
             posts: None,
+            beyond_max_s: EXTRAPOLATION_MAX_S,
             refused: 0,
+        }
+    }
+
+    pub(crate) const fn of_base() -> Self {
+        Self {
+            beyond_max_s: BASE_EXTRAPOLATION_MAX_S,
+            ..Self::new()
         }
     }
 
@@ -72,8 +84,8 @@ impl Motion {
         let [first, last] = self.posts?;
         if at >= last.at || first.at >= last.at {
             let beyond = at.saturating_sub(last.at).as_secs_f64();
-            let pose = moved(&last.pose, &last.twist, beyond.min(EXTRAPOLATION_MAX_S));
-            let twist = if beyond > EXTRAPOLATION_MAX_S {
+            let pose = moved(&last.pose, &last.twist, beyond.min(self.beyond_max_s));
+            let twist = if beyond > self.beyond_max_s {
                 Twist::default()
             } else {
                 last.twist

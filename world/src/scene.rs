@@ -25,7 +25,7 @@ pub(crate) const STEP_S: f64 = 0.000_25;
 /// Longest time simulated in one call; a host that stalls longer loses the rest.
 const CATCH_UP_MAX: Duration = Duration::from_secs(2);
 /// A base that changes its velocity at once by more throws off what it carries, m/s.
-const JOLT: f64 = 0.5;
+const JOLT: f64 = 1.0;
 /// Fingers this much wider than a body do not hold it, m.
 const OPEN: f64 = 0.000_3;
 /// The bit turns at most this far between two posts, rad.
@@ -127,7 +127,7 @@ impl BaseState {
             name,
             pose,
             twist: Twist::default(),
-            motion: Motion::new(),
+            motion: Motion::of_base(),
         }
     }
 }

@@ -37,7 +37,7 @@ fn down(x: f64, y: f64, z: f64) -> Pose {
 /// | surface `bench` | x 0.1 to 0.7, y -0.75 to 0.75, z 0 |
 /// | surface `floor` | z -0.75 |
 /// | base `base` | at x 2.0 at first. Its surface `deck`: x -0.25 to 0.25, y -0.3 to 0.3, z 0.05 |
-/// | dock `dock` | at x 1.0, y 0, for `base`: guides from 60 mm on, its switch is closed within 4 mm and 10 mrad |
+/// | dock `dock` | at x 0.95, y 0, for `base`: guides from 60 mm on, its switch is closed within 4 mm and 10 mrad |
 /// | body `box_1`, `box_2` | on the deck at x -0.13 and 0.12, 0.2 x 0.36 x 0.1, 1.2 kg; grips on the walls at y = +-0.175, 40 mm above its centre, 10 mm wide, closed along y, with notches |
 /// | body `peg` | in `box_1`, 0.2 kg, 30 x 30 x 80 mm, radius of the peg 10 mm; grip 20 mm above its centre |
 /// | body `socket` | in `box_2`, 0.6 kg, 60 x 60 x 50 mm; grip 10 mm above its centre, 60 mm wide |
@@ -74,7 +74,7 @@ pub fn assembly(seed: u64) -> Result<World, BuildError> {
         .dock(DockConfig {
             name: "dock".into(),
             base: "base".into(),
-            pose: at(1.0, 0.0, 0.0),
+            pose: at(0.95, 0.0, 0.0),
             guides_m: 0.06,
             tolerance_m: DOCK[0],
             tolerance_rad: DOCK[1],

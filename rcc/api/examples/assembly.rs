@@ -27,8 +27,8 @@ const DOWN: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 const FORTH: [f64; 4] = [-HALF, 0.0, 0.0, HALF];
 const BACK: [f64; 4] = [HALF, 0.0, 0.0, HALF];
 /// From where the base starts to the dock, m, and where each box stands then and on the bench, x, m.
-const DOCK: f64 = -1.0;
-const BOXES: [[f64; 2]; 2] = [[0.87, 0.22], [1.12, 0.53]];
+const DOCK: f64 = -1.05;
+const BOXES: [[f64; 2]; 2] = [[0.82, 0.22], [1.07, 0.53]];
 /// Half the distance of the grips of a box, m, and their height on the platform and on the bench.
 const GRIP: f64 = 0.175;
 const HEIGHTS: [f64; 2] = [0.14, 0.09];
@@ -241,12 +241,17 @@ impl Station {
         let [a, b] = &self.hands;
         perform("open", together([a.move_to(0.08), b.move_to(0.05)]))?;
         // One after the other: both arms come over the boxes.
-        for (arm, hand, at, width) in [
-            (left, a, [sockets, 0.0, 0.06], 0.06),
-            (right, b, [pegs, 0.0, 0.1], 0.03),
+        for (arm, hand, at, width, missing) in [
+            (left, a, [sockets, 0.0, 0.06], 0.06, "box 2 has no socket"),
+            (right, b, [pegs, 0.0, 0.1], 0.03, "box 1 has no peg"),
         ] {
             perform("reach the part", self.reach(arm, at))?;
-            perform("grasp the part", hand.grasp(width, GRASP[1]))?;
+            if let Err(error) = perform("grasp the part", hand.grasp(width, GRASP[1])) {
+                let [x, y, z] = at;
+                perform("leave the box", self.lin(arm, [x, y, z + 0.2], DOWN))?;
+                let text = "fill the box, and assemble again; the other hand keeps what it holds";
+                return Err(format!("{missing}: {error}\nhint: {text}").into());
+            }
             let [x, y, z] = at;
             let [_, beside, _] = arm.base().position();
             let up = self.round(self.lin(arm, [x, y, z + 0.2], DOWN));
