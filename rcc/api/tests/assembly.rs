@@ -1,5 +1,10 @@
 //! The example `assembly` against the truth of its world: what was lifted, inserted and driven, and with which forces.
 #![cfg(feature = "embedded")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test may fail anywhere, and shows what happened"
+)]
 
 #[allow(dead_code, reason = "tests call what `main` calls")]
 #[path = "../examples/assembly.rs"]
