@@ -1,5 +1,7 @@
 //! Sessions on the network, over zenoh. No real-time thread calls anything here: all of it allocates, locks and blocks.
 
+pub mod member;
+
 pub use zenoh;
 
 use zenoh::Wait as _;

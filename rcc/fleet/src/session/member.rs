@@ -1,0 +1,264 @@
+//! A cell as a member of a fleet: its liveliness token, its telemetry, its resources and its commands, in three threads of its own.
+//! It knows no controller: what it publishes and executes comes from a [`Cell`]. It starts nothing on several cells at one instant.
+//!
+//! Callbacks of zenoh only pass queries to bounded queues, since zenoh reads the link in the thread that calls back. A full queue refuses
+//! the query at once. The instant of a command is that at which it leaves the queue, so that one that waited too long is refused.
+
+mod commands;
+mod publish;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use serde_json::Value;
+use takt_core::Nanos;
+use zenoh::Wait as _;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::query::Query;
+
+use super::{SessionError, open};
+use crate::command::{Boot, Limits, Lost, random};
+use crate::config::{FleetSettings, of_cell};
+use crate::keys::{CellKeys, CellName};
+
+/// Period of telemetry, and of the search for another cell of the same name.
+pub const TELEMETRY_PERIOD: Duration = Duration::from_secs(1);
+
+/// Most topics of telemetry of a cell; the others are left out, and the log says so.
+pub const TOPICS_MAX: usize = 1024;
+
+/// Queries that wait for a thread; more are refused.
+const QUEUE: usize = 64;
+
+/// How long another cell of the same name has for its answer.
+const CLASH_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// A topic of telemetry: the rest of its key behind `takt/<cell>/`, and its value now.
+pub type Topic = (String, Value);
+
+/// What a controller offers to a fleet. Its functions are called in threads of the member, never in real-time ones; each must return
+/// within a fraction of the life of a nonce, and must not wait for a motion.
+pub trait Cell: Send + Sync + 'static {
+    /// Now on the monotonic clock of the controller.
+    fn now(&self) -> Nanos;
+    /// What the cell is: version, devices, periods. The member adds its name and the boot id.
+    fn info(&self) -> serde_json::Map<String, Value>;
+    /// All topics; what has changed since the last call is published.
+    fn telemetry(&self) -> Vec<Topic>;
+    /// The resource of this path, such as `nets`; `None` if there is none.
+    fn resource(&self, path: &str) -> Option<Value>;
+    /// A session was opened by this client.
+    fn opened(&self, session: u32, client: &str);
+    /// Executes a DirectIO line and returns its reply lines.
+    fn execute(&self, session: u32, line: &str) -> Vec<String>;
+    /// A session was closed by its client.
+    fn closed(&self, session: u32);
+    /// A session was lost: its nets end as it demands.
+    fn lost(&self, lost: Lost);
+}
+
+/// Why a cell does not join.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum JoinError {
+    /// The session cannot be opened or a key not declared.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Another controller answers with this name.
+    #[error(
+        "another controller of this fleet has the name `{0}`\nhint: set another fleet.cell in one of the two cell files"
+    )]
+    Clash(CellName),
+    /// The host has no thread left.
+    #[error("cannot start a thread of the fleet: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// What the threads share.
+struct Shared {
+    keys: CellKeys,
+    boot: Boot,
+    cell: Arc<dyn Cell>,
+    session: zenoh::Session,
+    ends: AtomicBool,
+    clashes: AtomicBool,
+}
+
+impl Shared {
+    fn ends(&self) -> bool {
+        self.ends.load(Ordering::Acquire)
+    }
+
+    fn info(&self) -> String {
+        let mut info = self.cell.info();
+        info.insert("cell".to_owned(), self.keys.cell().as_str().into());
+        info.insert("boot".to_owned(), self.boot.to_string().into());
+        Value::Object(info).to_string()
+    }
+
+    /// Whether another controller answers at the key of this cell.
+    fn finds_clash(&self) -> bool {
+        let get = self.session.get(self.keys.info());
+        let get = get.allowed_destination(zenoh::sample::Locality::Remote);
+        let Ok(replies) = get.timeout(CLASH_TIMEOUT).wait() else {
+            return false;
+        };
+        let mut clashes = false;
+        while let Ok(reply) = replies.recv() {
+            let value = reply
+                .result()
+                .ok()
+                .map(|sample| sample.payload().to_bytes());
+            let info = value.and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok());
+            // Through a router the own answer may come back.
+            clashes |= info.is_some_and(|info| info["boot"] != self.boot.to_string());
+        }
+        clashes
+    }
+}
+
+/// A cell in a fleet. Dropping it leaves: sessions of clients are lost by their policies.
+pub struct Member {
+    shared: Arc<Shared>,
+    token: Option<LivelinessToken>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl std::fmt::Debug for Member {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Member")
+            .field("cell", self.shared.keys.cell())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Member {
+    /// Joins. No other member needs to be there: links are made when others come.
+    ///
+    /// # Errors
+    /// If an address cannot be bound, or another controller that is reachable has the same name.
+    pub fn join(
+        name: &CellName,
+        settings: &FleetSettings,
+        limits: Limits,
+        cell: Arc<dyn Cell>,
+    ) -> Result<Self, JoinError> {
+        let session = open(&of_cell(name, settings))?;
+        let shared = Arc::new(Shared {
+            keys: CellKeys::new(name.clone()),
+            boot: Boot(random()()),
+            cell,
+            session,
+            ends: AtomicBool::new(false),
+            clashes: AtomicBool::new(false),
+        });
+        if shared.finds_clash() {
+            return Err(JoinError::Clash(name.clone()));
+        }
+        let mut member = Self {
+            shared: Arc::clone(&shared),
+            token: None,
+            threads: Vec::new(),
+        };
+        let keys = &shared.keys;
+        let reads = queue(&shared, &[keys.info(), keys.of("resource/**")])?;
+        let commands = queue(&shared, &[keys.cmd_session(), keys.cmd_directio()])?;
+        member.spawn("fleet-read", move |shared| publish::answer(&shared, &reads))?;
+        member.spawn("fleet-cmd", move |shared| {
+            commands::serve(&shared, &commands, limits);
+        })?;
+        member.spawn("fleet-pub", |shared| publish::publish(&shared))?;
+        // At last: who sees it can query.
+        let token = shared.session.liveliness().declare_token(keys.alive());
+        member.token = Some(
+            token
+                .wait()
+                .map_err(SessionError::of("cannot declare the cell alive"))?,
+        );
+        Ok(member)
+    }
+
+    /// This run of the controller, as its clients name it.
+    #[must_use]
+    pub fn boot(&self) -> Boot {
+        self.shared.boot
+    }
+
+    /// Whether another controller with the name of this one was there at the last search.
+    #[must_use]
+    pub fn clashes(&self) -> bool {
+        self.shared.clashes.load(Ordering::Acquire)
+    }
+
+    fn spawn(
+        &mut self,
+        name: &str,
+        run: impl FnOnce(Arc<Shared>) + Send + 'static,
+    ) -> Result<(), std::io::Error> {
+        let shared = Arc::clone(&self.shared);
+        let thread = std::thread::Builder::new().name(name.to_owned());
+        self.threads.push(thread.spawn(move || run(shared))?);
+        Ok(())
+    }
+}
+
+impl Drop for Member {
+    fn drop(&mut self) {
+        self.token = None;
+        self.shared.ends.store(true, Ordering::Release);
+        for thread in self.threads.drain(..) {
+            thread.thread().unpark();
+            if thread.join().is_err() {
+                tracing::error!("a thread of the fleet has panicked");
+            }
+        }
+        if let Err(why) = self.shared.session.close().wait() {
+            tracing::warn!("the session of the fleet did not close in order: {why}");
+        }
+    }
+}
+
+/// A queue of the queries to these keys.
+fn queue(shared: &Arc<Shared>, keys: &[String]) -> Result<Receiver<Query>, SessionError> {
+    let (sender, receiver) = sync_channel(QUEUE);
+    for key in keys {
+        let sender: SyncSender<Query> = sender.clone();
+        let take = move |query: Query| {
+            let (TrySendError::Full(query) | TrySendError::Disconnected(query)) =
+                match sender.try_send(query) {
+                    Ok(()) => return,
+                    Err(refused) => refused,
+                };
+            refuse(
+                &query,
+                "too many queries wait\nhint: send it again later, and fewer at a time",
+            );
+        };
+        let queryable = shared.session.declare_queryable(key).callback(take);
+        queryable
+            .background()
+            .wait()
+            .map_err(SessionError::of("cannot answer queries"))?;
+    }
+    Ok(receiver)
+}
+
+/// Replies that a query was refused; a client that has gone meanwhile does not get it.
+fn refuse(query: &Query, why: &str) {
+    if let Err(error) = query.reply_err(why).wait() {
+        tracing::debug!("no client takes a refusal any more: {error}");
+    }
+}
+
+/// Sends a reply.
+fn reply(query: &Query, key: &str, text: String) {
+    if let Err(error) = query.reply(key, text).wait() {
+        tracing::debug!("no client takes a reply any more: {error}");
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,220 @@
+//! Two cells and an observer in one process, over loopback. The cells have a clock that a test sets, so that no nonce expires by chance.
+
+use std::net::TcpListener;
+use std::sync::Mutex;
+use std::sync::atomic::AtomicI64;
+
+use serde_json::json;
+use zenoh_ext::{AdvancedSubscriberBuilderExt as _, HistoryConfig};
+
+use super::*;
+use crate::command::{
+    CommandRequest, LossPolicy, Nonce, OpenId, Refusal, Reply, SessionRequest, to_json,
+};
+use crate::config::{FleetMode, FleetRight, FleetRule, Observer, of_observer};
+use crate::keys::{ALL_ALIVE, cell_of_alive};
+
+/// Upper bound for a reply that must arrive.
+const ARRIVES: Duration = Duration::from_secs(20);
+/// For replies that must not arrive.
+const DENIED: Duration = Duration::from_millis(500);
+
+#[derive(Default)]
+struct Bench {
+    now: AtomicI64,
+    executed: Mutex<Vec<String>>,
+    lost: Mutex<Vec<u32>>,
+}
+
+impl Cell for Bench {
+    fn now(&self) -> Nanos {
+        Nanos(self.now.load(Ordering::SeqCst))
+    }
+
+    fn info(&self) -> serde_json::Map<String, Value> {
+        serde_json::Map::from_iter([("version".to_owned(), json!("1"))])
+    }
+
+    fn telemetry(&self) -> Vec<Topic> {
+        vec![("device/left/state".to_owned(), json!("operational"))]
+    }
+
+    fn resource(&self, path: &str) -> Option<Value> {
+        (path == "nets").then(|| json!([1, 2]))
+    }
+
+    fn opened(&self, _session: u32, _client: &str) {}
+
+    fn execute(&self, _session: u32, line: &str) -> Vec<String> {
+        self.executed.lock().unwrap().push(line.to_owned());
+        vec![format!("did {line}")]
+    }
+
+    fn closed(&self, _session: u32) {}
+
+    fn lost(&self, lost: Lost) {
+        self.lost.lock().unwrap().push(lost.session);
+    }
+}
+
+fn free_endpoint() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    format!("tcp/{}", listener.local_addr().unwrap())
+}
+
+/// The router of a line: a cell at which the others and the tools arrive.
+fn router(endpoint: &str) -> FleetSettings {
+    FleetSettings {
+        mode: FleetMode::Router,
+        listen: Some(vec![endpoint.to_owned()]),
+        allow: vec![FleetRule {
+            certificates: Vec::new(),
+            rights: vec![FleetRight::Read, FleetRight::Command],
+        }],
+        ..FleetSettings::default()
+    }
+}
+
+fn joined(name: &str, settings: &FleetSettings, cell: &Arc<Bench>) -> Result<Member, JoinError> {
+    let cell: Arc<dyn Cell> = Arc::<Bench>::clone(cell);
+    let name = CellName::new(name).unwrap();
+    Member::join(&name, settings, Limits::default(), cell)
+}
+
+fn observer(endpoint: &str) -> zenoh::Session {
+    let observer = Observer {
+        connect: vec![endpoint.to_owned()],
+        tls: None,
+    };
+    open(&of_observer(&observer).unwrap()).unwrap()
+}
+
+/// The values of all replies, and the texts of all refusals.
+fn ask(from: &zenoh::Session, key: &str, payload: &str, timeout: Duration) -> Vec<String> {
+    let replies = from.get(key).payload(payload).timeout(timeout).wait();
+    let replies = replies.unwrap();
+    let texts = std::iter::from_fn(|| replies.recv().ok()).map(|reply| {
+        let bytes = match reply.result() {
+            Ok(sample) => sample.payload().to_bytes().into_owned(),
+            Err(error) => error.payload().to_bytes().into_owned(),
+        };
+        String::from_utf8(bytes).unwrap()
+    });
+    texts.collect()
+}
+
+fn call(from: &zenoh::Session, key: &str, payload: &str) -> Reply {
+    let replies = ask(from, key, payload, ARRIVES);
+    serde_json::from_str(&replies[0]).unwrap()
+}
+
+fn alive(from: &zenoh::Session) -> Vec<String> {
+    let tokens = from.liveliness().get(ALL_ALIVE).timeout(ARRIVES).wait();
+    let tokens = tokens.unwrap();
+    let keys = std::iter::from_fn(|| tokens.recv().ok());
+    let mut names: Vec<_> = keys
+        .filter_map(|reply| {
+            let sample = reply.into_result().ok()?;
+            cell_of_alive(sample.key_expr().as_str()).map(str::to_owned)
+        })
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn two_cells_are_seen_read_and_found_by_late_joiner() {
+    let endpoint = free_endpoint();
+    let (first, second) = (Arc::new(Bench::default()), Arc::new(Bench::default()));
+    let a = joined("cell-a", &router(&endpoint), &first).unwrap();
+    let settings = FleetSettings {
+        connect: vec![endpoint.clone()],
+        ..FleetSettings::default()
+    };
+    let b = joined("cell-b", &settings, &second).unwrap();
+    let observer = observer(&endpoint);
+    while alive(&observer) != ["cell-a", "cell-b"] {
+        std::thread::yield_now();
+    }
+    let nets = "takt/cell-a/resource/nets";
+    assert_eq!(ask(&observer, nets, "", ARRIVES), ["[1,2]"]);
+    let none = ask(&observer, "takt/cell-a/resource/x", "", ARRIVES);
+    assert_eq!(none, ["there is no resource `x`"]);
+    assert_eq!(ask(&observer, "takt/*/info", "", ARRIVES).len(), 2);
+    // Published once, before this subscriber came.
+    let history = HistoryConfig::default().detect_late_publishers();
+    let subscriber = observer.declare_subscriber("takt/cell-a/device/left/state");
+    let subscriber = subscriber.history(history).wait().unwrap();
+    let sample = subscriber.recv_timeout(ARRIVES).unwrap().unwrap();
+    assert_eq!(*sample.payload().to_bytes(), *b"\"operational\"");
+    drop(b);
+    while alive(&observer) != ["cell-a"] {
+        std::thread::yield_now();
+    }
+    assert!(!a.clashes());
+}
+
+#[test]
+fn second_cell_of_a_name_is_refused() {
+    let endpoint = free_endpoint();
+    let bench = Arc::new(Bench::default());
+    let _first = joined("cell-a", &router(&endpoint), &bench).unwrap();
+    let settings = FleetSettings {
+        connect: vec![endpoint],
+        ..FleetSettings::default()
+    };
+    let error = joined("cell-a", &settings, &bench).unwrap_err();
+    assert!(matches!(error, JoinError::Clash(_)), "{error}");
+    let other = joined("cell-b", &settings, &bench);
+    assert!(other.is_ok(), "{other:?}");
+}
+
+/// Opens a session and returns its number and nonce.
+fn opened(from: &zenoh::Session, boot: Boot) -> (u32, Nonce) {
+    let open = SessionRequest::Open {
+        boot,
+        open: OpenId(1),
+        client: "panel".to_owned(),
+        on_loss: LossPolicy::Cancel,
+    };
+    match call(from, "takt/cell-a/cmd/session", &to_json(&open)) {
+        Reply::Granted { session, nonce, .. } => (session, nonce),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn command_repeated_or_late_or_to_all_cells_is_not_executed() {
+    let endpoint = free_endpoint();
+    let bench = Arc::new(Bench::default());
+    let cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
+    let observer = observer(&endpoint);
+    let (session, nonce) = opened(&observer, cell.boot());
+    let request = |seq| {
+        to_json(&CommandRequest {
+            boot: cell.boot(),
+            session,
+            seq,
+            nonce,
+            not_after_ns: i64::MAX,
+            line: "nets".to_owned(),
+        })
+    };
+    let key = "takt/cell-a/cmd/directio";
+    for _ in 0..2 {
+        let done = call(&observer, key, &request(1));
+        assert!(matches!(done, Reply::Done { seq: 1, .. }), "{done:?}");
+    }
+    let wild = ask(&observer, "takt/*/cmd/directio", &request(2), DENIED);
+    assert!(wild.len() == 1 && wild[0].contains("wildcard"), "{wild:?}");
+    assert_eq!(*bench.executed.lock().unwrap(), ["nets"]);
+    bench.now.store(600_000_000, Ordering::SeqCst);
+    let late = call(&observer, key, &request(2));
+    let Reply::Refused { reason, .. } = late else {
+        panic!("{late:?}");
+    };
+    assert_eq!(reason, Refusal::NoSession { session });
+    drop(cell);
+    assert_eq!(*bench.lost.lock().unwrap(), [session]);
+    assert_eq!(*bench.executed.lock().unwrap(), ["nets"]);
+}
