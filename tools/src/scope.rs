@@ -51,6 +51,7 @@ const WRITE_HZ: f64 = 10.0;
   outside left.joint.0.error -0.1deg 0.1deg
   net:swing=RUNNING                  when a net or machine enters a state
   fault left, overrun nets           when a device faults, a thread misses cycles
+  event left, event machine:cell     when a driver reports an event, a state changes
 
 Examples:
   takt scope --list left

@@ -22,6 +22,10 @@ const KEEP_SAVED: &str = "window.saved = null; URL.createObjectURL = blob => { b
 const PIXELS: &str = "(() => { const canvas = document.querySelector('canvas.space'); if (!canvas) return 0; \
     let sum = 1; for (const letter of canvas.toDataURL()) sum = (sum * 31 + letter.charCodeAt(0)) % 1000003; return sum; })()";
 
+/// What the last picture of the 3-D view has.
+const CONTENTS: &str =
+    "JSON.parse(document.querySelector('canvas.space')?.dataset.contents ?? '{}')";
+
 /// A browser; notes the skip of `test` without one.
 fn browser(test: &str) -> Option<Browser> {
     Browser::start()
@@ -140,13 +144,91 @@ fn cell_view_of_factory_shows_all_that_it_has() {
     ] {
         assert!(has(label), "{label} is missing in {labels}");
     }
-    // Trails grow and a ghost is where a robot is commanded to be: the picture without them differs.
-    std::thread::sleep(std::time::Duration::from_secs(3));
+    let objects = browser.value(&format!("{CONTENTS}.objects.sort().join()"));
+    assert_eq!(objects, "column,pedestal,screws,supply,table");
+    // Trails of the tools grow while the arms move, and end when they are cleared.
+    let trails = format!("Object.values({CONTENTS}.trails).filter(it => it > 20).length >= 2");
+    wait(&mut browser, &trails);
+    // A ghost stands beside its arm: the arms follow their set-points late.
+    browser.value(&format!(
+        "window.ghosts = {{}}; window.watching = setInterval(() => {{ for (const [name, it] of Object.entries({CONTENTS}.ghosts ?? {{}})) \
+           window.ghosts[name] = Math.hypot(...it.at.map((v, n) => v - it.measured[n])); }}, 20); true"
+    ));
+    wait(
+        &mut browser,
+        "Object.values(window.ghosts).some(apart => apart > 1e-4 && apart < 0.3)",
+    );
     browser.picture("factory-light-1280");
-    browser.resize(390, 844, true);
-    std::thread::sleep(std::time::Duration::from_secs(1));
-    browser.picture("factory-dark-390");
+    assert_switch_hides(
+        &mut browser,
+        "commanded ghost",
+        "Object.keys(it.ghosts).length === 0",
+    );
+    assert_switch_hides(&mut browser, "trail", "Object.keys(it.trails).length === 0");
+    for (name, width, height, is_dark) in [
+        ("factory-dark-1280", 1280, 900, true),
+        ("factory-light-390", 390, 844, false),
+        ("factory-dark-390", 390, 844, true),
+    ] {
+        browser.resize(width, height, is_dark);
+        std::thread::sleep(std::time::Duration::from_secs(1));
+        browser.picture(name);
+    }
     assert_eq!(browser.errors, [""; 0]);
+}
+
+/// Switches a part of the picture off, waits for a picture without it, and switches it on again.
+#[track_caller]
+fn assert_switch_hides(browser: &mut Browser, label: &str, is_hidden: &str) {
+    let press = format!(
+        "[...document.querySelectorAll('.row label')].find(it => it.textContent.trim() === '{label}').querySelector('input').click(); true"
+    );
+    browser.value(&press);
+    wait(browser, &format!("(it => {is_hidden})({CONTENTS})"));
+    browser.value(&press);
+}
+
+#[test]
+fn cell_view_shows_contact_force_as_arrow() {
+    let _alone = alone();
+    steady(|| {
+        let Some(mut browser) = browser("cell_view_shows_contact_force_as_arrow") else {
+            return;
+        };
+        let mut cell = Cell::start();
+        // A spring 2 cm below the flange, into which the arm bends.
+        let args = ["emulate", "lwr", "--connect", &cell.udp, "--contact"];
+        let _arm = Process::start(&[&args[..], &["spring:0.02"]].concat());
+        cell.process.wait_for("now=operational");
+        browser.open(&format!("http://{}/#cell", cell.http));
+        wait(
+            &mut browser,
+            "/^left\\tflange\\t-?\\d/m.test(document.body.innerText)",
+        );
+        assert_eq!(
+            browser.value(&format!("Object.keys({CONTENTS}.forces).length")),
+            0
+        );
+        let moving = motion(&cell);
+        wait(&mut browser, &format!("{CONTENTS}.forces.left > 2"));
+        let label = "document.querySelector('.space-labels .force')?.textContent ?? ''";
+        wait(&mut browser, &format!("/^\\d.* N$/.test({label})"));
+        // The arrow's length and label are those of the force that the controller has.
+        browser.picture("force-light-1280");
+        let shown = browser.value(&format!(
+            "(async () => {{ const force = {CONTENTS}.forces.left, row = [...document.querySelectorAll('td')].map(it => it.textContent); \
+             return [force, Number(row[6])]; }})()"
+        ));
+        let [arrow, table] = [0, 1].map(|at| shown[at].as_f64().unwrap());
+        assert!((arrow - table).abs() < 0.5 * arrow.max(table), "{shown}");
+        assert_switch_hides(
+            &mut browser,
+            "forces",
+            "Object.keys(it.forces).length === 0",
+        );
+        drop(moving);
+        assert_eq!(browser.errors, [""; 0]);
+    });
 }
 
 /// An arm of two joints: a box as its base, a good mesh, and one that is cut off beside a sphere.

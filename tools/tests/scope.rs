@@ -1,7 +1,11 @@
 //! `takt scope` against a peer that speaks the scope's messages: samples in files, captures, losses, lost connections, wrong names;
 //! and against a controller with an emulated arm.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot go on ends"
+)]
 
 mod common;
 #[path = "common/terminal.rs"]
@@ -275,6 +279,48 @@ fn scope_lost_controller_keeps_what_came() {
     let output = peer.scope(&["--probe=a.b", "--json"]);
     expect_status(&output, 2);
     assert!(complaint(&output).contains("the controller sent a frame of 17 bytes"));
+}
+
+#[test]
+fn scope_shows_figures_of_fri_connection() {
+    let _alone = alone();
+    steady(|| {
+        let mut cell = Cell::start();
+        let _arm = cell.arm();
+        let connect = ["--connect", cell.http.as_str()];
+        let list = run(&[&["scope", "--list", "left.fri"], &connect[..]].concat());
+        let list = expect_status(&list, 0);
+        for name in [
+            "quality",
+            "state",
+            "lost",
+            "malformed",
+            "answer_time",
+            "phase_error",
+        ] {
+            assert!(list.contains(&format!("left.fri.{name}")), "{name}: {list}");
+        }
+        let folder = Folder::new();
+        let file = folder.file("fri.csv");
+        let probes = ["left.fri.state", "left.fri.quality", "left.fri.answer_time"];
+        let args = ["--duration", "500ms", "--csv", &file];
+        let shown = run(&[&["scope", "--probe"][..], &probes, &args, &connect].concat());
+        expect_status(&shown, 0);
+        let text = std::fs::read_to_string(&file).unwrap();
+        let last: Vec<f64> = text
+            .lines()
+            .last()
+            .unwrap()
+            .split(',')
+            .map(|it| it.parse().unwrap())
+            .collect();
+        let [_, state, quality, answer] = last[..] else {
+            panic!("{text}");
+        };
+        assert!((state - 2.0).abs() < 0.1, "command mode: {state}");
+        assert!((1.0..=3.0).contains(&quality), "{quality}");
+        assert!(answer > 0.0 && answer < 1.0, "{answer}");
+    });
 }
 
 #[test]

@@ -26,7 +26,7 @@ use takt_rt::Nanos;
 
 use continuity::Jumped;
 use last_stage::Limited;
-pub use parts::Part;
+pub use parts::{Figure, Part};
 use rejected::Rejected;
 pub(crate) use surroundings::Surroundings;
 pub use table::{Device, DevicePorts, DeviceTable};

@@ -247,7 +247,7 @@ impl Lwr {
             ..KrcConfig::default()
         };
         let krc = Krc::new(config, Duration::ZERO);
-        let description = lwr::describe("arm").with(lwr::PARTS);
+        let description = lwr::describe("arm").with(&lwr::parts());
         Self::of(description, lwr::End::new(handshake), krc)
     }
 

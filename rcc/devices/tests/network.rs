@@ -23,6 +23,7 @@ use takt_can::link::{Link, LinkError, Received};
 use takt_can::linux::{LivePort, monotonic};
 use takt_core::device::driver::{DeviceDriver as _, DeviceEnd, DriverEnds};
 use takt_core::device::{DeviceCommand, DeviceState, DeviceStatus};
+use takt_core::probe::{Mode, ScopeEvent, ScopeRequest, TriggerKind, TriggerRequest};
 use takt_core::{CellConfig, Controller};
 use takt_device_drives::{DriveArm, DriveJoint, Recovery};
 use takt_devices::canopen::{Canopen, check, describe};
@@ -272,6 +273,77 @@ fn canopen_network_reports_load_of_its_bus() {
     );
     assert!((load.load().unwrap() - measured / 1e6).abs() < 1e-9);
     assert!(load.bits_per_s_max >= load.bits_per_s);
+}
+
+/// A capture that an event of the driver starts shows the drive's words before and after its fault.
+#[test]
+fn canopen_statuswords_and_bus_figures_are_probes() {
+    steady(|| {
+        let bench = TestBench::new();
+        let controller = &bench.cell().controller;
+        let states = &controller.probes("arm.joint.1.drive_state").probes[0].states;
+        let names: Vec<_> = State::ALL.iter().map(ToString::to_string).collect();
+        assert_eq!(states[..], names[..]);
+        let request = ScopeRequest {
+            trigger: Some(TriggerRequest {
+                on: TriggerKind::Event,
+                probe: Some("arm".to_owned()),
+                level: None,
+                hysteresis: None,
+                low: None,
+                high: None,
+                equals: None,
+            }),
+            mode: Mode::Single,
+            pre_s: 0.3,
+            post_s: 0.5,
+            ..ScopeRequest::of(&[
+                "arm.joint.1.statusword",
+                "arm.joint.1.drive_state",
+                "arm.joint.0.statusword",
+                "arm.can.received",
+                "arm.can.latency",
+                "arm.events",
+            ])
+        };
+        let mut scope = controller.scope(&request).unwrap();
+        assert!(scope.rejected().is_empty(), "{:?}", scope.rejected());
+        let begin = monotonic();
+        let (mut rows, mut cause, mut is_faulty) = (Vec::new(), String::new(), false);
+        while !scope.is_done() {
+            let passed = monotonic() - begin;
+            assert!(passed < Duration::from_secs(60), "no event: {cause}");
+            // Time for rows before it.
+            if !is_faulty && passed > Duration::from_secs(1) {
+                is_faulty = true;
+                bench.axis(1, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
+            }
+            scope.read(passed);
+            while let Some(event) = scope.poll_event() {
+                match event {
+                    ScopeEvent::Triggered { cause: found, .. } => cause = found,
+                    ScopeEvent::Frame(frame) => {
+                        rows.extend(frame.iter().map(|(_, row)| row.to_vec()));
+                    }
+                    _ => {}
+                }
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        assert!(cause.starts_with("arm.events changed to "), "{cause}");
+        let bits = |row: &[f64], column: usize, mask: u64| row[column] as u64 & mask;
+        let (first, last) = (&rows[0], &rows[rows.len() - 1]);
+        assert_eq!((bits(first, 0, 0x6F), first[1]), (0x27, 4.0), "{first:?}");
+        assert_eq!((bits(last, 0, 0x4F), last[1]), (0x08, 7.0), "{last:?}");
+        assert_eq!(
+            (bits(first, 2, 0x6F), bits(last, 2, 0x4F) == 0x08),
+            (0x27, false),
+            "the other drive has no fault"
+        );
+        assert!(last[3] > first[3], "frames are received");
+        assert!(rows.iter().all(|row| row[4] >= 0.0), "latencies");
+        assert!(last[5] > first[5], "events");
+    });
 }
 
 #[test]

@@ -20,8 +20,9 @@ pub use image::{
     SIGNAL_WORDS_MAX, StopVote,
 };
 pub use interface::{
-    Answer, Base, CartesianImpedance, CartesianPosition, CartesianSine, Gripper, GripperCommand,
-    Homing, Interfaces, Io, JointImpedance, JointTorque, Order, Output, ServoGripper, Tool, Wheel,
+    Answer, Base, CartesianImpedance, CartesianPosition, CartesianSine, Figure, Gripper,
+    GripperCommand, Homing, Interfaces, Io, JointImpedance, JointTorque, Order, Output,
+    ServoGripper, Tool, Wheel,
 };
 pub use owner::Target;
 pub use signal::{Command, Given, Layout, Signal, Words, is_in_force, withhold};

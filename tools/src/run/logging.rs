@@ -2,6 +2,7 @@
 //! error as text; to the page; and into a recording. What is logged can be changed while it runs.
 
 use std::fmt::Write as _;
+use std::io::IsTerminal as _;
 use std::os::linux::fs::MetadataExt as _;
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -74,7 +75,9 @@ impl Logging {
     pub(super) fn start(cell: Option<&str>, book: &LogBook) -> anyhow::Result<Self> {
         let (filter, handle) = reload::Layer::new(filter(cell)?);
         let book = book.clone();
-        let kept = fmt::layer().with_writer(move || book.clone());
+        // Colours are for terminals: readers of the kept lines split and show them as they are.
+        let kept = fmt::layer().with_ansi(false);
+        let kept = kept.with_writer(move || book.clone());
         let recorded = Recorded::default();
         let log = tracing_subscriber::registry();
         let log = log.with(filter).with(kept).with(recorded.clone());
@@ -85,7 +88,9 @@ impl Logging {
                 log.with(journal).init();
             }
             text => {
-                log.with(fmt::layer().with_writer(std::io::stderr)).init();
+                let is_terminal = std::io::stderr().is_terminal();
+                let shown = fmt::layer().with_ansi(is_terminal);
+                log.with(shown.with_writer(std::io::stderr)).init();
                 if let Some(Err(error)) = text {
                     complain(&format!("warning: no journal, the log is text: {error}"));
                 }

@@ -7,6 +7,7 @@
 //!         | "state" probe name | probe "=" name
 //!         | probe ">" level | probe "<" level
 //!         | "fault" device
+//!         | "event" ( device | machine | net )
 //!         | "overrun" [ thread ]
 //! ```
 //! A level is a number, with or without a unit. A name with blanks is in quotation marks.
@@ -108,7 +109,7 @@ pub(super) fn parse(text: &str) -> Result<Trigger, String> {
 }
 
 const FORMS: &str = "write a condition such as `left.joint.6.commanded > 0.5`, `rising left.force.z 10`, \
-    `outside left.joint.0.error -1mm 1mm`, `fault left`, `overrun nets`, `net:swing=RUNNING`";
+    `outside left.joint.0.error -1mm 1mm`, `fault left`, `event left`, `overrun nets`, `net:swing=RUNNING`";
 
 /// `probe > level`, `probe < level`, `probe = state`.
 fn comparison(probe: Token, words: &mut Words) -> Result<Trigger, String> {
@@ -174,6 +175,18 @@ fn condition(kind: &Token, words: &mut Words) -> Result<Trigger, String> {
             ),
             ..Trigger::default()
         }),
+        "event" => Ok(Trigger {
+            on: "event",
+            probe: Some(
+                words
+                    .any(
+                        "a device, machine or net is expected",
+                        "write `event left`, `event machine:cell` or `event net:swing`",
+                    )?
+                    .text,
+            ),
+            ..Trigger::default()
+        }),
         "overrun" => Ok(Trigger {
             on: "overrun",
             probe: words.tokens.next().map(|thread| thread.text),
@@ -185,7 +198,7 @@ fn condition(kind: &Token, words: &mut Words) -> Result<Trigger, String> {
         }
         _ => {
             let known = LEVELS.into_iter().chain(WINDOWS);
-            let known = known.chain(["state", "fault", "overrun"]);
+            let known = known.chain(["state", "fault", "event", "overrun"]);
             let similar = takt_net::fault::similar(word, known);
             let meant = similar.map_or_else(String::new, |it| format!("; did you mean `{it}`?"));
             let cause = format!("`{word}` is no kind of trigger{meant}");

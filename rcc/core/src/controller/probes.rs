@@ -323,11 +323,12 @@ impl Registry {
             }
             TriggerKind::Overrun if name.is_empty() => format!("thread:{first}.missed"),
             TriggerKind::Overrun if !has(".missed") => format!("{name}.missed"),
-            TriggerKind::State
+            TriggerKind::State | TriggerKind::Event
                 if (name.starts_with("net:") || name.starts_with("machine:")) && !has(".state") =>
             {
                 format!("{name}.state")
             }
+            TriggerKind::Event if !has(".events") && !has(".state") => format!("{name}.events"),
             TriggerKind::Above
             | TriggerKind::Below
             | TriggerKind::Rising
@@ -336,6 +337,7 @@ impl Registry {
             | TriggerKind::Outside
             | TriggerKind::State
             | TriggerKind::Fault
+            | TriggerKind::Event
             | TriggerKind::Overrun => name.to_owned(),
         }
     }

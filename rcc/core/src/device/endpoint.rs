@@ -102,6 +102,14 @@ impl Endpoint {
             .check(reported, |number| *limits.get(number)?);
     }
 
+    /// Reports figures, those from number `first` on; `None` is not known.
+    pub fn report_figures(&mut self, first: usize, values: impl IntoIterator<Item = Option<f64>>) {
+        let places = self.interfaces.figures.iter().skip(first);
+        for (figure, value) in places.zip(values) {
+            figure.place.report(&mut self.reported.signals, value);
+        }
+    }
+
     /// Publishes the state.
     pub fn publish(&mut self) {
         let reported = &self.reported;

@@ -29,6 +29,11 @@ impl LinkErrors {
         self.count.fetch_add(1, Ordering::Release);
     }
 
+    /// Number of failed sends and receives.
+    pub fn failed(&self) -> u64 {
+        self.count.load(Ordering::Relaxed)
+    }
+
     /// Notes an error of a system link.
     pub fn note_io(&self, error: &io::Error) {
         self.note(error.raw_os_error().unwrap_or(nix::libc::EIO));
@@ -102,7 +107,7 @@ impl LinkWatch {
 
     /// Number of failed sends and receives.
     pub fn failed(&self) -> u64 {
-        self.errors.count.load(Ordering::Relaxed)
+        self.errors.failed()
     }
 
     /// The change since the last call.

@@ -4,13 +4,69 @@
 use serde::{Deserialize, Serialize};
 use takt_net::device::{
     Base, CartesianPosition, Gripper, Homing, Interfaces, Io, JointTorque, Layout, Order,
-    ServoGripper,
+    ServoGripper, interface,
 };
 
 use crate::device::ARM_JOINTS_MAX;
 
+/// A number that a driver reports about its drives or its wire, for people to look at: its name within the device, its unit, and
+/// the names of the states that it numbers.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Figure {
+    /// Such as `joint.0.statusword`; unique in the device.
+    pub name: String,
+    /// SI unit; empty if it has none.
+    pub unit: String,
+    /// If it is the number of a state: the names of all, by number.
+    pub states: Vec<String>,
+}
+
+impl Figure {
+    /// A count, or another number without a unit.
+    #[must_use]
+    pub fn number(name: impl Into<String>) -> Self {
+        Self {
+            name: name.into(),
+            ..Self::default()
+        }
+    }
+
+    /// A number with that unit.
+    #[must_use]
+    pub fn with_unit(name: impl Into<String>, unit: &str) -> Self {
+        Self {
+            unit: unit.to_owned(),
+            ..Self::number(name)
+        }
+    }
+
+    /// A time, s.
+    #[must_use]
+    pub fn time(name: impl Into<String>) -> Self {
+        Self::with_unit(name, "s")
+    }
+
+    /// The number of one of these states.
+    #[must_use]
+    pub fn state(name: impl Into<String>, states: impl IntoIterator<Item = impl ToString>) -> Self {
+        let states = states.into_iter().map(|state| state.to_string());
+        Self {
+            states: states.collect(),
+            ..Self::number(name)
+        }
+    }
+}
+
+/// These parts, and figures.
+#[must_use]
+pub fn with_figures(parts: &[Part], figures: impl IntoIterator<Item = Figure>) -> Vec<Part> {
+    let figures = Part::Figures(figures.into_iter().collect());
+    parts.iter().cloned().chain([figures]).collect()
+}
+
 /// A part of a device besides its joints.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
     /// It is a mobile base.
@@ -63,6 +119,8 @@ pub enum Part {
     Homing,
     /// An oscillation of its tool in Cartesian impedance can be commanded.
     CartesianSine,
+    /// Its driver reports numbers about its drives and its wire.
+    Figures(Vec<Figure>),
 }
 
 /// Allocates the signal and command words of these parts of a device with `joints` joints. The same parts in the same
@@ -107,6 +165,15 @@ pub fn lay(parts: &[Part], joints: usize, layout: &mut Layout) -> Interfaces {
             Part::ServoGripper => has.servo_gripper = Some(ServoGripper::new(layout)),
             Part::Homing => has.homing = Some(Homing::new(layout)),
             Part::CartesianSine => has.cartesian_sine = Some(Order::new(layout)),
+            Part::Figures(ref figures) => {
+                let place = |figure: &Figure| interface::Figure {
+                    name: figure.name.as_str().into(),
+                    unit: figure.unit.as_str().into(),
+                    states: figure.states.clone().into(),
+                    place: layout.signal(),
+                };
+                has.figures = figures.iter().map(place).collect();
+            }
         }
     }
     has

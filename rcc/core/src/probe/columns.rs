@@ -208,6 +208,12 @@ impl Columns {
         for (n, flags) in has.drives.iter().flat_map(|it| it.iter()).enumerate() {
             self.signal(&format!("drive.{n}.flags"), "", *flags);
         }
+        for figure in has.figures.iter() {
+            self.signal(&figure.name, &figure.unit, figure.place);
+            if let Some(column) = self.all.last_mut() {
+                column.states = Arc::clone(&figure.states);
+            }
+        }
     }
 }
 

@@ -57,7 +57,7 @@ pub enum Mode {
 pub struct TriggerRequest {
     /// Its kind.
     pub on: TriggerKind,
-    /// The probe that it watches; for `fault` a device, for `overrun` a thread.
+    /// The probe that it watches; for `fault` a device, for `event` a device, machine or net, for `overrun` a thread.
     #[serde(default)]
     pub probe: Option<String>,
     /// Of `above`, `below`, `rising` and `falling`, in the unit of the probe.
@@ -98,6 +98,8 @@ pub enum TriggerKind {
     State,
     /// A device stops following commands.
     Fault,
+    /// A driver reports an event, or a machine or a net enters another state.
+    Event,
     /// A thread misses cycles.
     Overrun,
 }
@@ -115,6 +117,7 @@ impl TriggerKind {
             Self::Outside => "outside",
             Self::State => "state",
             Self::Fault => "fault",
+            Self::Event => "event",
             Self::Overrun => "overrun",
         }
     }
@@ -232,7 +235,7 @@ impl TriggerRequest {
                     return Err(missing("equals", "give the name of a state"));
                 }
             }
-            TriggerKind::Fault => {}
+            TriggerKind::Fault | TriggerKind::Event => {}
             // By default the first net thread.
             TriggerKind::Overrun => return Ok(()),
         }

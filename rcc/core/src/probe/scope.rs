@@ -327,6 +327,7 @@ fn settings(
             Condition::Becomes(state_number(&name, &states, state)?)
         }
         TriggerKind::Fault => Condition::Increases,
+        TriggerKind::Event => Condition::Changes,
         TriggerKind::Overrun => Condition::Positive,
     };
     Ok(Settings {

@@ -58,6 +58,8 @@ pub enum Condition {
     Becomes(f64),
     /// The value becomes greater than it was.
     Increases,
+    /// The value becomes another one than it was.
+    Changes,
     /// The value is greater than 0.
     Positive,
 }
@@ -86,6 +88,7 @@ impl Condition {
             Self::Outside { low, high } => !(low..=high).contains(&value),
             Self::Becomes(state) => value == state && before != Some(state),
             Self::Increases => before.is_some_and(|before| value > before),
+            Self::Changes => before.is_some_and(|before| value != before),
             Self::Positive => value > 0.0,
             Self::Rising { level, hysteresis } => {
                 let holds = past.is_ready && value >= level;
@@ -113,6 +116,7 @@ impl Condition {
             Self::Outside { low, high } => format!("{name} is {value}, outside {low} to {high}"),
             Self::Becomes(_) => format!("{name} is {value}"),
             Self::Increases => format!("{name} increased to {value}"),
+            Self::Changes => format!("{name} changed to {value}"),
             Self::Positive => format!("{name} is {value}"),
         }
     }

@@ -211,7 +211,7 @@ impl Messages {
         }
         let name = NetId(id).to_string();
         let schema = format!("takt_msgs/msg/Values{id}");
-        let text = schemas::of_net(&fields(directory));
+        let text = schemas::of_values(&fields(directory));
         let channel = to.channel(&format!("/takt/nets/{name}"), &schema, &text)?;
         let directory = Arc::clone(directory);
         self.nets.insert(id, {

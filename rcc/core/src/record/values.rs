@@ -40,6 +40,8 @@ struct Field {
     name: String,
     kind: String,
     count: Count,
+    /// The name of its probe within its device, of figures: the comment begins with it.
+    of_probe: Option<String>,
 }
 
 /// The messages of a definition; the outermost has the empty name.
@@ -50,7 +52,8 @@ fn definition(text: &str) -> Definition {
     let mut messages = Definition::new();
     let mut name = String::new();
     for line in text.lines() {
-        let line = line.split('#').next().unwrap_or_default().trim();
+        let (line, comment) = line.split_once('#').unwrap_or((line, ""));
+        let (line, comment) = (line.trim(), comment.split(',').next());
         if let Some(next) = line.strip_prefix("MSG: ") {
             next.trim().clone_into(&mut name);
         }
@@ -73,6 +76,7 @@ fn definition(text: &str) -> Definition {
             name: field.to_owned(),
             kind: kind.to_owned(),
             count,
+            of_probe: comment.map(|name| name.trim().to_owned()),
         });
     }
     messages
@@ -170,6 +174,16 @@ impl Decoder<'_> {
     }
 }
 
+/// The name of the probe of a number in a message of that definition.
+fn named(definition: &Definition, topic: &str, path: &str) -> Option<String> {
+    let Some(device) = topic.strip_suffix("/figures") else {
+        return probe(topic, path);
+    };
+    let field = definition.get("")?.iter().find(|it| it.name == path)?;
+    let of_probe = field.of_probe.as_deref().filter(|it| !it.is_empty())?;
+    Some(format!("{}.{of_probe}", device.trim_start_matches('/')))
+}
+
 /// The name of a probe of a number in a message of that topic; `None` for its time.
 fn probe(topic: &str, path: &str) -> Option<String> {
     if path.contains("stamp.") {
@@ -240,10 +254,11 @@ pub fn numbers(
                 found: Vec::new(),
             };
             if decoder.message("", "", 0).is_some() {
-                let named = decoder.found.into_iter();
-                let named = named.filter_map(|(path, value)| Some((probe(topic, &path)?, value)));
-                let named: Vec<_> = named.collect();
-                each(header.log_time, &named)?;
+                let found = decoder.found.into_iter();
+                let found = found
+                    .filter_map(|(path, value)| Some((named(definition, topic, &path)?, value)));
+                let found: Vec<_> = found.collect();
+                each(header.log_time, &found)?;
             }
         }
         Ok(())
@@ -256,6 +271,24 @@ mod tests {
     use super::*;
     use crate::record::ros2::cdr::Cdr;
     use crate::record::ros2::schemas;
+
+    #[test]
+    fn figures_have_names_of_probes() {
+        let text = "builtin_interfaces/Time stamp\nfloat64 fri_answer_time # fri.answer_time, s\n\
+            float64 joint_0_statusword # joint.0.statusword\nfloat64 odd\n";
+        let known = definition(text);
+        for (path, wanted) in [
+            ("fri_answer_time", Some("left.fri.answer_time")),
+            ("joint_0_statusword", Some("left.joint.0.statusword")),
+            ("odd", None),
+            ("stamp.sec", None),
+        ] {
+            let name = named(&known, "/left/figures", path);
+            assert_eq!(name.as_deref(), wanted, "{path}");
+        }
+        let other = named(&known, "/left/other", "odd");
+        assert_eq!(other.as_deref(), Some("left.other.odd"));
+    }
 
     fn decoded(text: &str, data: &[u8]) -> Option<Vec<(String, f64)>> {
         let mut decoder = Decoder {

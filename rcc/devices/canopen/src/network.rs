@@ -2,6 +2,7 @@
 //! until three quarters of it are over, and then steps the arms. Start-up, supervision and SDO transfers, which never
 //! delay a cycle, are in `takt_can::canopen::network`.
 
+mod bus;
 mod events;
 
 use std::mem::{Discriminant, discriminant};
@@ -20,11 +21,12 @@ use takt_can::linux::{Options, SocketCan};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Tick};
 use takt_rt::interface::Medium;
-use takt_rt::ring::{Consumer, Producer, ring};
+use takt_rt::ring::{Consumer, ring};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
 use crate::config::{CanopenConfig, LinkLoss};
+use bus::{BusCounts, EventSender, bus_figures};
 use events::NetworkEvent;
 use takt_can::link::CanLink;
 use takt_can::load::{Load, LoadMeter, LoadReader};
@@ -51,7 +53,7 @@ const EVENTS_MAX: usize = 256;
 #[must_use]
 pub fn describe(config: &CanopenConfig) -> Vec<DeviceDescription> {
     let arms = config.arms.iter();
-    arms.map(|arm| drives::describe(arm, "canopen_arm"))
+    arms.map(|arm| drives::describe(arm, "canopen_arm", bus_figures()))
         .collect()
 }
 
@@ -222,7 +224,7 @@ impl Canopen {
                 Reached::new(&network, node, joint.axis)
             });
             let axes = axes.collect();
-            (Arm::new(arm, config.cycle, end), axes)
+            (Arm::new(arm, config.cycle, end, bus_figures()), axes)
         });
         let arms = arms.collect();
         let (own_events, events) = ring(EVENTS_MAX);
@@ -236,7 +238,8 @@ impl Canopen {
             errors: watch.errors(),
             network,
             arms,
-            events: own_events,
+            events: EventSender::new(own_events),
+            of_bus: bus::BusLoad::new(load.clone()),
             cycle: config.cycle,
             started: false,
             shared: Arc::clone(&shared),
@@ -401,7 +404,8 @@ struct Driver {
     /// The arms, and the axis of each joint.
     arms: Vec<(Arm, Vec<Reached>)>,
     /// Events; unread ones are dropped.
-    events: Producer<NetworkEvent>,
+    events: EventSender,
+    of_bus: bus::BusLoad,
     cycle: Duration,
     started: bool,
     shared: Arc<Shared>,
@@ -436,26 +440,39 @@ impl Driver {
         while let Some(event) = self.network.poll_event() {
             self.report(event);
         }
+        let values = self.bus_values(tick);
         let mut unproven = 0;
         for (number, (arm, axes)) in self.arms.iter_mut().enumerate() {
             let network = &mut self.network;
+            arm.report_bus(values);
             arm.cycle(tick, stopping, |joint, order| {
                 lead(network, axes.get(joint)?, order)
             });
             while let Some((joint, event)) = arm.poll_event() {
-                self.events
-                    .push(NetworkEvent::Joint(number, joint, event))
-                    .ok();
+                self.events.push(NetworkEvent::Joint(number, joint, event));
             }
             for axis in axes {
                 if let Some(event) = axis.proof(network) {
-                    self.events.push(event).ok();
+                    self.events.push(event);
                 }
                 unproven += u64::from(axis.proven.is_none());
             }
         }
         self.shared.unproven.store(unproven, Ordering::Relaxed);
         self.end(tick, stopping)
+    }
+
+    /// The figures of the bus in this cycle.
+    fn bus_values(&self, tick: &Tick) -> [Option<f64>; bus::COUNT] {
+        let count = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        let counts = BusCounts {
+            received: count(&self.shared.received),
+            failed: self.errors.failed(),
+            faults: count(&self.shared.faults),
+            unproven: count(&self.shared.unproven),
+            events: self.events.sent(),
+        };
+        self.of_bus.values(&counts, tick)
     }
 
     fn report(&mut self, event: Event) {
@@ -471,14 +488,14 @@ impl Driver {
             Event::Axis(node) => return self.report_axes(node),
             Event::Phase(..) | Event::Homed(_) | Event::Transferred(..) => return,
         };
-        self.events.push(event).ok();
+        self.events.push(event);
     }
 
     fn report_axes(&mut self, node: NodeId) {
         let axes = self.arms.iter_mut().flat_map(|(_, axes)| axes);
         for axis in axes.filter(|axis| axis.node == node) {
             if let Some(event) = axis.poll_event(&self.network) {
-                self.events.push(event).ok();
+                self.events.push(event);
             }
         }
     }
@@ -560,6 +577,7 @@ fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Optio
         online: running && state.missing <= MISSING_MAX && state.status != Default::default(),
         follows: state.follows,
         state: state.status.state().ok(),
+        status: Some(state.status),
         increments: state.position,
         torque: None,
     })

@@ -10,7 +10,7 @@ use std::fmt;
 use std::time::Duration;
 
 use takt_cia402::proof::Objects;
-use takt_cia402::{Goal, Power, Runaway, Shutdown, State, axis_goal};
+use takt_cia402::{Goal, Power, Runaway, Shutdown, State, StatusWord, axis_goal};
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 
@@ -20,7 +20,7 @@ use crate::driven::{Driven, When, time_of};
 use crate::torque::{Cut, Torques};
 use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::Endpoint;
-use takt_core::device::{ARM_JOINTS_MAX, DeviceStatus};
+use takt_core::device::{ARM_JOINTS_MAX, DeviceStatus, Figure};
 
 /// Faults of drives are reset after this time without a command.
 const REST: Duration = Duration::from_secs(1);
@@ -35,6 +35,8 @@ pub struct Feedback {
     pub follows: bool,
     /// State in 6041h; `None` if the statusword shows none.
     pub state: Option<State>,
+    /// 6041h; `None` of an axis without one.
+    pub status: Option<StatusWord>,
     /// 6064h.
     pub increments: i32,
     /// Whether it gets no power because its process data are not proven.
@@ -156,14 +158,19 @@ enum Return {
 const SETTLE: Duration = Duration::from_millis(200);
 
 impl Arm {
-    /// An arm on a bus with that cycle time.
-    pub fn new<D>(arm: &DriveArm<D>, cycle: Duration, end: DeviceEnd) -> Self {
+    /// An arm on a bus with that cycle time and these figures.
+    pub fn new<D>(
+        arm: &DriveArm<D>,
+        cycle: Duration,
+        end: DeviceEnd,
+        of_bus: impl IntoIterator<Item = Figure>,
+    ) -> Self {
         Self {
             recovery: arm.recovery,
             joints: arm.joints.iter().map(Driven::new).collect(),
             torques: Torques::new(arm),
             period: cycle.into(),
-            end: Endpoint::new(end, &parts(arm), arm.joints.len()),
+            end: Endpoint::new(end, &parts(arm, of_bus), arm.joints.len()),
             commanded: Nanos(0),
             last: None,
             powered: false,
@@ -189,6 +196,12 @@ impl Arm {
     /// Starts or ends a hold by those who give it power: as [`Self::hold`], but no fault unless a net commands the arm.
     pub const fn withhold(&mut self, withheld: bool) {
         self.withheld = withheld;
+    }
+
+    /// Reports the figures of its bus with the next cycle.
+    pub fn report_bus(&mut self, values: impl IntoIterator<Item = Option<f64>>) {
+        let first = 2 * self.joints.len();
+        self.end.report_figures(first, values);
     }
 
     /// The next event of a joint.
@@ -350,6 +363,8 @@ impl Arm {
                 .estimated
                 .report(signals, self.torques.estimated(joint));
         }
+        let words = self.joints.iter().flat_map(Driven::words);
+        self.end.report_figures(0, words);
         self.end.publish();
     }
 }

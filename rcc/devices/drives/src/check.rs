@@ -1,11 +1,13 @@
 //! Checks the configuration of an arm of drives and describes the arm to nets. It does not access drives.
 
+use takt_cia402::State;
 use takt_cia402::proof::Objects;
 use takt_net::JointLimits;
 
 use crate::config::{DriveArm, DriveJoint};
 use crate::torque::Torques;
-use takt_core::device::{ARM_JOINTS_MAX, DeviceDescription, LEAST, MOST, Part};
+use takt_core::device::parts::with_figures;
+use takt_core::device::{ARM_JOINTS_MAX, DeviceDescription, Figure, LEAST, MOST, Part};
 
 /// The limits of a joint as nets see them.
 pub fn limits_of<D>(joint: &DriveJoint<D>) -> JointLimits {
@@ -17,21 +19,31 @@ pub fn limits_of<D>(joint: &DriveJoint<D>) -> JointLimits {
     }
 }
 
-/// Parts of an arm besides its joints.
-#[must_use]
-pub fn parts<D>(arm: &DriveArm<D>) -> Vec<Part> {
+/// The parts of an arm besides its joints: what its drives measure and report, and what its bus does.
+pub fn parts<D>(arm: &DriveArm<D>, of_bus: impl IntoIterator<Item = Figure>) -> Vec<Part> {
+    let of_joint = |n| {
+        [
+            Figure::number(format!("joint.{n}.statusword")),
+            Figure::state(format!("joint.{n}.drive_state"), State::ALL),
+        ]
+    };
     let torques = Torques::is_measuring(arm).then_some(Part::Torques);
-    torques.into_iter().collect()
+    let measured: Vec<_> = torques.into_iter().collect();
+    with_figures(&measured, (0..arm.joints.len()).flat_map(of_joint).chain(of_bus))
 }
 
-/// The arm as a device of that type.
-pub fn describe<D>(arm: &DriveArm<D>, kind: &'static str) -> DeviceDescription {
+/// The arm as a device of that type, whose bus has these figures.
+pub fn describe<D>(
+    arm: &DriveArm<D>,
+    kind: &'static str,
+    of_bus: impl IntoIterator<Item = Figure>,
+) -> DeviceDescription {
     DeviceDescription {
         name: arm.name.clone(),
         kind,
         limits: arm.joints.iter().map(limits_of).collect(),
         model: arm.model.clone(),
-        parts: parts(arm),
+        parts: parts(arm, of_bus),
     }
 }
 

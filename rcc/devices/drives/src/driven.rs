@@ -148,6 +148,17 @@ impl Driven {
             .map_or(Power::Off, Power::from)
     }
 
+    /// The statusword of its drive, and the state that it shows, by its number in the profile's order; null while it is silent.
+    pub(crate) fn words(&self) -> [Option<f64>; 2] {
+        let axis = self.axis.filter(|axis| axis.online);
+        let status = axis.and_then(|axis| axis.status);
+        let state = axis.and_then(|axis| axis.state);
+        [
+            status.map(|status| f64::from(status.raw())),
+            state.map(|state| f64::from(state as u8)),
+        ]
+    }
+
     /// Whether its motor is at standstill, or has no power to move.
     pub(crate) fn is_at_rest(&self, now: Nanos) -> bool {
         let (_, velocity, _) = self.joint.motion();

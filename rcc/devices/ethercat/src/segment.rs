@@ -12,6 +12,8 @@ mod describe;
 mod events;
 mod io;
 mod servo;
+mod units;
+mod wire;
 mod wires;
 mod youbot;
 
@@ -26,7 +28,7 @@ use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Follow, Tick};
 use takt_rt::interface::Medium;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
-use takt_rt::ring::{Consumer, Producer, ring};
+use takt_rt::ring::{Consumer, ring};
 use takt_rt::servo::{Estimate, Servo, ServoConfig};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
@@ -36,18 +38,18 @@ use access::{Access, Inspector};
 use arm::Arm;
 pub use describe::{check, describe, master_config};
 use events::SegmentEvent;
-use io::InOut;
-use servo::ServoAxis;
 use takt_core::Error;
 use takt_core::device::bus::BusAccess;
 use takt_core::device::driver::{
-    DeviceDriver, DeviceEnd, DriverEnds, DriverEvent, DriverThread, SHUTDOWN_MAX,
+    DeviceDriver, DriverEnds, DriverEvent, DriverThread, SHUTDOWN_MAX,
 };
 use takt_core::device::link_watch::{LinkErrors, LinkWatch};
 use takt_device_drives as drives;
+use units::Units;
+use wire::{EventSender, WireNotes};
 pub use wires::{EthernetLink, Wire, Wires, open};
+use youbot::Waiting;
 pub use youbot::{Wait, YouBotFigures};
-use youbot::{Waiting, YouBots};
 
 /// Longest Ethernet payload.
 const FRAME: usize = 1500;
@@ -151,7 +153,8 @@ impl Ethercat {
             clocks: [own_clock, ends.clock],
             shared: Arc::clone(&shared),
             waiting: own_waiting,
-            events: own_events,
+            events: EventSender::new(own_events),
+            wire: WireNotes::default(),
             inspector,
             refused: Refused::default(),
             stop_by: None,
@@ -307,33 +310,6 @@ struct Refused {
     too_large: Option<usize>,
 }
 
-/// What a segment drives, each with its end of a device.
-struct Units {
-    arms: Vec<Arm>,
-    ios: Vec<InOut>,
-    servos: Vec<ServoAxis>,
-    youbots: YouBots,
-}
-
-impl Units {
-    /// In the order of [`describe`].
-    fn new(config: &EthercatConfig, ends: Vec<DeviceEnd>) -> Self {
-        let mut ends = ends.into_iter();
-        let arms = config.arms.iter().zip(&mut ends);
-        let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
-        let ios = config.ios.iter().zip(&mut ends);
-        let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
-        let servos = config.servos.iter().zip(&mut ends);
-        let servos = servos.map(|(servo, end)| ServoAxis::new(config, servo, end));
-        Self {
-            arms,
-            ios,
-            servos: servos.collect(),
-            youbots: YouBots::new(config, &mut ends),
-        }
-    }
-}
-
 struct Driver {
     master: Master,
     /// One, or two of a ring.
@@ -349,7 +325,8 @@ struct Driver {
     shared: Arc<Shared>,
     waiting: LatestWriter<Option<Waiting>>,
     /// Events; unread ones are dropped.
-    events: Producer<SegmentEvent>,
+    events: EventSender,
+    wire: WireNotes,
     inspector: Inspector,
     refused: Refused,
     /// Deadline of the shutdown, once requested.
@@ -415,7 +392,7 @@ impl Driver {
     }
 
     fn send(&mut self, event: SegmentEvent) {
-        self.events.push(event).ok();
+        self.events.push(event);
     }
 
     /// Sends the frame that is due and waits for its answer, or for that of a frame still in flight; false if there
@@ -434,6 +411,7 @@ impl Driver {
                     Err(error) => errors.note_io(&error),
                 }
             }
+            self.wire.sent(now);
             return sent && self.answered(until);
         }
         // The last frame of a burst returns after the burst: if not received now, it would count as lost and be
@@ -457,6 +435,7 @@ impl Driver {
                         looked += 1;
                         is_empty = false;
                         if self.master.handle_frame(number, frame, at) {
+                            self.wire.answered(at);
                             return !left.is_zero();
                         }
                     }
@@ -483,11 +462,15 @@ impl Driver {
             && let Some(event) = self.master.poll_event()
         {
             happened += 1;
-            self.events.push(SegmentEvent::Event(event)).ok();
+            self.events.push(SegmentEvent::Event(event));
         }
         while let Some(emergency) = self.master.poll_emergency() {
-            self.events.push(SegmentEvent::Emergency(emergency)).ok();
+            self.events.push(SegmentEvent::Emergency(emergency));
         }
+        let unproven = self.shared.unproven.load(Ordering::Relaxed);
+        let counted = (unproven, self.events.sent());
+        let values = self.wire.values(&self.master, tick, counted);
+        self.units.report_wire(&values);
         self.units
             .servos
             .iter_mut()
@@ -495,20 +478,16 @@ impl Driver {
         for (number, arm) in self.units.arms.iter_mut().enumerate() {
             arm.cycle(&mut self.master, &mut self.units.servos, tick, stopping);
             while let Some((slave, axis, event)) = arm.poll_event() {
-                self.events
-                    .push(SegmentEvent::Axis(slave, axis, event))
-                    .ok();
+                self.events.push(SegmentEvent::Axis(slave, axis, event));
             }
             while let Some((joint, event)) = arm.poll_joint() {
-                self.events
-                    .push(SegmentEvent::Joint(number, joint, event))
-                    .ok();
+                self.events.push(SegmentEvent::Joint(number, joint, event));
             }
         }
         for (number, servo) in self.units.servos.iter_mut().enumerate() {
             servo.publish(tick);
             while let Some(event) = servo.poll_event() {
-                self.events.push(SegmentEvent::Servo(number, event)).ok();
+                self.events.push(SegmentEvent::Servo(number, event));
             }
         }
         let unproven = self.units.arms.iter().map(Arm::unproven).sum();

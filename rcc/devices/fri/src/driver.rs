@@ -29,7 +29,7 @@ impl DriverConfig for LwrConfig {
     }
 
     fn devices(&self) -> Vec<DeviceDescription> {
-        vec![lwr::describe_config(self).with(lwr::PARTS)]
+        vec![lwr::describe_config(self).with(&lwr::parts())]
     }
 
     fn start(&self, ends: DriverEnds) -> Result<Box<dyn DeviceDriver>, Error> {

@@ -5,6 +5,7 @@
 mod clock;
 mod driver;
 mod events;
+mod figures;
 mod force;
 pub(super) mod orders;
 mod protocol;
@@ -37,6 +38,7 @@ use takt_core::device::DeviceDescription;
 use takt_core::device::driver::{DeviceDriver, DriverEnds, DriverEvent, DriverThread};
 use takt_core::device::link_watch::{LinkErrors, LinkWatch};
 
+pub(super) use figures::figures;
 pub use orders::Orders;
 pub use protocol::{AXES, Joints, Protocol, Reception, RefusedOutput, Totals};
 

@@ -15,6 +15,7 @@ use crate::kinematics;
 use crate::payload::Weight;
 use takt_core::Error;
 use takt_core::device::driver::DriverEnds;
+use takt_core::device::parts::with_figures;
 use takt_core::device::{ArmDescription, Part};
 
 pub use end::End;
@@ -35,7 +36,7 @@ const IOS_MAX: usize = takt_fri::sunrise::wire::IOS_MAX;
 const IO_NAME_MAX: usize = 63;
 
 /// Parts of an iiwa besides its joints. FRI 2.7 reports the force at the tool; for older versions the driver
-/// estimates it from external torques.
+/// estimates it from external torques. Its figures are those of the connection.
 #[must_use]
 pub fn parts(io: &IiwaIo) -> Vec<Part> {
     let mut parts = vec![
@@ -53,7 +54,7 @@ pub fn parts(io: &IiwaIo) -> Vec<Part> {
             real_out: io.real_out.len(),
         });
     }
-    parts
+    with_figures(&parts, fri::figures::<End>())
 }
 
 /// Checks a configuration.

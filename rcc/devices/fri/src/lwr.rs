@@ -16,6 +16,7 @@ use crate::kinematics;
 use crate::payload::Weight;
 use takt_core::Error;
 use takt_core::device::driver::DriverEnds;
+use takt_core::device::parts::with_figures;
 use takt_core::device::{ArmDescription, Part};
 
 pub use end::End;
@@ -73,6 +74,12 @@ pub const PARTS: &[Part] = &[
     },
 ];
 
+/// These parts, and the figures of the connection.
+#[must_use]
+pub fn parts() -> Vec<Part> {
+    with_figures(PARTS, fri::figures::<End>())
+}
+
 /// Checks a configuration.
 ///
 /// # Errors
@@ -104,7 +111,7 @@ impl Lwr {
             priority: config.priority,
             cpus: config.cpus.clone(),
         };
-        let description = describe_config(config).with(PARTS);
+        let description = describe_config(config).with(&parts());
         let weight = Weight::new(&description.model, &config.payload, &config.down);
         let end = End::new(config.handshake)
             .on_end(config.on_end.clone())

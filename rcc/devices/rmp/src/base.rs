@@ -20,7 +20,8 @@ use takt_core::device::continuity::JumpPart;
 use takt_core::device::driver::{BusLoad, DeviceDriver, DriverEnds, DriverEvent, DriverThread};
 use takt_core::device::endpoint::Endpoint;
 use takt_core::device::link_watch::{LinkErrors, LinkWatch};
-use takt_core::device::{DeviceDescription, DeviceStatus, Part};
+use takt_core::device::parts::with_figures;
+use takt_core::device::{DeviceDescription, DeviceStatus, Figure, Part};
 pub use wire::Wire;
 
 /// Largest speed that nets may command, m/s.
@@ -48,13 +49,39 @@ pub fn describe(config: &RmpConfig) -> DeviceDescription {
         kind,
         limits: Vec::new(),
         model: "".into(),
-        parts: vec![Part::Base {
-            wheels,
-            velocity_max: VELOCITY_MAX,
-            rotation_max: ROTATION_MAX,
-        }],
+        parts: with_figures(
+            &[Part::Base {
+                wheels,
+                velocity_max: VELOCITY_MAX,
+                rotation_max: ROTATION_MAX,
+            }],
+            figures(config.links.len()),
+        ),
     }
 }
+
+/// What the driver reports about its power bases and their links.
+fn figures(links: usize) -> Vec<Figure> {
+    let mut all = vec![Figure::number("rmp.received"), Figure::number("rmp.failed")];
+    for link in 0..links.min(2) {
+        all.push(Figure::state(format!("rmp.{link}.state"), WORDS));
+        all.push(Figure::with_unit(format!("rmp.{link}.bit_rate"), "bit/s"));
+    }
+    all
+}
+
+/// States of a power base, by [`code`].
+const WORDS: [&str; 9] = [
+    "none",
+    "silent",
+    "powered off",
+    "configuring",
+    "ready",
+    "emergency stop",
+    "fault",
+    "motors disabled",
+    "mode refused",
+];
 
 /// Checks a configuration.
 ///
@@ -149,6 +176,7 @@ impl Rmp {
         let (meters, loads): (Vec<_>, Vec<_>) = meters.unzip();
         let mut driver = Box::new(Driver {
             meters,
+            loads: loads.clone(),
             errors: links.iter().map(LinkWatch::errors).collect(),
             wires,
             platform: Led::new(config),
@@ -242,17 +270,6 @@ const fn code(state: State) -> u64 {
 }
 
 fn word(state: &AtomicU64) -> &'static str {
-    const WORDS: [&str; 9] = [
-        "none",
-        "silent",
-        "powered off",
-        "configuring",
-        "ready",
-        "emergency stop",
-        "fault",
-        "motors disabled",
-        "mode refused",
-    ];
     let code = state.load(Ordering::Relaxed);
     let index = usize::try_from(code).unwrap_or_default();
     WORDS.get(index).copied().unwrap_or_default()
@@ -262,6 +279,8 @@ struct Driver {
     wires: Vec<Wire>,
     /// One per wire; `None` of a serial port.
     meters: Vec<Option<LoadMeter>>,
+    /// Their readers.
+    loads: Vec<Option<LoadReader>>,
     /// One per wire.
     errors: Vec<Arc<LinkErrors>>,
     platform: Led,
@@ -378,12 +397,29 @@ impl Driver {
                     .report(&mut self.end.reported.signals, Some(rate));
             }
         }
+        self.report_figures();
         self.end.publish();
         self.shared
             .jumps
             .store(self.platform.jumps(), Ordering::Relaxed);
         for (state, to) in self.platform.states().into_iter().zip(&self.shared.states) {
             to.store(state.map_or(0, code), Ordering::Relaxed);
+        }
+    }
+
+    fn report_figures(&mut self) {
+        let count = |count: &AtomicU64| Some(float(count.load(Ordering::Relaxed)));
+        let counted = [&self.shared.frames, &self.shared.failed].map(count);
+        self.end.report_figures(0, counted);
+        let states = self.platform.states().into_iter();
+        let loads = self.loads.iter();
+        for (link, (state, load)) in states.zip(loads).enumerate() {
+            let bits = load.as_ref().and_then(LoadReader::read);
+            let values = [
+                Some(float(state.map_or(0, code))),
+                bits.map(|load| f64::from(load.last)),
+            ];
+            self.end.report_figures(2 + 2 * link, values);
         }
     }
 
@@ -409,6 +445,11 @@ fn pause(wait: Duration) {
     let until = takt_rt::monotonic() + wait.into();
     // Fails only for invalid times.
     takt_rt::sleep_until(until).ok();
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counters below 2^53 are exact")]
+const fn float(count: u64) -> f64 {
+    count as f64
 }
 
 fn report_base(

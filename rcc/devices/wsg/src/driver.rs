@@ -10,7 +10,8 @@ use std::time::Duration;
 use takt_core::Error;
 use takt_core::device::driver::{DeviceDriver, DriverEnds, DriverEvent, DriverThread};
 use takt_core::device::endpoint::Endpoint;
-use takt_core::device::{DeviceDescription, DeviceStatus, Part};
+use takt_core::device::parts::with_figures;
+use takt_core::device::{DeviceDescription, DeviceStatus, Figure, Part};
 use takt_net::device::Answer;
 use takt_rt::Nanos;
 
@@ -34,8 +35,18 @@ pub fn describe(config: &WsgConfig) -> DeviceDescription {
         kind: "schunk_wsg",
         limits: Vec::new(),
         model: "".into(),
-        parts: vec![Part::ServoGripper],
+        parts: parts(),
     }
+}
+
+fn parts() -> Vec<Part> {
+    let figures = [
+        Figure::state("wsg.connection", Contact::WORDS),
+        Figure::number("wsg.connections"),
+        Figure::number("wsg.errors"),
+        Figure::number("events"),
+    ];
+    with_figures(&[Part::ServoGripper], figures)
 }
 
 /// State of the connection, as other threads see it.
@@ -58,6 +69,9 @@ impl Contact {
         Self::Unreachable,
         Self::Lost,
     ];
+
+    /// Their names.
+    const WORDS: [&str; 5] = ["none", "connected", "refused", "unreachable", "lost"];
 
     fn of(code: u64) -> Self {
         let index = usize::try_from(code).unwrap_or_default();
@@ -114,8 +128,9 @@ impl Wsg {
             address: config.address,
             connection: None,
             retry_at: Duration::ZERO,
-            end: Endpoint::new(end, &[Part::ServoGripper], 0),
+            end: Endpoint::new(end, &parts(), 0),
             given: 0,
+            events: 0,
             shared: Arc::clone(&shared),
         });
         let thread = DriverThread::start(
@@ -163,6 +178,11 @@ impl DeviceDriver for Wsg {
         let changed = now != before;
         changed.then(|| Contact::of(now).event(self.address))?
     }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counters below 2^53 are exact")]
+const fn float(count: u64) -> f64 {
+    count as f64
 }
 
 struct Connection {
@@ -227,6 +247,8 @@ struct Driver {
     end: Endpoint,
     /// Number of the last command that was given.
     given: u64,
+    /// Changes of the contact.
+    events: u64,
     shared: Arc<Shared>,
 }
 
@@ -279,10 +301,11 @@ impl Driver {
         self.report(Contact::Lost);
     }
 
-    fn report(&self, contact: Contact) {
+    fn report(&mut self, contact: Contact) {
         let is_new = Contact::of(self.shared.contact.load(Ordering::Relaxed)) != contact;
         if is_new {
             self.shared.contact.store(contact as u64, Ordering::Relaxed);
+            self.events += 1;
         }
     }
 
@@ -347,6 +370,16 @@ impl Driver {
                 gripper.order.answer.report(signals, answer);
             }
         }
+        let Shared {
+            contact,
+            connections,
+            errors,
+            ..
+        } = &*self.shared;
+        let counted = [contact, connections, errors].map(|count| count.load(Ordering::Relaxed));
+        let [contact, connections, errors] = counted;
+        let values = [contact, connections, errors, self.events].map(|it| Some(float(it)));
+        self.end.report_figures(0, values);
         self.end.publish();
     }
 

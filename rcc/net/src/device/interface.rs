@@ -316,6 +316,19 @@ pub struct JointTorque {
     pub measured: Signal<f64>,
 }
 
+/// A number that a driver reports about its drives or its wire. It is for people to look at: no primitive reads it.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    /// Its name within the device, such as `joint.0.statusword`.
+    pub name: Arc<str>,
+    /// SI unit; empty if it has none.
+    pub unit: Arc<str>,
+    /// If it is the number of a state: the names of all, by number.
+    pub states: Arc<[String]>,
+    /// Where it is.
+    pub place: Signal<f64>,
+}
+
 /// The interfaces of a device beside joints, as found by its name during loading.
 #[derive(Clone, Debug, Default)]
 pub struct Interfaces {
@@ -347,4 +360,6 @@ pub struct Interfaces {
     pub wrench: Option<Signal<Wrench>>,
     /// Its drives report flags, by drive.
     pub drives: Option<Arc<[Signal<i32>]>>,
+    /// What its driver reports about its drives and its wire.
+    pub figures: Arc<[Figure]>,
 }

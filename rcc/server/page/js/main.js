@@ -8,19 +8,20 @@ import { connectStop, pollStop } from "./stop.js";
 
 /** The views, in the order of the navigation. Each module is loaded when its view is first opened, so that a view that a browser
  * cannot run takes no other with it.
- * @type {{ id: string, title: string, load: () => Promise<{ view: View }> }[]} */
+ * `needs` are the modules that it imports, and these import: they are fetched at once, not one after the other.
+ * @type {{ id: string, title: string, load: () => Promise<{ view: View }>, needs: string[] }[]} */
 const VIEWS = [
-  { id: "overview", title: "Overview", load: () => import("./view_overview.js") },
-  { id: "cell", title: "Cell", load: () => import("./view_3d.js") },
-  { id: "plots", title: "Plots", load: () => import("./view_plots.js") },
-  { id: "nets", title: "Nets", load: () => import("./view_nets.js") },
-  { id: "machines", title: "Machines", load: () => import("./view_machines.js") },
-  { id: "devices", title: "Devices", load: () => import("./view_devices.js") },
-  { id: "jog", title: "Jog", load: () => import("./view_jog.js") },
-  { id: "buses", title: "Buses", load: () => import("./view_buses.js") },
-  { id: "threads", title: "Threads", load: () => import("./view_threads.js") },
-  { id: "flights", title: "Flights", load: () => import("./view_flights.js") },
-  { id: "log", title: "Log", load: () => import("./view_log.js") },
+  { id: "overview", title: "Overview", load: () => import("./view_overview.js"), needs: [] },
+  { id: "cell", title: "Cell", load: () => import("./view_3d.js"), needs: ["camera", "geometry", "live", "math3", "meshes", "scene", "scope", "scopes", "solids", "stl", "webgl"] },
+  { id: "plots", title: "Plots", load: () => import("./view_plots.js"), needs: ["plot", "plot_input", "probe_picker", "samples", "scope", "scopes", "trigger"] },
+  { id: "nets", title: "Nets", load: () => import("./view_nets.js"), needs: ["net_graph", "rule_graph", "svg"] },
+  { id: "machines", title: "Machines", load: () => import("./view_machines.js"), needs: ["svg"] },
+  { id: "devices", title: "Devices", load: () => import("./view_devices.js"), needs: ["view_overview"] },
+  { id: "jog", title: "Jog", load: () => import("./view_jog.js"), needs: ["directio", "jog", "view_overview"] },
+  { id: "buses", title: "Buses", load: () => import("./view_buses.js"), needs: ["view_overview"] },
+  { id: "threads", title: "Threads", load: () => import("./view_threads.js"), needs: [] },
+  { id: "flights", title: "Flights", load: () => import("./view_flights.js"), needs: [] },
+  { id: "log", title: "Log", load: () => import("./view_log.js"), needs: [] },
 ];
 
 /** Interval of the header, ms. */
@@ -91,6 +92,18 @@ const app = {
   picked: () => parts().slice(1),
 };
 
+/** Fetches modules that are about to be imported. @param {string[]} modules */
+function preload(modules) {
+  for (const name of modules) {
+    const href = `/page/js/${name}.js`;
+    if (document.head.querySelector(`link[href="${href}"]`)) continue;
+    const link = make("link");
+    link.setAttribute("rel", "modulepreload");
+    link.setAttribute("href", href);
+    document.head.append(link);
+  }
+}
+
 /** Number of the last change of the view, so that a module that loads slowly replaces no newer view. */
 let change = 0;
 
@@ -111,6 +124,7 @@ async function openView() {
     [mounted, ends, controlled] = [null, [], []];
     byId("view").replaceChildren();
   };
+  preload(known.needs);
   try {
     const { view } = await known.load();
     if (number !== change) return;

@@ -16,6 +16,9 @@ import { Mesh, arrow, grid } from "./solids.js";
 /** @typedef {{ text: string, at: Vector, kind: string }} Label */
 /** @typedef {{ link: number, role: string, mesh: Drawn, slide: Vector | null, pose: Matrix | null }} Part */
 
+/** What is in a picture: where the tool of each ghost and that of its arm are, points of each trail, size of each force, N, and the objects.
+ * @typedef {{ ghosts: { [device: string]: { at: Vector, measured: Vector } }, trails: { [device: string]: number }, forces: { [device: string]: number }, objects: string[] }} Contents */
+
 /** Positions of a tool that are kept: some seconds at the rate of the display. */
 const TRAIL_MAX = 600;
 /** Positions of a tool closer than this are one, m. */
@@ -58,6 +61,8 @@ export class Scene {
     });
     /** @type {Map<string, { points: Float32Array, count: number, lines: Drawn }>} */
     this.trails = new Map();
+    /** @type {Contents} */
+    this.contents = { ghosts: {}, trails: {}, forces: {}, objects: [] };
   }
 
   /** @param {Drawn} drawn */
@@ -139,6 +144,7 @@ export class Scene {
     renderer.hide(true);
     /** @type {Label[]} */
     const labels = [];
+    this.contents = { ghosts: {}, trails: {}, forces: {}, objects: [] };
     this.geometry.devices.forEach((device, number) => {
       const live = places.live.get(device.name);
       this.device(device, places.links(device), live, role => this.colour(role, number), 1);
@@ -149,7 +155,10 @@ export class Scene {
     labels.push(...this.drawObjects(places, theme.object, shown.labels));
     if (shown.frames) labels.push(...this.frames(places, shown.labels));
     if (shown.trail)
-      for (const { lines } of this.trails.values()) renderer.drawLines(lines, identity(), theme.trail, 1, true);
+      for (const [name, { lines, count }] of this.trails) {
+        renderer.drawLines(lines, identity(), theme.trail, 1, true);
+        this.contents.trails[name] = count;
+      }
     if (shown.ghost) this.ghosts(places, theme.ghost);
     return labels;
   }
@@ -163,6 +172,7 @@ export class Scene {
       const at = places.object(object);
       if (!at) continue;
       this.renderer.draw(mesh, at, colour);
+      this.contents.objects.push(object.name);
       if (isLabelled) labels.push({ text: object.name, at: [at[12], at[13], at[14]], kind: "object" });
     }
     return labels;
@@ -190,7 +200,10 @@ export class Scene {
     const commanded = new Places(this.geometry, this.row, places.live, "commanded");
     for (const device of this.geometry.devices) {
       const live = places.live.get(device.name);
-      if (live && differs(live)) this.device(device, commanded.links(device), live, () => colour, 0.35);
+      if (!live || !differs(live)) continue;
+      this.device(device, commanded.links(device), live, () => colour, 0.35);
+      const tip = commanded.tip(device), measured = places.tip(device);
+      if (tip && measured) this.contents.ghosts[device.name] = { at: [...tip.subarray(12, 15)], measured: [...measured.subarray(12, 15)] };
     }
   }
 
@@ -201,6 +214,7 @@ export class Scene {
     const long = Math.min(FORCE_MAX, size * FORCE_SCALE), z = unit(direct(flange, force)), [x, y] = beside(z), from = [...flange.subarray(12, 15)];
     const scaled = Float64Array.from([...x.map(v => v * 0.3), 0, ...y.map(v => v * 0.3), 0, ...z.map(v => v * long), 0, ...from, 1]);
     this.renderer.draw(this.arrow, scaled, colour);
+    this.contents.forces[device.name] = size;
     return { text: size.toPrecision(3) + " N", at: add(from, z, long), kind: "force" };
   }
 

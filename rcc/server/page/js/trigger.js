@@ -3,7 +3,7 @@
 import { make } from "./dom.js";
 
 /** @typedef {import("./scope.js").Trigger} Trigger */
-/** @typedef {{ on: string, probe: string, level: string, low: string, high: string, equals: string, pre: string, post: string, mode: string }} Fields */
+/** @typedef {{ on: string, probe: string, level: string, low: string, high: string, equals: string, source: string, pre: string, post: string, mode: string }} Fields */
 /** @typedef {{ trigger: Trigger | null, pre_s: number, post_s: number, mode: "auto" | "normal" | "single" }} Settings */
 
 /** What starts a capture: word of the protocol, text, and the fields that it needs. @type {[string, string, (keyof Fields)[]][]} */
@@ -16,8 +16,9 @@ export const KINDS = [
   ["inside", "is inside a window", ["probe", "low", "high"]],
   ["outside", "is outside a window", ["probe", "low", "high"]],
   ["state", "is in a state", ["probe", "equals"]],
-  ["fault", "fault of any device", []],
-  ["overrun", "overrun of any thread", []],
+  ["fault", "fault of a device", ["source"]],
+  ["event", "event of a device, machine or net", ["source"]],
+  ["overrun", "overrun of the first net thread", []],
 ];
 /** @type {[string, string][]} */
 const MODES = [["normal", "normal: each time"], ["single", "single: once"], ["auto", "auto: also without trigger"]];
@@ -26,7 +27,7 @@ const MODES = [["normal", "normal: each time"], ["single", "single: once"], ["au
 const TIME_MAX = 60;
 
 /** @type {Fields} */
-export const DEFAULTS = { on: "none", probe: "", level: "0", low: "-1", high: "1", equals: "", pre: "0.5", post: "1.5", mode: "normal" };
+export const DEFAULTS = { on: "none", probe: "", level: "0", low: "-1", high: "1", equals: "", source: "", pre: "0.5", post: "1.5", mode: "normal" };
 
 /** @param {string} name @param {string} text */
 function number(name, text) {
@@ -63,6 +64,10 @@ export function settingsOf(fields) {
   if (needed.includes("equals")) {
     if (!fields.equals.trim()) throw new Error("the state is empty");
     trigger.equals = fields.equals.trim();
+  }
+  if (needed.includes("source")) {
+    if (!fields.source.trim()) throw new Error("the trigger has no source\nhint: write the name of a device, of a machine as machine:cell, of a net as net:swing");
+    trigger.probe = fields.source.trim();
   }
   return { trigger, ...settings };
 }
@@ -104,6 +109,7 @@ export function triggerForm(fields, apply, fail) {
   add("low", "from", input());
   add("high", "to", input());
   add("equals", "state", input(10));
+  add("source", "of", input(10));
   add("pre", "before s", input(4));
   add("post", "after s", input(4));
   add("mode", "mode", select(MODES));

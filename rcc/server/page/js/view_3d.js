@@ -140,15 +140,19 @@ class Mounted {
 
   /** Reads what the cell has, and asks for its values again if that has changed. */
   async readCell() {
-    const [geometry, probes] = await Promise.all([this.app.get("/geometry/"), this.app.get("/probes/").catch(error => ({ error: String(error) }))]);
+    const reading = this.app.get("/probes/").catch(error => ({ error: String(error) })), geometry = await this.app.get("/geometry/");
     if (this.isOver) return;
-    const texts = [JSON.stringify(geometry), JSON.stringify(list(probes, "probe").map(probe => probe.name))];
-    if (texts[0] !== this.known[0]) {
+    const shape = JSON.stringify(geometry);
+    // The list of probes is long: the cell is drawn before it is here.
+    if (shape !== this.known[0]) {
       this.geometry = readGeometry(geometry);
       this.row = rowOf(this.geometry);
       this.build();
       this.readMeshes();
     }
+    const probes = await reading;
+    if (this.isOver) return;
+    const texts = [shape, JSON.stringify(list(probes, "probe").map(probe => probe.name))];
     if (texts.join() !== this.known.join()) this.watchProbes(list(probes, "probe"));
     if (probes.error) this.showState(probes.error, false);
     this.known = texts;
@@ -213,6 +217,7 @@ class Mounted {
     this.place(scene.draw(camera, places, shown, this.dark.matches));
     this.busy++;
     this.canvas.dataset.frames = String(++this.frames);
+    this.canvas.dataset.contents = JSON.stringify(scene.contents);
   }
 
   /** @param {import("./scene.js").Label[]} labels */

@@ -120,6 +120,47 @@ pub(super) mod tests {
         }
     }
 
+    /// The modules that one imports, and that these import.
+    fn imported(module: &str, all: &mut std::collections::BTreeSet<String>) {
+        let path = format!("js/{module}.js");
+        let (_, text) = FILES.iter().find(|(name, _)| *name == path).unwrap();
+        let imports = text.lines().filter(|line| line.starts_with("import "));
+        for line in imports {
+            let (_, of) = line.split_once("\"./").unwrap();
+            let name = of.split(".js").next().unwrap();
+            if all.insert(name.to_owned()) {
+                imported(name, all);
+            }
+        }
+    }
+
+    #[test]
+    fn page_modules_are_preloaded_with_all_that_they_import() {
+        let mut of_main = std::collections::BTreeSet::new();
+        imported("main", &mut of_main);
+        for name in &of_main {
+            let link = format!("<link rel=\"modulepreload\" href=\"/page/js/{name}.js\">");
+            assert!(INDEX.contains(&link), "index.html lacks {link}");
+        }
+        let (_, main) = FILES
+            .iter()
+            .find(|(name, _)| *name == "js/main.js")
+            .unwrap();
+        let views = main.lines().filter(|line| line.contains("import(\"./"));
+        let mut count = 0;
+        for line in views {
+            let (_, of) = line.split_once("import(\"./").unwrap();
+            let view = of.split(".js").next().unwrap();
+            let mut all = std::collections::BTreeSet::new();
+            imported(view, &mut all);
+            let needs = all.difference(&of_main).map(|name| format!("\"{name}\""));
+            let needs = format!("needs: [{}]", needs.collect::<Vec<_>>().join(", "));
+            assert!(line.contains(&needs), "main.js: {view} {needs}");
+            count += 1;
+        }
+        assert!(count > 5, "{count} views");
+    }
+
     #[test]
     fn page_loads_nothing_from_other_hosts() {
         let files = FILES.iter().map(|(_, text)| *text).chain([INDEX]);

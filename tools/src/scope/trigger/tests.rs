@@ -42,6 +42,11 @@ fn trigger_texts_are_sent_as_meant() {
             r#"{"on":"inside","probe":"a.b","low":0.001,"high":2.0}"#,
         ),
         ("fault left", r#"{"on":"fault","probe":"left"}"#),
+        ("event left", r#"{"on":"event","probe":"left"}"#),
+        (
+            "event machine:cell",
+            r#"{"on":"event","probe":"machine:cell"}"#,
+        ),
         ("overrun nets", r#"{"on":"overrun","probe":"nets"}"#),
         ("overrun", r#"{"on":"overrun"}"#),
         (

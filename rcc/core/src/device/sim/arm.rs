@@ -59,7 +59,7 @@ mod error {
 struct Type {
     joints: usize,
     model: Model,
-    parts: &'static [Part],
+    parts: Vec<Part>,
     strategies: Strategies,
     /// Range and velocity of each joint, where they need not be given.
     sheet: Option<Sheet>,
@@ -98,14 +98,10 @@ const LIGHTWEIGHT_STRATEGIES: Strategies = Strategies {
 };
 
 pub(super) fn lwr(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
-    const PARTS: &[Part] = {
-        let [tool, strategy, joints, cartesian, torques, wrench] = LIGHTWEIGHT;
-        &[tool, strategy, joints, cartesian, torques, wrench, LWR_IO]
-    };
     let model = Type {
         joints: 7,
         model: "kuka_lwr4".into(),
-        parts: PARTS,
+        parts: LIGHTWEIGHT.into_iter().chain([LWR_IO]).collect(),
         strategies: LIGHTWEIGHT_STRATEGIES,
         sheet: Some(Sheet::lwr()),
     };
@@ -113,15 +109,13 @@ pub(super) fn lwr(parameters: &Parameters<'_>, kind: &'static str) -> Result<Mad
 }
 
 pub(super) fn iiwa(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
-    const PARTS: &[Part] = {
-        let [tool, strategy, joints, cartesian, torques, wrench] = LIGHTWEIGHT;
-        let sine = Part::CartesianSine;
-        &[tool, strategy, joints, cartesian, torques, wrench, sine]
-    };
     let model = Type {
         joints: 7,
         model: "kuka_iiwa7".into(),
-        parts: PARTS,
+        parts: LIGHTWEIGHT
+            .into_iter()
+            .chain([Part::CartesianSine])
+            .collect(),
         strategies: LIGHTWEIGHT_STRATEGIES,
         sheet: Some(Sheet::iiwa()),
     };
@@ -129,7 +123,7 @@ pub(super) fn iiwa(parameters: &Parameters<'_>, kind: &'static str) -> Result<Ma
 }
 
 pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
-    const PARTS: &[Part] = &[
+    let parts = vec![
         Part::Strategy,
         Part::JointImpedance,
         Part::Torques,
@@ -142,7 +136,7 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
     let model = Type {
         joints: 5,
         model: parameters.choice("zero", zeros)?.into(),
-        parts: PARTS,
+        parts,
         strategies: Strategies {
             position: 0,
             joint_impedance: 1,
@@ -155,10 +149,8 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
 
 /// An arm of the model that is given.
 pub(super) fn any(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
-    const PARTS: &[Part] = {
-        let [tool, strategy, joints, _, torques, wrench] = LIGHTWEIGHT;
-        &[tool, strategy, joints, torques, wrench]
-    };
+    let parts = LIGHTWEIGHT.into_iter();
+    let parts = parts.filter(|part| *part != Part::CartesianImpedance);
     let text = parameters.texts.get("model");
     let text = text.ok_or_else(|| parameters.wrong("model is missing".to_owned()))?;
     let model: Result<Model, _> = text.trim().parse();
@@ -178,7 +170,7 @@ pub(super) fn any(parameters: &Parameters<'_>, kind: &'static str) -> Result<Mad
     let any = Type {
         joints: kinematics.joints(),
         model,
-        parts: PARTS,
+        parts: parts.collect(),
         strategies: Strategies {
             cartesian_impedance: None,
             ..LIGHTWEIGHT_STRATEGIES
@@ -233,9 +225,9 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Type) -> Result
         limits,
         model: model.model.clone(),
     }
-    .with(model.parts);
+    .with(&model.parts);
     let mut layout = Layout::default();
-    let interfaces = parts::lay(model.parts, model.joints, &mut layout);
+    let interfaces = parts::lay(&model.parts, model.joints, &mut layout);
     let outputs = interfaces.io.as_ref();
     let outputs = outputs.map_or((0, 0), |io| (io.bool_out.len(), io.real_out.len()));
     let on_end = parameters.on_end(outputs.0, outputs.1)?;

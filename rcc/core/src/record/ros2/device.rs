@@ -3,13 +3,13 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use takt_net::device::{Interfaces, Io, Kinematics, Layout};
+use takt_net::device::{Figure, Interfaces, Io, Kinematics, Layout};
 use takt_net::{Frame, JointState};
 
 use crate::device::{ARM_JOINTS_MAX, DeviceDescription, DeviceStatus, Place, parts};
 use crate::error::Error;
 use crate::record::ros2::cdr::Cdr;
-use crate::record::ros2::values::identifier;
+use crate::record::ros2::values::{UniqueNames, identifier};
 use crate::record::ros2::{Sink, Stamp, Topics, or_nan, schemas};
 
 /// Time between two messages about a device whose state stays the same, ns.
@@ -68,6 +68,9 @@ pub(super) struct DeviceTopics {
     set_points: Option<u16>,
     wrench: Option<u16>,
     io: Option<u16>,
+    figures: Option<u16>,
+    /// The figures of the cycle before, and the second of the last message about them.
+    figured: (Vec<u64>, Option<i64>),
     /// Status, faults and time of the last message about it.
     shown: Option<(DeviceStatus, u64, i64)>,
 }
@@ -94,6 +97,7 @@ impl DeviceTopics {
             (None, None) => None,
         };
         let has_joints = !joints.is_empty();
+        let figures = Self::figures_topic(topics, to, (number, name), &own.figures)?;
         let mut of = |wanted: bool, what: &str, schema| {
             wanted
                 .then(|| topics.channel(to, &topic(what), schema))
@@ -114,9 +118,34 @@ impl DeviceTopics {
             set_points: of(has_joints, "set_points", &schemas::JOINT_STATE)?,
             wrench: of(own.wrench.is_some(), "wrench", &schemas::WRENCH_STAMPED)?,
             io: of(own.io.is_some(), "signals", &schemas::SIGNALS)?,
+            figures,
+            figured: (vec![0; own.figures.len()], None),
             own,
             shown: None,
         })
+    }
+
+    /// The topic of its figures, a field for each. A device whose name gives the same topic as that of another has none.
+    fn figures_topic(
+        topics: &mut Topics,
+        to: &mut impl Sink,
+        (number, name): (usize, &str),
+        figures: &[Figure],
+    ) -> Result<Option<u16>, Error> {
+        let topic = format!("/{}/figures", identifier(name));
+        if figures.is_empty() || topics.channels.contains_key(&topic) {
+            return Ok(None);
+        }
+        let mut names = UniqueNames::default();
+        let field = |figure: &Figure| {
+            let field = names.next(&figure.name);
+            format!("float64 {field} # {}\n", about(figure))
+        };
+        let fields: String = figures.iter().map(field).collect();
+        let schema = format!("takt_msgs/msg/Figures{number}");
+        let channel = to.channel(&topic, &schema, &schemas::of_values(&fields))?;
+        topics.channels.insert(topic, channel);
+        Ok(Some(channel))
     }
 
     /// Whether it has a place among the frames.
@@ -126,7 +155,13 @@ impl DeviceTopics {
 
     /// Its own topics.
     pub(super) fn channels(&self) -> impl Iterator<Item = u16> {
-        let all = [self.states, self.set_points, self.wrench, self.io];
+        let all = [
+            self.states,
+            self.set_points,
+            self.wrench,
+            self.io,
+            self.figures,
+        ];
         all.into_iter().flatten()
     }
 
@@ -170,8 +205,38 @@ impl DeviceTopics {
             io_message(at.write(cdr.begin()), io, signals);
             to.message(channel, cdr.bytes(), at)?;
         }
+        self.figures(topics, to, reported, at)?;
         self.transforms(topics, to, reported, at)?;
         self.diagnosis(topics, to, reported, at)
+    }
+
+    /// Its figures: when one that is no time changes, and in the first cycle of each second of the host's clock. Times change in
+    /// each cycle, and a message in each would be a tenth of a recording.
+    fn figures(
+        &mut self,
+        topics: &mut Topics,
+        to: &mut impl Sink,
+        reported: Reported<'_>,
+        at: Stamp,
+    ) -> Result<(), Error> {
+        let Some(channel) = self.figures else {
+            return Ok(());
+        };
+        let now = Some(reported.wall.div_euclid(DIAGNOSIS_NS));
+        let (before, second) = &mut self.figured;
+        let mut is_due = std::mem::replace(second, now) != now;
+        for (figure, before) in self.own.figures.iter().zip(before.iter_mut()) {
+            let value = or_nan(figure.place.read(reported.signals)).to_bits();
+            is_due |= std::mem::replace(before, value) != value && &*figure.unit != "s";
+        }
+        if !is_due || !to.wants(channel) {
+            return Ok(());
+        }
+        let message = at.write(topics.cdr.begin());
+        for value in before.iter() {
+            message.f64(f64::from_bits(*value));
+        }
+        to.message(channel, topics.cdr.bytes(), at)
     }
 
     /// What nets commanded, by joint; not a number where they commanded nothing.
@@ -273,6 +338,18 @@ impl DeviceTopics {
             .text(&faults.to_string());
         to.message(channel, topics.cdr.bytes(), at)
     }
+}
+
+/// Name, unit and states of a figure, in one line.
+fn about(figure: &Figure) -> String {
+    let mut text = figure.name.to_string();
+    if !figure.unit.is_empty() {
+        text.push_str(&format!(", {}", figure.unit));
+    }
+    for (number, state) in figure.states.iter().enumerate() {
+        text.push_str(&format!(", {number} {state}"));
+    }
+    text.chars().filter(|c| !c.is_control()).collect()
 }
 
 fn io_message(cdr: &mut Cdr, io: &Io, signals: &[u64]) {

@@ -146,8 +146,8 @@ pub(in crate::record) const SIGNALS: Schema = Schema {
     parts: &[TIME],
 };
 
-/// The definition of a net's values, of the fields that follow.
-pub(in crate::record) fn of_net(fields: &str) -> String {
+/// The definition of a message with a time and these fields.
+pub(in crate::record) fn of_values(fields: &str) -> String {
     let schema = Schema {
         name: "",
         fields: "",

@@ -24,17 +24,31 @@ pub(super) fn identifier(name: &str) -> String {
     }
 }
 
-/// The fields of a message with the shown values of a net, and their definition.
-pub(super) fn fields(directory: &Directory) -> String {
-    let (mut text, mut used) = (String::new(), BTreeSet::new());
-    // The field of every net's message.
-    used.insert("stamp".to_owned());
-    let mut add = |kind: &str, name: &str| {
+/// Names of fields, each once.
+#[derive(Debug)]
+pub(super) struct UniqueNames(BTreeSet<String>);
+
+impl Default for UniqueNames {
+    fn default() -> Self {
+        // The first field of every message.
+        Self(["stamp".to_owned()].into())
+    }
+}
+
+impl UniqueNames {
+    /// The name of the next field.
+    pub(super) fn next(&mut self, name: &str) -> String {
         let base = identifier(name);
         let mut names = std::iter::once(base.clone()).chain((2..).map(|n| format!("{base}_{n}")));
-        let name = names.find(|name| used.insert(name.clone()));
-        text.push_str(&format!("{kind} {}\n", name.unwrap_or_default()));
-    };
+        let name = names.find(|name| self.0.insert(name.clone()));
+        name.unwrap_or_default()
+    }
+}
+
+/// The fields of a message with the shown values of a net, and their definition.
+pub(super) fn fields(directory: &Directory) -> String {
+    let (mut text, mut names) = (String::new(), UniqueNames::default());
+    let mut add = |kind: &str, name: &str| text.push_str(&format!("{kind} {}\n", names.next(name)));
     for value in shown(directory) {
         let name = value.key.strip_prefix("out").unwrap_or(&value.key);
         if value.ty.array {

@@ -111,7 +111,7 @@ impl Bench {
         };
         let id = |raw| NodeId::new(raw).unwrap();
         let axes = [1, 2].map(|raw| Reached::new(&network, id(raw), 0).unwrap());
-        let arm = Arm::new(&config.arms[0], CYCLE, end);
+        let arm = Arm::new(&config.arms[0], CYCLE, end, bus_figures());
         let (events, _) = ring(EVENTS_MAX);
         let near = Near::default();
         let node = |raw| {
@@ -122,13 +122,15 @@ impl Bench {
             axis.motor.stops = (-2e3, 2e3);
             DriveNode::power_on(node, Duration::ZERO).unwrap()
         };
+        let (load, of_bus) = LoadMeter::new(&near, "near");
         let mut bench = Self {
             driver: Driver {
-                load: LoadMeter::new(&near, "near").0,
+                load,
+                of_bus: bus::BusLoad::new(of_bus),
                 link: Box::new(near.clone()),
                 network,
                 arms: vec![(arm, Vec::from(axes))],
-                events,
+                events: EventSender::new(events),
                 cycle: CYCLE,
                 started: false,
                 shared: Arc::default(),

@@ -121,6 +121,7 @@ impl Drive {
             online: true,
             follows,
             state: Some(self.state),
+            status: None,
             increments: rounded(self.position),
             refused: false,
             is_homing: false,

@@ -13,6 +13,7 @@ use takt_rt::cycle::Tick;
 
 use super::describe::{servo, slave};
 use super::servo::ServoAxis;
+use super::wire::{WireValues, wire_figures};
 use crate::config::{EthercatConfig, LostPolicy};
 use takt_core::device::driver::DeviceEnd;
 use takt_device_drives::DriveArm;
@@ -99,7 +100,7 @@ impl Arm {
                 None => Mover::Axis(Box::new(place(joint))),
             };
         Self {
-            arm: drives::Arm::new(arm, config.cycle, end),
+            arm: drives::Arm::new(arm, config.cycle, end, wire_figures()),
             movers: arm.joints.iter().map(mover).collect(),
             lost: config.clocks.lost,
         }
@@ -109,6 +110,11 @@ impl Arm {
     pub(super) fn poll_event(&mut self) -> Option<(usize, u8, AxisEvent)> {
         let mut places = self.movers.iter_mut().filter_map(Mover::place_mut);
         places.find_map(|place| Some((place.slave, place.number, place.poll_event()?)))
+    }
+
+    /// Reports the figures of the wire with the next cycle.
+    pub(super) fn report_wire(&mut self, values: &WireValues) {
+        self.arm.report_bus(values.iter().copied());
     }
 
     /// The next event of a joint.
@@ -200,6 +206,7 @@ impl Arm {
                 online: state.online,
                 follows: state.follows,
                 state: state.state,
+                status: Some(state.status),
                 increments: state.position,
                 torque: state.torque,
             })

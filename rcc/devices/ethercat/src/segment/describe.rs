@@ -14,11 +14,13 @@ use takt_ethercat::config::{
 use takt_ethercat::encoder::CHANNELS_MAX;
 use takt_ethercat::master::Master;
 
+use super::wire::wire_figures;
 use super::youbot;
 use crate::config::{
     AnalogueChannel, EthercatConfig, EthercatHoming, EthercatIo, EthercatServo, EthercatSlave,
     ServoPower, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, UnlockedPolicy,
 };
+use takt_core::device::parts::with_figures;
 use takt_core::device::{DeviceDescription, Part, homing};
 use takt_device_drives as drives;
 use takt_device_drives::{DriveArm, DriveJoint, Recovery};
@@ -42,20 +44,20 @@ pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
     let arms = config
         .arms
         .iter()
-        .map(|arm| drives::describe(arm, "ethercat_arm"));
+        .map(|arm| drives::describe(arm, "ethercat_arm", wire_figures()));
     let ios = config.ios.iter().map(|io| DeviceDescription {
         name: io.name.clone(),
         kind: "ethercat_io",
         limits: Vec::new(),
         model: "".into(),
-        parts: vec![part(io)],
+        parts: with_figures(&[part(io)], wire_figures()),
     });
     let servos = config.servos.iter().map(|servo| DeviceDescription {
         name: servo.name.clone(),
         kind: "ethercat_servo",
         limits: Vec::new(),
         model: "".into(),
-        parts: AXIS_PARTS.to_vec(),
+        parts: with_figures(&AXIS_PARTS, wire_figures()),
     });
     let all = arms.chain(ios).chain(servos);
     all.chain(youbot::describe(config)).collect()

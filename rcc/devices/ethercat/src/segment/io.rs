@@ -9,11 +9,13 @@ use takt_ethercat::master::Master;
 use takt_rt::cycle::Tick;
 
 use super::describe::{part, slave};
+use super::wire::{WireValues, wire_figures};
 use crate::config::{AnalogueChannel, EthercatConfig, EthercatIo};
 use takt_core::device::DeviceStatus;
 use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::Endpoint;
 use takt_core::device::on_end::OutputsOnEnd;
+use takt_core::device::parts::with_figures;
 use takt_ethercat::axis::OFFLINE_AFTER;
 
 /// A bit of a slave's process data.
@@ -249,7 +251,7 @@ impl InOut {
             analogue_in: numbers(&io.analogue_in),
             analogue_out: numbers(&io.analogue_out),
             on_end: io.on_end.clone(),
-            end: Endpoint::new(end, &[part(io)], 0),
+            end: Endpoint::new(end, &with_figures(&[part(io)], wire_figures()), 0),
         }
     }
 
@@ -283,6 +285,11 @@ impl InOut {
         let outputs = self.analogue_out.iter_mut();
         lacks.extend(outputs.filter_map(|number| number.find(master, true)));
         lacks
+    }
+
+    /// Reports the figures of the wire with the next cycle.
+    pub(super) fn report_wire(&mut self, values: &WireValues) {
+        self.end.report_figures(0, values.iter().copied());
     }
 
     /// Reads inputs of the last frame and writes outputs of the next.

@@ -14,10 +14,12 @@ use takt_rt::cycle::Tick;
 
 use super::describe::{AXIS_PARTS, slave};
 use super::io::{Bit, Lack, Number};
+use super::wire::{WireValues, wire_figures};
 use crate::config::{AnalogueChannel, EthercatConfig, EthercatHoming, EthercatServo};
 use power::Power;
 use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::Endpoint;
+use takt_core::device::parts::with_figures;
 use takt_device_drives::{
     DriveJoint, Feedback, Homing, HomingError, HomingInput, HomingMotion, HomingStep, Order,
 };
@@ -201,9 +203,14 @@ impl ServoAxis {
             offset: 0.0,
             is_saturated: false,
             events: [None; 4],
-            end: Endpoint::new(end, &AXIS_PARTS, 0),
+            end: Endpoint::new(end, &with_figures(&AXIS_PARTS, wire_figures()), 0),
             config: servo.clone(),
         }
+    }
+
+    /// Reports the figures of the wire with the next cycle.
+    pub(super) fn report_wire(&mut self, values: &WireValues) {
+        self.end.report_figures(0, values.iter().copied());
     }
 
     /// The next event.
@@ -273,6 +280,7 @@ impl ServoAxis {
             online: self.sensed.online,
             follows: self.power == Power::On && self.sensed.online,
             state: Some(self.power.state()),
+            status: None,
             increments: self.increments(),
             refused: false,
             is_homing: !self.is_homed || homing.is_some(),

@@ -15,6 +15,7 @@ use takt_ethercat::master::{Master, Reply};
 use takt_ethercat::youbot::Drive;
 use takt_rt::cycle::Tick;
 
+use super::wire::WireValues;
 use crate::config::EthercatConfig;
 use arm::Arm;
 use base::Base;
@@ -82,6 +83,14 @@ impl YouBots {
         if let Some(drive) = bases.chain(arms).find(|drive| drive.slave() == slave) {
             drive.mailbox().handle_reply(reply, now(tick));
         }
+    }
+
+    /// Reports the figures of the wire with the next cycle.
+    pub(super) fn report_wire(&mut self, values: &WireValues) {
+        self.bases
+            .iter_mut()
+            .for_each(|base| base.report_wire(values));
+        self.arms.iter_mut().for_each(|arm| arm.report_wire(values));
     }
 
     /// Steps all of them by one cycle.

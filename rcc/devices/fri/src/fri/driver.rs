@@ -16,6 +16,7 @@ use takt_rt::stats::Recorder;
 
 use super::clock::DatagramClock;
 use super::events::{Event, EventSender};
+use super::figures::Notes;
 use super::force::ForceByTorques;
 use super::{AXES, Joints, Orders, Protocol, Shared};
 use takt_core::device::driver::DeviceEnd;
@@ -65,6 +66,7 @@ pub(super) struct Driver<P> {
     /// The robot's cycles since the last answer. The robot's speed check counts in these, so the joints' limits do
     /// too, independent of its clock.
     cycles: i64,
+    notes: Notes,
     /// Whether the robot followed at the last answer, and has done so since.
     was_commanding: bool,
     /// Whether the robot restarted while its published state was operational; nets that command it must see this.
@@ -98,6 +100,7 @@ impl<P: Protocol> Driver<P> {
             end: Endpoint::new(end, &description.parts, AXES),
             force: ForceByTorques::new(&description.model),
             cycles: 0,
+            notes: Notes::default(),
             was_commanding: false,
             has_fallen: false,
             life: Life::Running,
@@ -201,8 +204,9 @@ impl<P: Protocol> Driver<P> {
         self.was_commanding &= !received.is_first && self.is_commanding();
         let period = self.session.cycle().unwrap_or(Duration::from_millis(1));
         self.clock.tick(at.into(), period.into(), received.lost);
-        self.phase_error
-            .record((Nanos::from(at) - self.clock.now()).abs());
+        let phase_error = Nanos::from(at) - self.clock.now();
+        self.phase_error.record(phase_error.abs());
+        self.notes.phase_error = Some(phase_error);
         self.cycles += 1 + i64::from(received.lost);
         true
     }
@@ -255,6 +259,7 @@ impl<P: Protocol> Driver<P> {
     /// Notes that the answer to the measurement of `at` left at `now`.
     pub(super) fn handle_sent(&mut self, at: Nanos, now: Nanos) {
         self.answer_time.record(now - at);
+        self.notes.answer_time = Some(now - at);
         self.note_received();
         let sequence = self.session.sent_sequence();
         self.event_sender.note_answer(now, sequence);
@@ -384,6 +389,10 @@ impl<P: Protocol> Driver<P> {
     fn write_state(&mut self) {
         let signals = &mut self.end.reported.signals;
         self.session.report(&self.end.interfaces, signals);
+        let is_silent = self.session.status() == DeviceStatus::Offline;
+        let events = self.event_sender.sent();
+        let values = self.notes.values(&self.session, is_silent, events);
+        self.end.report_figures(0, values);
         self.end.publish();
     }
 

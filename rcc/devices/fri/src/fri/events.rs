@@ -155,6 +155,7 @@ pub(super) struct EventSender {
     /// What comes with each datagram of a peer, and when it came last: reported at its onset only.
     recurring: [Option<(Event, Duration)>; KINDS],
     events: Producer<Event>,
+    sent: u64,
     out: LatestWriter<Diagnostics>,
 }
 
@@ -180,6 +181,7 @@ pub(super) fn event_channel(fresh: Observer) -> (EventSender, EventReceiver) {
         last_sent: [None; KINDS],
         recurring: [None; KINDS],
         events: producer,
+        sent: 0,
         out,
     };
     let event_receiver = EventReceiver {
@@ -240,6 +242,7 @@ impl EventSender {
         let is_due = last_sent.is_none_or(|at| now.saturating_sub(at) >= PAUSE);
         if is_due {
             *last_sent = Some(now);
+            self.sent += 1;
             // A full queue drops it.
             let _full = self.events.push(event);
         }
@@ -300,6 +303,11 @@ impl EventSender {
         self.withholds = violation.is_some();
         self.diagnostics.violation = violation.or(self.diagnostics.violation);
         is_new
+    }
+
+    /// Number of events so far.
+    pub(super) const fn sent(&self) -> u64 {
+        self.sent
     }
 
     /// Publishes the diagnostics.

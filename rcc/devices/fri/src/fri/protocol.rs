@@ -79,6 +79,12 @@ pub trait Protocol: fmt::Debug + Send + 'static {
     /// The controller's rating of the connection.
     type Quality: Copy + fmt::Debug + PartialEq;
 
+    /// Names of the qualities, by code.
+    const QUALITIES: &'static [&'static str];
+
+    /// Names of the session states, by code.
+    const STATES: &'static [&'static str];
+
     /// Handles a datagram that arrived `at`.
     ///
     /// # Errors
@@ -155,6 +161,9 @@ pub trait Protocol: fmt::Debug + Send + 'static {
 
     /// Code of the last reported quality.
     fn quality_code(&self) -> i32;
+
+    /// Code of the last reported session state.
+    fn state_code(&self) -> i32;
 
     /// The quality of a code.
     fn quality(code: i32) -> Self::Quality;

@@ -310,7 +310,7 @@ fn krc(config: KrcConfig) -> Rig<Krc, lwr::End> {
         joints: POSTURE,
         ..config
     };
-    let description = lwr::describe("arm").with(lwr::PARTS);
+    let description = lwr::describe("arm").with(&lwr::parts());
     let krc = Krc::new(config, Duration::ZERO);
     Rig::new(krc, lwr::End::new(None), &description)
 }

@@ -363,6 +363,15 @@ fn demand(mode: CommandMode, joints: &Joints, torque: Joints, wrench: [f64; 6]) 
 impl Protocol for End {
     type Quality = Quality;
 
+    const QUALITIES: &'static [&'static str] = &["poor", "fair", "good", "excellent"];
+    const STATES: &'static [&'static str] = &[
+        "idle",
+        "monitoring wait",
+        "monitoring ready",
+        "commanding wait",
+        "commanding active",
+    ];
+
     /// Engages as soon as the overlay is active: the joints refuse set-points of an earlier run until they end, so
     /// only motion that is requested again starts.
     fn receive(&mut self, datagram: &[u8], at: Duration) -> Result<Reception, DecodeError> {
@@ -533,6 +542,11 @@ impl Protocol for End {
     fn quality_code(&self) -> i32 {
         let message = self.session.message();
         message.map_or(0, |message| message.quality().code())
+    }
+
+    fn state_code(&self) -> i32 {
+        let message = self.session.message();
+        message.map_or(0, |message| message.state().code())
     }
 
     fn quality(code: i32) -> Quality {

@@ -152,6 +152,9 @@ fn session(guard: Guard) -> Session {
 impl Protocol for End {
     type Quality = Quality;
 
+    const QUALITIES: &'static [&'static str] = &["unacceptable", "bad", "ok", "perfect"];
+    const STATES: &'static [&'static str] = &["off", "monitor", "command"];
+
     fn receive(&mut self, datagram: &[u8], at: Duration) -> Result<Reception, DecodeError> {
         let reception = self.session.handle_datagram(datagram, at)?;
         let received = Reception::of(reception.order, reception.lost);
@@ -274,6 +277,12 @@ impl Protocol for End {
         let received = self.session.measurement();
         let quality = received.map(|msr| msr.interface.quality.code());
         quality.unwrap_or_default().into()
+    }
+
+    fn state_code(&self) -> i32 {
+        let received = self.session.measurement();
+        let state = received.map(|msr| msr.interface.state.code());
+        state.unwrap_or_default().into()
     }
 
     fn quality(code: i32) -> Quality {

@@ -100,6 +100,7 @@ impl Bench {
         let mut bench = Self {
             driver: Driver {
                 meters: vec![None],
+                loads: vec![None],
                 wires: vec![Wire::Can(Box::new(near.clone()))],
                 platform: Led::new(&config),
                 is_stopping: false,

@@ -73,9 +73,11 @@ fn page_trigger_form_requests_what_it_shows() {
         console.log(of({ on: "rising", level: "-0.5", pre: "0", post: "2", mode: "single" }));
         console.log(of({ on: "outside", low: "-1e-3", high: "0.001" }));
         console.log(of({ on: "state", equals: " RUNNING " }));
-        console.log(of({ on: "fault" }));
+        console.log(of({ on: "fault", source: "left" }));
+        console.log(of({ on: "event", source: " machine:cell " }));
+        console.log(of({ on: "overrun" }));
         for (const change of [{ on: "odd" }, { on: "rising", level: "" }, { on: "above", level: "nan" }, { on: "inside", low: "2", high: "1" }, { on: "falling", probe: "" },
-          { on: "state", equals: " " }, { on: "fault", pre: "-1" }, { on: "fault", post: "0" }, { on: "fault", post: "61" }, { on: "fault", pre: "inf" }])
+          { on: "state", equals: " " }, { on: "event", source: " " }, { on: "fault", pre: "-1" }, { on: "fault", post: "0" }, { on: "fault", post: "61" }, { on: "fault", pre: "inf" }])
           console.log(of(change).split("\n")[0]);
         console.log(KINDS.length);"#;
     prints(
@@ -85,18 +87,21 @@ fn page_trigger_form_requests_what_it_shows() {
 {"trigger":{"on":"rising","probe":"a.b","level":-0.5},"pre_s":0,"post_s":2,"mode":"single"}
 {"trigger":{"on":"outside","probe":"a.b","low":-0.001,"high":0.001},"pre_s":0.5,"post_s":1.5,"mode":"normal"}
 {"trigger":{"on":"state","probe":"a.b","equals":"RUNNING"},"pre_s":0.5,"post_s":1.5,"mode":"normal"}
-{"trigger":{"on":"fault"},"pre_s":0.5,"post_s":1.5,"mode":"normal"}
+{"trigger":{"on":"fault","probe":"left"},"pre_s":0.5,"post_s":1.5,"mode":"normal"}
+{"trigger":{"on":"event","probe":"machine:cell"},"pre_s":0.5,"post_s":1.5,"mode":"normal"}
+{"trigger":{"on":"overrun"},"pre_s":0.5,"post_s":1.5,"mode":"normal"}
 trigger "odd" is unknown
 level is ""; a number is expected
 level is "nan"; a number is expected
 the window from 2 to 1 is empty
 the trigger has no probe
 the state is empty
+the trigger has no source
 time before is -1 s; 0 to 60 s are possible
 time after is 0 s; 0.01 to 60 s are possible
 time after is 61 s; 0.01 to 60 s are possible
 time before is "inf"; a number is expected
-10"#,
+11"#,
     );
 }
 

@@ -17,10 +17,12 @@ use super::springs::Springs;
 use super::tool::Motions;
 use super::{Wait, Waiting, now, seconds};
 use crate::config::{YouBotArm, YouBotControl, YouBotZero};
+use crate::segment::wire::{WireValues, wire_figures};
 use takt_core::device::DeviceStatus;
 use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::Endpoint;
 use takt_core::device::last_stage::LastStage;
+use takt_core::device::parts::with_figures;
 use takt_core::device::setpoint::Joint;
 use takt_device_drives::Recovery;
 
@@ -96,7 +98,7 @@ impl Arm {
             gripper: gripper.map(Gripper::new),
             cycle: cycle.into(),
             last: None,
-            end: Endpoint::new(end, &ARM_PARTS, ARM.len()),
+            end: Endpoint::new(end, &with_figures(&ARM_PARTS, wire_figures()), ARM.len()),
         }
     }
 
@@ -112,6 +114,14 @@ impl Arm {
     /// Whether joints can be commanded.
     fn is_ready(&self) -> bool {
         !self.is_held() && self.follows() && self.homing.iter().all(Homing::is_done)
+    }
+
+    /// Reports the figures of the wire with the next cycle.
+    pub(super) fn report_wire(&mut self, values: &WireValues) {
+        self.end.report_figures(0, values.iter().copied());
+        if let Some(gripper) = &mut self.gripper {
+            gripper.report_wire(values);
+        }
     }
 
     pub(super) fn rests(&self) -> bool {

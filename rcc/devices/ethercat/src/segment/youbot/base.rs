@@ -14,11 +14,13 @@ use super::course::{Course, Planar, within};
 use super::describe::base_parts;
 use super::{now, seconds};
 use crate::config::YouBotBase;
+use crate::segment::wire::{WireValues, wire_figures};
 use takt_core::device::DeviceStatus;
 use takt_core::device::continuity::JumpPart;
 use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::{Endpoint, joint_error};
 use takt_core::device::last_stage::{PlanarLimits, PlanarStage};
+use takt_core::device::parts::with_figures;
 use takt_device_drives::Recovery;
 
 /// The base.
@@ -74,8 +76,13 @@ impl Base {
             cycle: cycle.into(),
             last: None,
             age: 0,
-            end: Endpoint::new(end, &base_parts(base), 0),
+            end: Endpoint::new(end, &with_figures(&base_parts(base), wire_figures()), 0),
         }
+    }
+
+    /// Reports the figures of the wire with the next cycle.
+    pub(super) fn report_wire(&mut self, values: &WireValues) {
+        self.end.report_figures(0, values.iter().copied());
     }
 
     pub(super) fn rests(&self) -> bool {

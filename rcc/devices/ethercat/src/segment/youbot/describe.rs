@@ -5,6 +5,8 @@ use takt_ethercat::youbot::{BarConfig, Gripper, TRINAMIC};
 use takt_net::JointLimits;
 
 use crate::config::{EthercatConfig, YouBotArm, YouBotBase};
+use crate::segment::wire::wire_figures;
+use takt_core::device::parts::with_figures;
 use takt_core::device::{ArmDescription, DeviceDescription, Part};
 
 /// Largest configurable motor current, A.
@@ -96,7 +98,7 @@ fn of_arm(arm: &YouBotArm) -> DeviceDescription {
         limits: limits(arm).to_vec(),
         model: arm.zero.model().into(),
     }
-    .with(&ARM_PARTS)
+    .with(&with_figures(&ARM_PARTS, wire_figures()))
 }
 
 pub(super) fn base_parts(base: &YouBotBase) -> [Part; 3] {
@@ -117,7 +119,7 @@ fn of_base(base: &YouBotBase) -> DeviceDescription {
         kind: "kuka_youbot_base",
         limits: Vec::new(),
         model: "".into(),
-        parts: base_parts(base).to_vec(),
+        parts: with_figures(&base_parts(base), wire_figures()),
     }
 }
 
@@ -133,7 +135,7 @@ fn of_gripper(name: &str) -> DeviceDescription {
         kind: "kuka_youbot_gripper",
         limits: Vec::new(),
         model: "".into(),
-        parts: vec![gripper_part()],
+        parts: with_figures(&[gripper_part()], wire_figures()),
     }
 }
 

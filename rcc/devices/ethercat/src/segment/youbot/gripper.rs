@@ -6,8 +6,10 @@ use takt_net::device::Answer;
 use takt_rt::cycle::Tick;
 
 use super::{Wait, now};
+use crate::segment::wire::{WireValues, wire_figures};
 use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::Endpoint;
+use takt_core::device::parts::with_figures;
 use takt_core::device::{DeviceStatus, Part};
 
 /// Error values of answers.
@@ -40,8 +42,17 @@ impl Gripper {
             order: 0,
             under_way: false,
             answer: None,
-            end: Endpoint::new(end, &[Part::Gripper { distance_max }], 0),
+            end: Endpoint::new(
+                end,
+                &with_figures(&[Part::Gripper { distance_max }], wire_figures()),
+                0,
+            ),
         }
+    }
+
+    /// Reports the figures of the wire with the next cycle.
+    pub(super) fn report_wire(&mut self, values: &WireValues) {
+        self.end.report_figures(0, values.iter().copied());
     }
 
     /// One cycle behind this drive. The fingers are homed only if they `may_move`. `fresh` is whether the net thread

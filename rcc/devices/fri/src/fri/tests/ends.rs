@@ -59,7 +59,7 @@ fn row(name: &'static str, description: DeviceDescription) -> Row {
 
 #[test]
 fn lwr_net_ends_wire_rests_within_stopping_time() {
-    let description = lwr::describe("arm").with(lwr::PARTS);
+    let description = lwr::describe("arm").with(&lwr::parts());
     row("LWR", description).comes_to_rest(|| {
         let mut rig = krc(KrcConfig::default());
         rig.follow();
@@ -97,7 +97,7 @@ fn policies() -> [(OutputsOnEnd, (bool, f64)); 2] {
 
 #[test]
 fn lwr_net_ends_user_data_follow_stated_policy() {
-    let description = lwr::describe("arm").with(lwr::PARTS);
+    let description = lwr::describe("arm").with(&lwr::parts());
     for (on_end, expected) in policies() {
         let config = KrcConfig {
             period: MS,
