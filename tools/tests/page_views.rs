@@ -173,6 +173,11 @@ fn page_is_legible_at_both_sizes_and_colours() {
                     overflow.as_i64().unwrap() <= 0,
                     "{view} at {width}: {overflow} px too wide"
                 );
+                // Tables that a hand is to press or read whole do not scroll in their cards.
+                let hidden = browser.value(
+                    "Math.max(0, ...[...document.querySelectorAll('#flights, #host')].map(it => it.scrollWidth - it.clientWidth))",
+                );
+                assert_eq!(hidden, 0, "{view} at {width} scrolls in its card");
                 let stop = "(() => { const r = document.getElementById('stop').getBoundingClientRect(); \
                     return r.left >= 0 && r.right <= innerWidth && r.top >= 0 && r.bottom <= innerHeight; })()";
                 assert_eq!(

@@ -24,7 +24,7 @@ const CELL_MS = 3000;
 /** Labels that are shown at once. */
 const LABELS_MAX = 80;
 /** Roughly the width of a letter of a label and the height of its line, pixels, and how far labels give way to others, lines. */
-const LETTER_PX = 7, LINE_PX = 14, PUSHES_MAX = 6;
+const LETTER_PX = 7, LINE_PX = 14, PUSHES_MAX = 10;
 
 /** What can be shown: name, text, key. @type {[keyof Shown, string][]} */
 const SWITCHES = [["ghost", "commanded ghost"], ["trail", "trail"], ["force", "forces"], ["frames", "frames"], ["labels", "labels"]];

@@ -71,7 +71,7 @@ fn sim_base_follows_poses_within_limits() {
     for every in [1_u64, 10, 100] {
         let (_, mut device) = make("base", "kuka_youbot_base_sim", &BTreeMap::new()).unwrap();
         let mut layout = Layout::default();
-        let has = parts::lay(&[base, Part::CartesianPosition], 0, &mut layout);
+        let has = parts::lay(&[base.clone(), Part::CartesianPosition], 0, &mut layout);
         let places: CartesianPosition = has.cartesian.unwrap();
         let mut command = DeviceCommand::new(layout.commands);
         // Its command comes last: a stamp of three words, and a frame.

@@ -160,7 +160,7 @@ impl Bench {
             net_period: CYCLE,
         };
         let mut bench = Self {
-            arm: Arm::new(&config(joints), CYCLE, end),
+            arm: Arm::new(&config(joints), CYCLE, end, []),
             drives: (0..joints)
                 .map(|n| Drive::new(f64::from(n) * 1e6))
                 .collect(),
