@@ -37,7 +37,7 @@ use crate::config::EthercatConfig;
 use access::{Access, Inspector};
 use arm::Arm;
 pub use describe::{check, describe, master_config};
-use events::SegmentEvent;
+use events::{EventSender, SegmentEvent};
 use takt_core::Error;
 use takt_core::device::bus::BusAccess;
 use takt_core::device::driver::{
@@ -46,7 +46,7 @@ use takt_core::device::driver::{
 use takt_core::device::link_watch::{LinkErrors, LinkWatch};
 use takt_device_drives as drives;
 use units::Units;
-use wire::{EventSender, WireNotes};
+use wire::WireNotes;
 pub use wires::{EthernetLink, Wire, Wires, open};
 use youbot::Waiting;
 pub use youbot::{Wait, YouBotFigures};

@@ -146,7 +146,9 @@ pub(super) mod tests {
             .iter()
             .find(|(name, _)| *name == "js/main.js")
             .unwrap();
-        let views = main.lines().filter(|line| line.contains("load: () => import(\"./"));
+        let views = main
+            .lines()
+            .filter(|line| line.contains("load: () => import(\"./"));
         let mut count = 0;
         for line in views {
             let (_, of) = line.split_once("import(\"./").unwrap();

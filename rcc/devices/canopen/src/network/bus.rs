@@ -70,7 +70,7 @@ impl BusLoad {
     }
 }
 
-/// Events on their way to the log, and how many there were. Those that nobody fetches are dropped.
+/// Events on their way to the log, and how many there were. Those that are not fetched in time are dropped.
 #[derive(Debug)]
 pub(super) struct EventSender {
     ring: Producer<NetworkEvent>,

@@ -7,9 +7,6 @@ use takt_core::device::Figure;
 use takt_ethercat::master::Master;
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
-use takt_rt::ring::Producer;
-
-use super::events::SegmentEvent;
 
 /// Number of the figures.
 const COUNT: usize = 8;
@@ -69,28 +66,6 @@ impl WireNotes {
             tick.phase_error.map(seconds),
             Some(count(events)),
         ]
-    }
-}
-
-/// Events on their way to the log, and how many there were. Those that nobody fetches are dropped.
-#[derive(Debug)]
-pub(super) struct EventSender {
-    ring: Producer<SegmentEvent>,
-    sent: u64,
-}
-
-impl EventSender {
-    pub(super) const fn new(ring: Producer<SegmentEvent>) -> Self {
-        Self { ring, sent: 0 }
-    }
-
-    pub(super) fn push(&mut self, event: SegmentEvent) {
-        self.sent += 1;
-        self.ring.push(event).ok();
-    }
-
-    pub(super) const fn sent(&self) -> u64 {
-        self.sent
     }
 }
 
