@@ -29,7 +29,10 @@ pub fn parts<D>(arm: &DriveArm<D>, of_bus: impl IntoIterator<Item = Figure>) -> 
     };
     let torques = Torques::is_measuring(arm).then_some(Part::Torques);
     let measured: Vec<_> = torques.into_iter().collect();
-    with_figures(&measured, (0..arm.joints.len()).flat_map(of_joint).chain(of_bus))
+    with_figures(
+        &measured,
+        (0..arm.joints.len()).flat_map(of_joint).chain(of_bus),
+    )
 }
 
 /// The arm as a device of that type, whose bus has these figures.
