@@ -4,6 +4,7 @@
 //! from any state. Not here: joint limits along a Cartesian path in a cycle; plans check them.
 
 mod cartesian;
+mod coast;
 mod course;
 mod frame_path;
 mod lead;
@@ -24,8 +25,8 @@ pub mod trajectory;
 use takt_net::Definition;
 
 use limits::{
-    ACCELERATION, JERK, VELOCITY, is_sensible, joint_bounds, joint_positions, limit,
-    with_joint_limits,
+    ACCELERATION, JERK, VELOCITY, is_sensible, joint_bounds, joint_positions, limit, slowed, speed,
+    with_joint_limits, with_speed,
 };
 
 pub(crate) fn table() -> Vec<Definition> {
@@ -36,5 +37,6 @@ pub(crate) fn table() -> Vec<Definition> {
         cartesian::spline(),
         track::definition(),
         trajectory::definition(),
+        coast::definition(),
     ]
 }

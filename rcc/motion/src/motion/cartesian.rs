@@ -12,7 +12,7 @@ use super::profile::{Bounds, State};
 use super::ptp::incomplete;
 use super::runner::{Runner, with_ports};
 use super::spline::Spline;
-use super::{ACCELERATION, JERK, VELOCITY, limit};
+use super::{ACCELERATION, JERK, VELOCITY, limit, slowed, speed};
 
 const ROT_VELOCITY: &str = "RotVelocity";
 const ROT_ACCELERATION: &str = "RotAcceleration";
@@ -98,12 +98,44 @@ const ROUNDS: usize = 4;
 
 /// Begins a course in a state: on a line to `to`, or else beside the path, to be on it at `join` at the latest. A line to
 /// `to` begins where what does not move along it comes to rest, so that a frame in motion needs no way back.
+///
+/// A frame beyond the bounds of a slower motion brakes into them within the whole limits.
 pub(super) fn begin(
     path: &mut FramePath,
     course: &mut super::course::Course,
     state: &FrameState,
-    (to, join): (Option<Frame>, Option<f64>),
+    aim: (Option<Frame>, Option<f64>),
     speed: f64,
+) {
+    let bounds = [path.translation, path.rotation];
+    let [translation, rotation] = bounds;
+    let twists = [
+        (state.velocity.vel, state.acceleration.vel, translation),
+        (state.velocity.rot, state.acceleration.rot, rotation),
+    ];
+    let are_beyond = twists.iter().any(|(velocity, acceleration, bounds)| {
+        bounds.are_exceeded(State {
+            position: 0.0,
+            velocity: velocity.norm(),
+            acceleration: acceleration.norm(),
+        })
+    });
+    if course.speed() >= 1.0 || !are_beyond {
+        begin_within(path, course, state, aim, (speed, None));
+        return;
+    }
+    [path.translation, path.rotation] = bounds.map(|bounds| bounds.braking(course.speed()));
+    begin_within(path, course, state, aim, (speed, Some(bounds)));
+    [path.translation, path.rotation] = bounds;
+}
+
+/// Begins within the bounds of the path, or within those of a stop with these `gentle` ones to come to.
+fn begin_within(
+    path: &mut FramePath,
+    course: &mut super::course::Course,
+    state: &FrameState,
+    (to, join): (Option<Frame>, Option<f64>),
+    (speed, gentle): (f64, Option<[Bounds; 2]>),
 ) {
     let mut off = [State::default(); 6];
     if let Some(to) = to {
@@ -134,7 +166,12 @@ pub(super) fn begin(
         off: &off,
         join,
     };
-    course.begin(path, &departure, speed);
+    if let Some([translation, rotation]) = gentle {
+        let (_, gentle) = path.path.bounds(translation, rotation);
+        course.begin_beyond(path, &departure, speed, gentle);
+    } else {
+        course.begin(path, &departure, speed);
+    }
 }
 
 impl Primitive for Cartesian {
@@ -185,14 +222,19 @@ fn motion(
     start: &'static str,
     (to, join): (Option<Frame>, Option<f64>),
 ) -> Result<Cartesian, Fault> {
+    let speed = speed(b)?;
     let path = FramePath {
         path,
-        translation: bounds(b, [VELOCITY, ACCELERATION, JERK])?,
-        rotation: bounds(b, [ROT_VELOCITY, ROT_ACCELERATION, ROT_JERK])?,
+        translation: slowed(b, bounds(b, [VELOCITY, ACCELERATION, JERK])?, speed)?,
+        rotation: slowed(
+            b,
+            bounds(b, [ROT_VELOCITY, ROT_ACCELERATION, ROT_JERK])?,
+            speed,
+        )?,
     };
     let from = FrameFrom::new(b, start)?;
     Ok(Cartesian {
-        runner: Runner::new(b, path.along(WHOLE), from.is_some().then_some(6))?,
+        runner: Runner::new(b, path.along(WHOLE), speed, from.is_some().then_some(6))?,
         path,
         to,
         from,

@@ -91,6 +91,10 @@ pub(super) struct Course {
     profile: Profile,
     length: f64,
     bounds: Bounds,
+    /// Part of the speed at which it takes its time; a stop brakes within the whole limits of acceleration and jerk.
+    speed: f64,
+    /// Velocity limit, while the bounds of its path are those of a stop, since it begins beyond its limits.
+    beyond: Option<f64>,
     lead: Option<Lead>,
     is_leading: bool,
     /// Part of the velocity limit while the motion comes onto its path.
@@ -102,13 +106,17 @@ pub(super) struct Course {
 
 impl Course {
     /// A course on a path of that length (in the unit of the bounds, at most the largest of the lengths from which the
-    /// bounds are derived). `None` if no motion keeps the bounds.
-    pub(super) fn new((length, bounds): (f64, Bounds), period_s: f64) -> Option<Self> {
+    /// bounds are derived). The bounds are those at a part of the speed, `speed` (above 0 to 1). `None` if no motion keeps
+    /// the bounds.
+    pub(super) fn new((length, bounds): (f64, Bounds), speed: f64, period_s: f64) -> Option<Self> {
         let mut profile = Profile::new(0.0, bounds, period_s).forward_only();
+        profile.set_bounds([bounds, bounds.braking(speed)]);
         profile.go_to(length, 1.0).then_some(Self {
             profile,
             length,
             bounds,
+            speed,
+            beyond: None,
             lead: None,
             is_leading: false,
             part: 1.0,
@@ -143,9 +151,39 @@ impl Course {
         !self.is_leading
     }
 
+    /// The part of the speed at which it takes its time.
+    pub(super) const fn speed(&self) -> f64 {
+        self.speed
+    }
+
+    /// Bounds of the path as those of the motion, and those of what brakes.
+    fn pair(&self, bounds: Bounds) -> [Bounds; 2] {
+        let Some(velocity) = self.beyond else {
+            return [bounds, bounds.braking(self.speed)];
+        };
+        let velocity = bounds.velocity.min(velocity);
+        let bounds = Bounds { velocity, ..bounds };
+        [bounds.gentle(self.speed), bounds]
+    }
+
+    /// Begins as [`Self::begin`] does, from a state beyond the limits of the motion. The bounds of `path` are those of a stop;
+    /// `gentle` are those along it within the limits, which apply once the motion has come into them.
+    pub(super) fn begin_beyond(
+        &mut self,
+        path: &impl Geometry,
+        from: &Departure<'_>,
+        override_: f64,
+        gentle: Bounds,
+    ) {
+        self.beyond = Some(gentle.velocity);
+        self.begin(path, from, override_);
+        self.beyond = None;
+        self.bounds = gentle;
+    }
+
     pub(super) fn restart(&mut self) {
         self.profile.reset(0.0);
-        self.profile.set_bounds(self.bounds);
+        self.profile.set_bounds(self.pair(self.bounds));
         if let Some(lead) = &mut self.lead {
             lead.reset();
         }
@@ -160,7 +198,7 @@ impl Course {
     pub(super) fn begin(&mut self, path: &impl Geometry, from: &Departure<'_>, override_: f64) {
         self.restart();
         (self.length, self.bounds) = path.along(WHOLE);
-        self.profile.set_bounds(self.bounds);
+        self.profile.set_bounds(self.pair(self.bounds));
         self.has_started = true;
         self.is_leading = is_off(path, from.off);
         // A motion that begins without override brakes from the plan for the full one.
@@ -188,18 +226,21 @@ impl Course {
     fn plan_lead(&mut self, path: &impl Geometry, from: &Departure<'_>) {
         let share = share(path, from, self.length);
         let (_, along) = path.along(share.map(|part| 1.0 - part));
+        let along = self.pair(along);
         self.profile.set_bounds(along);
         for (is_gentle, parts) in [(true, GENTLE_PARTS), (false, &PARTS)] {
-            let Some(lead) = &mut self.lead else { return };
+            let Some(mut lead) = self.lead.take() else {
+                return;
+            };
             let is_planned = lead.begin(from.off, |axis| {
                 let bounds = axis_bounds(path, from.off, axis, share);
-                let gentle = || {
-                    from.off
-                        .get(axis)
-                        .map_or(bounds, |off| gentle(*off, bounds))
-                };
-                if is_gentle { gentle() } else { bounds }
+                let [mut within, braking] = self.pair(bounds);
+                if let Some(off) = from.off.get(axis).filter(|_| is_gentle) {
+                    within = gentle(*off, within);
+                }
+                [within, braking]
             });
+            self.lead = Some(lead);
             for part in parts {
                 self.part = *part;
                 let is_planned = is_planned && self.profile.begin(from.along, self.length, *part);
@@ -263,7 +304,7 @@ impl Course {
                 // From here on, the limits are those of the path alone.
                 self.is_leading = false;
                 self.part = 1.0;
-                self.profile.set_bounds(self.bounds);
+                self.profile.set_bounds(self.pair(self.bounds));
                 match self.aim {
                     Aim::End(speed) => self.profile.go_to(self.length, speed),
                     Aim::Hold | Aim::Stop => self.profile.is_at_rest() || self.profile.brake(),
@@ -290,6 +331,9 @@ impl Course {
         };
         if is_planned {
             self.aim = wanted;
+            if let (Aim::Stop, Some(lead)) = (wanted, self.lead.as_mut()) {
+                lead.hurry();
+            }
         }
     }
 

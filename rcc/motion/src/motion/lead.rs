@@ -33,9 +33,9 @@ impl Lead {
         }
     }
 
-    /// Begins with the deviation `off`, within the bounds of each axis. Returns whether there is a plan for all axes; an
+    /// Begins with the deviation `off`, within the bounds of each axis, and those of what brakes. Returns whether there is a plan for all axes; an
     /// axis without one has no deviation from now on.
-    pub(super) fn begin(&mut self, off: &[State], bounds: impl Fn(usize) -> Bounds) -> bool {
+    pub(super) fn begin(&mut self, off: &[State], bounds: impl Fn(usize) -> [Bounds; 2]) -> bool {
         let mut is_planned = true;
         for (i, (axis, off)) in self.axes.iter_mut().zip(off).enumerate() {
             axis.reset(0.0);
@@ -50,6 +50,13 @@ impl Lead {
             }
         }
         is_planned
+    }
+
+    /// Brings the deviation to zero as fast as a stop may, not faster than it was to be.
+    pub(super) fn hurry(&mut self) {
+        for axis in &mut self.axes {
+            axis.hurry();
+        }
     }
 
     /// Ends the deviation at once.

@@ -12,6 +12,7 @@ pub(super) const SMALLEST: f64 = 1e-6;
 pub(super) const VELOCITY: &str = "Velocity";
 pub(super) const ACCELERATION: &str = "Acceleration";
 pub(super) const JERK: &str = "Jerk";
+pub(super) const SPEED: &str = "Speed";
 
 /// Checks a limit.
 pub(super) fn limit(b: &Build<'_, '_>, parameter: &'static str, value: f64) -> Result<f64, Fault> {
@@ -20,6 +21,30 @@ pub(super) fn limit(b: &Build<'_, '_>, parameter: &'static str, value: f64) -> R
     }
     let why = format!("{value} is not a limit; it must be between {SMALLEST} and {LARGEST}");
     Err(b.parameter_fault(parameter, why))
+}
+
+/// The part of the speed at which a motion takes its time.
+pub(super) fn speed(b: &Build<'_, '_>) -> Result<f64, Fault> {
+    b.double(SPEED, f64::MIN_POSITIVE..=1.0)
+}
+
+/// Limits at a part of the speed.
+pub(super) fn slowed(b: &Build<'_, '_>, bounds: Bounds, speed: f64) -> Result<Bounds, Fault> {
+    let slowed = bounds.at_speed(speed);
+    for value in [slowed.velocity, slowed.acceleration, slowed.jerk] {
+        limit(b, SPEED, value)?;
+    }
+    Ok(slowed)
+}
+
+/// Adds the parameter of the speed.
+pub(super) fn with_speed(definition: Definition) -> Definition {
+    definition.parameter::<f64>(
+        SPEED,
+        "1",
+        "part of the speed, above 0 to 1: it scales time, so velocities by it, accelerations by its square, jerks by its cube; \
+         what brakes (a stop, a hold, a state beyond these limits) has the whole limits of acceleration and jerk",
+    )
 }
 
 /// The elements of an array parameter for `joints` joints; a single element applies to all of them.

@@ -46,7 +46,7 @@ fn course(period: Duration, axes: usize) -> Result<Course, PlanError> {
         return Err(PlanError::Period);
     }
     let period_s = period.as_secs_f64();
-    let course = Course::new((0.0, UNIT), period_s).ok_or(PlanError::Bounds)?;
+    let course = Course::new((0.0, UNIT), 1.0, period_s).ok_or(PlanError::Bounds)?;
     Ok(course.with_lead(axes, period_s))
 }
 
@@ -84,6 +84,7 @@ impl JointMotion {
                 vec![0.0; joints].into(),
                 vec![0.0; joints].into(),
                 vec![UNIT; joints].into(),
+                1.0,
             ),
             progress: Progress::default(),
         })

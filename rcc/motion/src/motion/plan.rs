@@ -251,11 +251,11 @@ fn run<S>(
     })
 }
 
-fn course(along: (f64, Bounds), period: Duration) -> Result<Course, PlanError> {
+fn course(along: (f64, Bounds), speed: f64, period: Duration) -> Result<Course, PlanError> {
     if period.is_zero() {
         return Err(PlanError::Period);
     }
-    Course::new(along, period.as_secs_f64()).ok_or(PlanError::Bounds)
+    Course::new(along, speed, period.as_secs_f64()).ok_or(PlanError::Bounds)
 }
 
 /// The motion of joints from a state (rad) to rest at a goal (rad), as `Motion::Ptp` makes it in cycles of `period`.
@@ -282,8 +282,8 @@ pub fn plan(
     }
     bounds.iter().try_for_each(|bounds| bounds.check())?;
     let start = from.iter().map(|state| state.position).collect();
-    let mut line = JointLine::new(start, to.into(), bounds.into());
-    let mut course = course(line.along(WHOLE), period)?;
+    let mut line = JointLine::new(start, to.into(), bounds.into(), 1.0);
+    let mut course = course(line.along(WHOLE), 1.0, period)?;
     let is_moving = from
         .iter()
         .any(|state| *state != State::at_rest(state.position));
@@ -382,18 +382,34 @@ pub fn plan_frame(
     bounds: FrameBounds,
     period: Duration,
 ) -> Result<Plan<FrameSample>, PlanError> {
+    plan_frame_at(from, route, bounds, 1.0, period)
+}
+
+/// The same at a part of the speed, above 0 to 1, which scales time: a stop brakes within the whole limits of acceleration and
+/// jerk, which the samples' places of rest show.
+///
+/// # Errors
+/// If there is no such motion.
+pub fn plan_frame_at(
+    from: &FrameState,
+    route: &Route,
+    bounds: FrameBounds,
+    speed: f64,
+    period: Duration,
+) -> Result<Plan<FrameSample>, PlanError> {
     if !from.is_sensible() || !route.is_sensible() {
         return Err(PlanError::Number);
     }
-    bounds.translation.check()?;
-    bounds.rotation.check()?;
+    let bounds = [bounds.translation, bounds.rotation].map(|bounds| bounds.at_speed(speed));
+    bounds.iter().try_for_each(|bounds| bounds.check())?;
     let (path, to, join) = route.path(from).ok_or(PlanError::Path)?;
+    let [translation, rotation] = bounds;
     let mut path = FramePath {
         path,
-        translation: bounds.translation,
-        rotation: bounds.rotation,
+        translation,
+        rotation,
     };
-    let mut course = course(path.along(WHOLE), period)?;
+    let mut course = course(path.along(WHOLE), speed, period)?;
     let starts = join.is_none() && *from == FrameState::at_rest(path.path.at(0.0));
     let first = (!starts).then_some(FrameSample {
         progress: 0.0,

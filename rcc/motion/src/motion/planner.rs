@@ -10,7 +10,7 @@ use rsruckig::velocity_third_step1::VelocityThirdOrderStep1;
 use super::profile::{Bounds, State};
 
 /// Tolerance for rounding: how far a sample may exceed a limit, relative to the limit.
-const ROUNDING: f64 = 1e-9;
+pub(super) const ROUNDING: f64 = 1e-9;
 
 /// By how much the limits are lowered if there is no plan, relative to them. Where a motion reaches a limit just at one
 /// instant, two kinds of profile meet, and rounding may rule out both of them.

@@ -4,7 +4,10 @@
 
 use rsruckig::prelude::{DataArrayOrVec, Trajectory};
 
-use super::planner::{Planner, Target};
+use super::planner::{Planner, ROUNDING, Target};
+
+/// Rounding tolerance of a way to rest, relative to it and to the way in a second.
+const STOPS: f64 = 1e-6;
 
 /// Limits of a coordinate, in its unit per s, s² and s³.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,6 +37,39 @@ impl Bounds {
             acceleration: self.acceleration * acceleration,
             jerk: self.jerk * jerk,
         }
+    }
+
+    /// The same limits for a motion that takes its time at a part of the speed: the path in time is the same, but longer.
+    pub(super) fn at_speed(self, speed: f64) -> Self {
+        Self {
+            velocity: self.velocity * speed,
+            acceleration: self.acceleration * speed * speed,
+            jerk: self.jerk * speed * speed * speed,
+        }
+    }
+
+    /// What a motion at a part of the speed brakes with: acceleration and jerk of the whole limits.
+    pub(super) fn braking(self, speed: f64) -> Self {
+        Self {
+            velocity: self.velocity,
+            acceleration: self.acceleration / (speed * speed),
+            jerk: self.jerk / (speed * speed * speed),
+        }
+    }
+
+    /// The reverse of [`Self::braking`].
+    pub(super) fn gentle(self, speed: f64) -> Self {
+        Self {
+            velocity: self.velocity,
+            acceleration: self.acceleration * speed * speed,
+            jerk: self.jerk * speed * speed * speed,
+        }
+    }
+
+    /// Whether a state exceeds the limits by more than rounding.
+    pub(super) fn are_exceeded(self, state: State) -> bool {
+        let beyond = |value: f64, limit: f64| value.abs() > limit * (1.0 + ROUNDING);
+        beyond(state.velocity, self.velocity) || beyond(state.acceleration, self.acceleration)
     }
 
     /// The lower limit of each pair.
@@ -90,6 +126,10 @@ pub(super) struct Profile {
     plan: Trajectory<1>,
     spare: Trajectory<1>,
     bounds: Bounds,
+    /// Limits of what brakes: a stop, and the way back into `bounds`.
+    braking: Bounds,
+    /// Velocity limit of a plan that brakes into `bounds`, and then goes on within them.
+    entering: Option<f64>,
     /// Whether it moves forwards only.
     forward_only: bool,
     /// Whether the state in which it began requires it to move backwards nevertheless.
@@ -116,6 +156,8 @@ impl Profile {
             plan: Trajectory::new(None),
             spare: Trajectory::new(None),
             bounds,
+            braking: bounds,
+            entering: None,
             forward_only: false,
             returns: false,
             period_s,
@@ -150,12 +192,13 @@ impl Profile {
         };
         self.goal = Some(position);
         self.cycles = None;
+        self.entering = None;
         self.returns = false;
     }
 
-    /// Replaces the limits; they apply from the next plan on.
-    pub(super) const fn set_bounds(&mut self, bounds: Bounds) {
-        self.bounds = bounds;
+    /// Replaces the limits, and those of what brakes, which are not lower; they apply from the next plan on.
+    pub(super) const fn set_bounds(&mut self, [bounds, braking]: [Bounds; 2]) {
+        (self.bounds, self.braking) = (bounds, braking);
     }
 
     /// Whether a plan may lead backwards.
@@ -171,7 +214,12 @@ impl Profile {
         self.cycles = None;
         self.returns = false;
         // A deceleration turns the coordinate back before jerk can end it.
-        let lost = state.acceleration.min(0.0).powi(2) / (2.0 * self.bounds.jerk);
+        let jerk = if self.bounds.are_exceeded(state) {
+            self.braking.jerk
+        } else {
+            self.bounds.jerk
+        };
+        let lost = state.acceleration.min(0.0).powi(2) / (2.0 * jerk);
         if state.velocity >= lost && self.go_to(goal, part) {
             return true;
         }
@@ -212,30 +260,66 @@ impl Profile {
             return self.now.position;
         };
         let state = self.peek(f64::from(cycles.saturating_add(2)) * self.period_s);
-        state.position + stopping(state, self.bounds)
+        state.position + stopping(state, self.braking)
     }
 
-    /// Plans to come to rest at `goal`, at most at `part` (0 to 1) of the velocity limit. Returns
-    /// whether there is such a plan.
+    /// Plans to come to rest at `goal`, at most at `part` (0 to 1) of the velocity limit. A state beyond the limits, or one
+    /// that cannot stop before the goal within them, brakes within those of a stop. Returns whether there is such a plan.
     pub(super) fn go_to(&mut self, goal: f64, part: f64) -> bool {
         let velocity = self.bounds.velocity * part;
-        self.make_plan(Some(goal), velocity)
+        let gentle = Bounds {
+            velocity,
+            ..self.bounds
+        };
+        if self.braking.jerk <= self.bounds.jerk {
+            return self.make_plan(Some(goal), gentle);
+        }
+        let hard = Bounds {
+            velocity,
+            ..self.braking
+        };
+        // One that moves forwards only has no gentle plan where it cannot stop.
+        let fits = self.goes_on_within(gentle);
+        if fits && self.make_plan(Some(goal), gentle) {
+            self.entering = None;
+            return true;
+        }
+        let is_planned = self.make_plan(Some(goal), hard);
+        if is_planned {
+            self.entering = Some(velocity);
+        }
+        is_planned || (!fits && self.make_plan(Some(goal), gentle))
+    }
+
+    /// Goes to the same goal within the limits of a stop, at the same velocity.
+    pub(super) fn hurry(&mut self) {
+        let Some(goal) = self.goal.filter(|_| !self.is_at_rest()) else {
+            return;
+        };
+        let hard = Bounds {
+            velocity: self.bounds.velocity,
+            ..self.braking
+        };
+        if self.braking.jerk > self.bounds.jerk && self.make_plan(Some(goal), hard) {
+            self.entering = None;
+        }
     }
 
     /// Plans to come to rest as soon as possible. Returns whether there is such a plan.
     pub(super) fn brake(&mut self) -> bool {
-        self.make_plan(None, self.bounds.velocity)
+        let is_planned = self.make_plan(None, self.braking);
+        if is_planned {
+            self.entering = None;
+        }
+        is_planned
     }
 
-    fn make_plan(&mut self, goal: Option<f64>, velocity: f64) -> bool {
+    fn make_plan(&mut self, goal: Option<f64>, bounds: Bounds) -> bool {
+        let velocity = bounds.velocity;
         let is_number = goal.is_none_or(f64::is_finite) && self.now.is_finite() && velocity > 0.0;
         if !is_number {
             return false;
         }
-        let bounds = Bounds {
-            velocity,
-            ..self.bounds
-        };
         let target = goal.map_or(Target::Anywhere, Target::Position);
         let lowest = if self.may_return() { -velocity } else { 0.0 };
         let plan = &mut self.spare;
@@ -249,6 +333,28 @@ impl Profile {
             }
         }
         is_planned
+    }
+
+    /// Whether the state keeps the bounds, and a deceleration ends within them before it turns the coordinate back.
+    fn goes_on_within(&self, bounds: Bounds) -> bool {
+        let lost = self.now.acceleration.min(0.0).powi(2) / (2.0 * bounds.jerk);
+        let turns_back = !self.may_return() && self.now.velocity < lost;
+        !bounds.are_exceeded(self.now) && !turns_back
+    }
+
+    /// Goes on within the limits, once a plan that brakes into them has come there.
+    fn enter(&mut self) {
+        let (Some(velocity), Some(goal)) = (self.entering, self.goal) else {
+            return;
+        };
+        let gentle = Bounds {
+            velocity,
+            ..self.bounds
+        };
+        let is_within = self.goes_on_within(gentle) && stops_before(self.now, goal, gentle);
+        if is_within && self.make_plan(Some(goal), gentle) {
+            self.entering = None;
+        }
     }
 
     /// Advances by one cycle.
@@ -267,8 +373,16 @@ impl Profile {
         if has_ended {
             // The end of the plan has a rounding error.
             self.reset(self.goal.unwrap_or(sample.position));
+        } else {
+            self.enter();
         }
     }
+}
+
+/// Whether a coordinate in this state can stop within these bounds without passing its goal.
+fn stops_before(now: State, goal: f64, bounds: Bounds) -> bool {
+    let (left, needed) = (goal - now.position, stopping(now, bounds));
+    needed * left <= 0.0 || needed.abs() <= left.abs() * (1.0 + STOPS) + STOPS * bounds.velocity
 }
 
 /// Distance to standstill: from the present acceleration to the strongest deceleration, some time at it, and back.

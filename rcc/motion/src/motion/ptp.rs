@@ -10,7 +10,7 @@ use super::course::{Course, Departure, Geometry, Group, MOSTLY, Progress, WHOLE,
 use super::lead::Lead;
 use super::profile::{Bounds, State};
 use super::runner::{Runner, with_ports};
-use super::{joint_bounds, joint_positions, with_joint_limits};
+use super::{joint_bounds, joint_positions, slowed, speed, with_joint_limits};
 
 /// A straight line in joint space.
 #[derive(Clone, Debug)]
@@ -18,6 +18,8 @@ pub(super) struct JointLine {
     pub(super) from: Box<[f64]>,
     pub(super) to: Box<[f64]>,
     pub(super) bounds: Box<[Bounds]>,
+    /// Bounds of what brakes.
+    braking: Box<[Bounds]>,
     /// Deviations at the beginning.
     off: Box<[State]>,
     /// How far they move until they are at rest, rad.
@@ -28,9 +30,10 @@ pub(super) struct JointLine {
 const ROUNDS: usize = 4;
 
 impl JointLine {
-    /// A line of as many joints as each of these has.
-    pub(super) fn new(from: Box<[f64]>, to: Box<[f64]>, bounds: Box<[Bounds]>) -> Self {
+    /// A line of as many joints as each of these has, with bounds at a part of the speed.
+    pub(super) fn new(from: Box<[f64]>, to: Box<[f64]>, bounds: Box<[Bounds]>, speed: f64) -> Self {
         Self {
+            braking: bounds.iter().map(|bounds| bounds.braking(speed)).collect(),
             off: vec![State::default(); to.len()].into(),
             ways: vec![0.0; to.len()].into(),
             from,
@@ -45,8 +48,26 @@ impl JointLine {
     }
 
     /// Begins a course in these states: on a line that begins where what does not move along it comes to rest, so that
-    /// no joint needs a way back.
+    /// no joint needs a way back. Joints that are beyond the bounds of a slower motion brake into them within the whole limits.
     pub(super) fn begin(&mut self, course: &mut Course, joints: &[State], speed: f64) {
+        let mut pairs = self.bounds.iter().zip(joints);
+        let are_beyond = pairs.any(|(bounds, joint)| bounds.are_exceeded(*joint));
+        if course.speed() < 1.0 && are_beyond {
+            std::mem::swap(&mut self.bounds, &mut self.braking);
+            self.begin_within(course, joints, speed, true);
+            std::mem::swap(&mut self.bounds, &mut self.braking);
+        } else {
+            self.begin_within(course, joints, speed, false);
+        }
+    }
+
+    fn begin_within(
+        &mut self,
+        course: &mut Course,
+        joints: &[State],
+        speed: f64,
+        are_beyond: bool,
+    ) {
         let (mut off, mut ways) = (
             std::mem::take(&mut self.off),
             std::mem::take(&mut self.ways),
@@ -67,15 +88,17 @@ impl JointLine {
         }
         self.start_beside(joints, &ways);
         let along = self.depart(joints, &mut off);
-        course.begin(
-            self,
-            &Departure {
-                along,
-                off: &off,
-                join: None,
-            },
-            speed,
-        );
+        let departure = Departure {
+            along,
+            off: &off,
+            join: None,
+        };
+        if are_beyond {
+            let (_, gentle) = self.along_within(&self.braking, WHOLE);
+            course.begin_beyond(self, &departure, speed, gentle);
+        } else {
+            course.begin(self, &departure, speed);
+        }
         (self.off, self.ways) = (off, ways);
     }
 
@@ -148,6 +171,17 @@ impl JointLine {
         along
     }
 
+    /// The length is measured by the joint with the longest distance, rad.
+    fn along_within(&self, bounds: &[Bounds], parts: [f64; 2]) -> (f64, Bounds) {
+        let distances = || self.distances().map(f64::abs);
+        let length = distances().fold(0.0, f64::max);
+        let along = distances()
+            .zip(bounds)
+            .filter(|(distance, _)| *distance > 0.0);
+        let along = along.map(|(distance, bounds)| bounds.slower(parts).scaled(length / distance));
+        (length, along.reduce(Bounds::and).unwrap_or(bounds[0]))
+    }
+
     /// The state of a joint.
     pub(super) fn at(&self, joint: usize, progress: Progress, lead: Option<&Lead>) -> State {
         let (from, to) = (self.from[joint], self.to[joint]);
@@ -161,15 +195,8 @@ impl JointLine {
 }
 
 impl Geometry for JointLine {
-    /// The length is measured by the joint with the longest distance, rad.
     fn along(&self, parts: [f64; 2]) -> (f64, Bounds) {
-        let distances = || self.distances().map(f64::abs);
-        let length = distances().fold(0.0, f64::max);
-        let along = distances()
-            .zip(&self.bounds)
-            .filter(|(distance, _)| *distance > 0.0);
-        let along = along.map(|(distance, bounds)| bounds.slower(parts).scaled(length / distance));
-        (length, along.reduce(Bounds::and).unwrap_or(self.bounds[0]))
+        self.along_within(&self.bounds, parts)
     }
 
     fn groups(&self) -> usize {
@@ -347,16 +374,28 @@ fn build(b: &mut Build<'_, '_>) -> Result<Ptp, Fault> {
     if joints == 0 {
         return Err(b.parameter_fault("From", "a motion needs at least one joint".to_owned()));
     }
+    let speed = speed(b)?;
+    let bounds = joint_bounds(b, joints)?;
+    let bounds = bounds
+        .into_iter()
+        .map(|bounds| slowed(b, bounds, speed))
+        .collect::<Result<_, _>>()?;
     let line = JointLine::new(
         joint_positions(b, "From", joints)?.into(),
         joint_positions(b, "To", joints)?.into(),
-        joint_bounds(b, joints)?.into(),
+        bounds,
+        speed,
     );
     if let Some(from) = &from {
         from.fits(b, joints)?;
     }
     Ok(Ptp {
-        runner: Runner::new(b, line.along(WHOLE), from.is_some().then_some(joints))?,
+        runner: Runner::new(
+            b,
+            line.along(WHOLE),
+            speed,
+            from.is_some().then_some(joints),
+        )?,
         line,
         from,
         position: b.array_output("outPosition", joints)?,

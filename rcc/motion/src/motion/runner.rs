@@ -5,6 +5,7 @@ use takt_net::{Build, Cycle, Definition, Fault, In, Out};
 
 use super::course::{Course, Progress};
 use super::profile::Bounds;
+use super::with_speed;
 
 pub(super) const OVERRIDE: Port = port(
     "inOverride",
@@ -29,7 +30,7 @@ pub(super) struct Runner {
 /// Adds the ports common to all motions.
 pub(super) fn with_ports(definition: Definition) -> Definition {
     // A changed override or a stop is planned for within the cycle in which it arrives.
-    definition
+    with_speed(definition)
         .cost_ns(15_000)
         .stateful()
         .input::<f64>(OVERRIDE)
@@ -46,14 +47,16 @@ pub(super) fn with_ports(definition: Definition) -> Definition {
 }
 
 impl Runner {
-    /// A runner on a path with that length and these bounds along it; with `axes`, it may begin beside the path.
+    /// A runner on a path with that length and these bounds along it, at a part of the speed; with `axes`, it may begin beside
+    /// the path.
     pub(super) fn new(
         b: &mut Build<'_, '_>,
         along: (f64, Bounds),
+        speed: f64,
         axes: Option<usize>,
     ) -> Result<Self, Fault> {
         let period_s = b.period_s();
-        let Some(course) = Course::new(along, period_s) else {
+        let Some(course) = Course::new(along, speed, period_s) else {
             let why = "no motion keeps these limits: their magnitudes differ too much".to_owned();
             return Err(b.parameter_fault(super::VELOCITY, why));
         };

@@ -4,7 +4,9 @@
 mod blends;
 mod coupled;
 mod departures;
+mod elbow;
 mod plans;
+mod slow;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use takt_net::value::text::{TextValue, format_array, parse_array};

@@ -5,10 +5,12 @@ use takt_net::definition::port;
 use takt_net::{ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, In, NullRule, Out, Primitive};
 
 use super::course::HOLD_BELOW;
-use super::profile::{Profile, State};
+use super::profile::{Bounds, Profile, State};
 use super::ptp::{JointsFrom, with_joints_from};
 use super::runner::OVERRIDE;
-use super::{is_sensible, joint_bounds, joint_positions, with_joint_limits};
+use super::{
+    is_sensible, joint_bounds, joint_positions, slowed, speed, with_joint_limits, with_speed,
+};
 
 struct Joint {
     profile: Profile,
@@ -146,11 +148,20 @@ fn build(b: &mut Build<'_, '_>) -> Result<Track, Fault> {
         present.fits(b, goal.len())?;
     }
     let period_s = b.period_s();
-    let joint = |(start, bounds)| Joint {
-        profile: Profile::new(start, bounds, period_s),
-        start,
-        goal: start,
-        part: 1.0,
+    let speed = speed(b)?;
+    for bounds in &bounds {
+        slowed(b, *bounds, speed)?;
+    }
+    let joint = |(start, bounds): (f64, Bounds)| {
+        let mut profile = Profile::new(start, bounds, period_s);
+        let bounds = bounds.at_speed(speed);
+        profile.set_bounds([bounds, bounds.braking(speed)]);
+        Joint {
+            profile,
+            start,
+            goal: start,
+            part: 1.0,
+        }
     };
     Ok(Track {
         joints: from.into_iter().zip(bounds).map(joint).collect(),
@@ -194,7 +205,7 @@ pub(super) fn definition() -> Definition {
     .array_output::<f64>("outAcceleration", "acceleration of each joint, rad/s²")
     .output::<bool>("outDone", "all joints are at rest, at their goals or stopped");
     // A new goal is planned for within the cycle in which it arrives, joint by joint.
-    let mut definition = with_joints_from(with_joint_limits(definition)).cost_ns(1_000);
+    let mut definition = with_joints_from(with_speed(with_joint_limits(definition))).cost_ns(1_000);
     // Four arrays or more have an element for each joint.
     definition.cost.element_ns = 1_500.0;
     definition.null(NullRule::Own(

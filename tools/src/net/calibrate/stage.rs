@@ -142,7 +142,7 @@ fn parameters(definition: &Definition, instance: usize, size: usize) -> Vec<Stri
                 list("1000", size)
             )
         }
-        "Motion::Track" => FAST_JOINTS.to_owned(),
+        "Motion::Track" | "Motion::Coast" => FAST_JOINTS.to_owned(),
         _ => String::new(),
     };
     let own = |parameter: &Parameter| {
