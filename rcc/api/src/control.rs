@@ -11,11 +11,6 @@ use crate::order::{Operation, Ports, Requests, Speed};
 
 /// Longest time until an arm has switched, s.
 const SWITCH_MAX_S: f64 = 10.0;
-/// How long an arm that has just moved may take to rest where it is commanded, s: as a spring, its elbow comes to rest after its
-/// tool.
-const REST_S: f64 = 3.0;
-/// How far from there each joint may be, rad: a robot's program accepts 0.01.
-const REST: f64 = 0.005;
 /// How long it follows again before it counts as switched, s.
 const STEADY_S: f64 = 0.1;
 /// How long the answer to a stiffness may be an error while the mode changes, s.
@@ -104,7 +99,7 @@ impl Control {
 }
 
 impl Arm {
-    /// Switches how the arm is controlled; it must be at rest where it is commanded, or come to rest there within 3 s. Some arms leave command mode for that
+    /// Switches how the arm is controlled; it must be at rest where it is commanded. Some arms leave command mode for that
     /// and come back: completed when the arm follows again. The mode stays until the arm switches again.
     pub fn switch_to(&self, control: Control) -> Activity {
         let arm = self.description().clone();
@@ -161,30 +156,6 @@ impl Switch {
                 ]
             }
         }
-    }
-
-    /// Whether the order waits: the arm does not rest yet where it is commanded.
-    fn waits(&self, net: &mut Net, clock: &Port) -> Port {
-        let mut away = Vec::new();
-        for axis in 0..self.arm.joints.len() {
-            let monitor = [
-                ("Robot", self.arm.name.as_str().into()),
-                ("Axis", axis.into()),
-            ];
-            let monitor = net.add("RobotArm::JointMonitor", monitor);
-            let [measured, commanded] = ["outMeasuredPosition", "outCommandedPosition"];
-            let (measured, commanded) = (monitor.out(measured), monitor.out(commanded));
-            let distance = net.of_two("Core::DoubleSubtract", &measured, &commanded);
-            away.push(net.is_beyond(&distance, REST));
-        }
-        let soon = [("First", REST_S.into()), ("inSecond", clock.into())];
-        let soon = net.add("Core::DoubleGreater", soon).out("outValue");
-        let away = net.any(&away).unwrap_or_else(|| soon.clone());
-        // Once it is ordered, it stays so.
-        let rests = net.of("Core::BooleanNot", &away);
-        let rests = net.add("Core::Trigger", [("inOn", (&rests).into())]);
-        let moves = net.of("Core::BooleanNot", &rests.out("outActive"));
-        net.of_two("Core::BooleanAnd", &moves, &soon)
     }
 
     fn failures(&self) -> [(i32, Failure); 6] {
@@ -289,10 +260,6 @@ impl Operation for Switch {
         };
         let strategy = [("Value", self.control.strategy().into())];
         let strategy = net.add("Core::IntValue", strategy).out("outValue");
-        let clock = net.add("Core::Clock", []).out("outValue");
-        let waits = self.waits(net, &clock);
-        let strategy = [("inValue", (&strategy).into()), ("inNull", (&waits).into())];
-        let strategy = net.add("Core::IntSetNull", strategy).out("outValue");
         let order = [("inStrategy", (&strategy).into()), ("Robot", name.into())];
         let order = net.add("KUKA::LWR::ControlStrategy", order);
         let orders = self.parameters(net);
@@ -325,6 +292,7 @@ impl Operation for Switch {
             failures.push((failure, net.known(&failed)));
         }
         failures.extend(is_taken.map(|taken| self.refusal(net, &taken, &switched)));
+        let clock = net.add("Core::Clock", []).out("outValue");
         let late = [
             ("inFirst", (&clock).into()),
             ("Second", SWITCH_MAX_S.into()),

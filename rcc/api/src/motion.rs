@@ -1,8 +1,7 @@
 //! Motions of an arm as nets. Every net begins in the state that was commanded in the cycle before, at rest or in motion:
 //! one net serves as a fresh start, as successor of a motion that ended, and as successor of one that still moves.
 //!
-//! The speed of a motion scales its time: at 0.5 velocities are halved, accelerations quartered, jerks divided by eight. What brakes
-//! does so within the whole limits of acceleration and jerk: less speed makes no stop longer.
+//! The speed of a motion scales its time: at 0.5 velocities are halved, accelerations quartered, jerks divided by eight.
 
 mod centre;
 mod coupled;
@@ -26,7 +25,7 @@ use takt_net::device::Kinematics;
 use crate::engine::Failure;
 use crate::error::ErrorKind;
 use crate::net::{Argument, Net, Port, Primitive, array};
-use crate::plan::whole_bounds;
+use crate::plan::{bounds, joint_bounds};
 use crate::pose::Pose;
 pub(crate) use centre::Centre;
 pub(crate) use coupled::{CoupledMotion, Holder};
@@ -104,45 +103,33 @@ impl Default for CartesianLimits {
 }
 
 impl CartesianLimits {
-    /// The longest time that braking takes from constant velocity at a part of the speed, s.
+    /// The longest time that braking takes at a part of the speed, s.
     pub(crate) fn braking_s(&self, speed: f64) -> f64 {
         let FrameBounds {
             translation,
             rotation,
-        } = self.bounds();
+        } = self.bounds(speed);
         let time = |it: takt_motion::plan::Bounds| {
-            let velocity = it.velocity * speed;
-            if velocity * it.jerk >= it.acceleration.powi(2) {
-                velocity / it.acceleration + it.acceleration / it.jerk
-            } else {
-                2.0 * (velocity / it.jerk).sqrt()
-            }
+            it.velocity / it.acceleration + it.acceleration / it.jerk
         };
         f64::max(time(translation), time(rotation))
     }
 
-    /// Limits at full speed.
-    pub(crate) const fn bounds(&self) -> FrameBounds {
+    /// Limits at a part of the speed, which scales time.
+    pub(crate) fn bounds(&self, speed: f64) -> FrameBounds {
+        let rotation = [self.rot_velocity, self.rot_acceleration, self.rot_jerk];
         FrameBounds {
-            translation: takt_motion::plan::Bounds {
-                velocity: self.velocity,
-                acceleration: self.acceleration,
-                jerk: self.jerk,
-            },
-            rotation: takt_motion::plan::Bounds {
-                velocity: self.rot_velocity,
-                acceleration: self.rot_acceleration,
-                jerk: self.rot_jerk,
-            },
+            translation: bounds([self.velocity, self.acceleration, self.jerk], speed),
+            rotation: bounds(rotation, speed),
         }
     }
 
     /// Parameters of the primitives that move frames.
-    fn arguments(&self, speed: f64) -> [(&'static str, Argument); 7] {
+    fn arguments(&self, speed: f64) -> [(&'static str, Argument); 6] {
         let FrameBounds {
             translation,
             rotation,
-        } = self.bounds();
+        } = self.bounds(speed);
         [
             ("Velocity", translation.velocity.into()),
             ("Acceleration", translation.acceleration.into()),
@@ -150,7 +137,6 @@ impl CartesianLimits {
             ("RotVelocity", rotation.velocity.into()),
             ("RotAcceleration", rotation.acceleration.into()),
             ("RotJerk", rotation.jerk.into()),
-            ("Speed", speed.into()),
         ]
     }
 
@@ -271,10 +257,10 @@ impl ArmDescription {
         self.joints.iter().map(limits).collect()
     }
 
-    /// Velocity, acceleration and jerk of each joint, as arrays, for a motion at a part of the speed.
+    /// Velocity, acceleration and jerk of each joint at a part of the speed, as arrays.
     pub(crate) fn limit_texts(&self, speed: f64) -> [String; 3] {
         let joints = self.joints.iter();
-        let bounds: Vec<_> = joints.map(|joint| whole_bounds(joint, speed)).collect();
+        let bounds: Vec<_> = joints.map(|joint| joint_bounds(joint, speed)).collect();
         let of = |limit: &dyn Fn(&takt_motion::plan::Bounds) -> f64| {
             let limits: Vec<_> = bounds.iter().map(limit).collect();
             array(&limits)
@@ -414,7 +400,6 @@ impl ArmDescription {
                 ("Velocity", velocity.into()),
                 ("Acceleration", acceleration.into()),
                 ("Jerk", jerk.into()),
-                ("Speed", speed.into()),
             ],
         )
     }

@@ -182,24 +182,21 @@ fn positions(sample: &JointSample) -> Vec<f64> {
 /// be slower than that of the controller, and the last stage before the wire holds back what is then too fast.
 const VELOCITY_PART_MAX: f64 = 0.999;
 
-/// Limits of a joint, such that a part of the speed, `speed`, leaves that room.
-pub(crate) fn whole_bounds(joint: &JointLimits, speed: f64) -> Bounds {
+/// Limits of a joint at a part of the speed.
+pub(crate) fn joint_bounds(joint: &JointLimits, speed: f64) -> Bounds {
+    let bounds = bounds([joint.velocity, joint.acceleration, joint.jerk], speed);
     Bounds {
-        velocity: joint
-            .velocity
-            .min(joint.velocity * VELOCITY_PART_MAX / speed),
-        acceleration: joint.acceleration,
-        jerk: joint.jerk,
+        velocity: bounds.velocity.min(joint.velocity * VELOCITY_PART_MAX),
+        ..bounds
     }
 }
 
-/// Limits of a joint at a part of the speed, which scales time.
-pub(crate) fn joint_bounds(joint: &JointLimits, speed: f64) -> Bounds {
-    let whole = whole_bounds(joint, speed);
+/// Limits at a part of the speed, which scales time.
+pub(crate) fn bounds([velocity, acceleration, jerk]: [f64; 3], speed: f64) -> Bounds {
     Bounds {
-        velocity: whole.velocity * speed,
-        acceleration: whole.acceleration * speed * speed,
-        jerk: whole.jerk * speed * speed * speed,
+        velocity: velocity * speed,
+        acceleration: acceleration * speed * speed,
+        jerk: jerk * speed * speed * speed,
     }
 }
 

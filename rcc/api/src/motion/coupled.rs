@@ -102,7 +102,7 @@ impl CoupledMotion {
         let start = in_base * self.start(begins)?;
         let route = self.route.moved(&in_base);
         let object: MotionPlan<FrameSample> = route
-            .plan(&start, (self.limits.bounds(), speed), arm.period)
+            .plan(&start, self.limits.bounds(speed), arm.period)
             .map_err(|error| unplanned(arm, error))?;
         let grasp = holder.grasp.isometry();
         let joints = object.joints(&*kinematics, &arm.limits(), &begin.joints, grasp);
@@ -143,7 +143,7 @@ impl CoupledMotion {
                 }
             }
         }
-        // At less speed, the mean speed while braking decreases at least as much. Rounded down, so that the number that is shown
+        // The way of braking does not depend on the speed; the time for it does. Rounded down, so that the number that is shown
         // fits.
         let fits = |it: &TooFast| (speed / it.ratio * 1000.0).floor() / 1000.0;
         let Some(it) = fastest else {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use takt_motion::plan::{self, FrameBounds, FrameSample, FrameState, PlanError, plan_frame_at};
+use takt_motion::plan::{self, FrameBounds, FrameSample, FrameState, PlanError, plan_frame};
 
 use super::{ArmDescription, CartesianLimits};
 use crate::error::ErrorKind;
@@ -93,11 +93,11 @@ impl Route {
         }
     }
 
-    /// Plans it from rest at a start, within bounds at a part of the speed.
+    /// Plans it from rest at a start.
     pub(crate) fn plan(
         &self,
         start: &Pose,
-        (bounds, speed): (FrameBounds, f64),
+        bounds: FrameBounds,
         period: Duration,
     ) -> Result<plan::Plan<FrameSample>, PlanError> {
         let from = *start.isometry();
@@ -116,7 +116,7 @@ impl Route {
                 }
             }
         };
-        plan_frame_at(&FrameState::at_rest(from), &route, bounds, speed, period)
+        plan_frame(&FrameState::at_rest(from), &route, bounds, period)
     }
 
     /// Writes the primitive that moves the frame, from where it is in motion, else from `start`; `None` if the path needs
@@ -229,36 +229,12 @@ pub(crate) fn commanded_in(
     }
 }
 
-/// Most joints of an arm that has no motion of its joints with its flange at rest.
-const NOT_REDUNDANT: usize = 6;
-
-/// Where the joints would be next without a path: as commanded; those of a redundant arm that begins in motion brake, so that
-/// its elbow does not stop at once where its flange goes on along a path.
-fn hint(net: &mut Net, arm: &ArmDescription) -> Port {
-    let positions = arm.joint_array(net, "outCommandedPosition");
-    if arm.joints.len() <= NOT_REDUNDANT {
-        return positions;
-    }
-    let velocities = arm.joint_array(net, "outCommandedVelocity");
-    let accelerations = arm.joint_array(net, "outCommandedAcceleration");
-    let [velocity, acceleration, jerk] = arm.limit_texts(1.0);
-    let coast = [
-        ("inFrom", (&positions).into()),
-        ("inFromVelocity", (&velocities).into()),
-        ("inFromAcceleration", (&accelerations).into()),
-        ("Velocity", Argument::from(velocity)),
-        ("Acceleration", acceleration.into()),
-        ("Jerk", jerk.into()),
-    ];
-    net.add("Motion::Coast", coast).out("outPosition")
-}
-
 /// The joints that bring the flange to a frame, next to those that are commanded; and whether there are none.
 pub(crate) fn inverse(net: &mut Net, arm: &ArmDescription, flange: &Port) -> (Port, Port) {
-    let hint = hint(net, arm);
+    let positions = arm.joint_array(net, "outCommandedPosition");
     let arguments = [
         ("inFrame", flange.into()),
-        ("inHintJoints", (&hint).into()),
+        ("inHintJoints", (&positions).into()),
         ("Robot", arm.name.as_str().into()),
     ];
     let joints = net.add("ArmKinematics::InvKin", arguments).out("outJoints");

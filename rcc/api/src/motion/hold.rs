@@ -25,8 +25,7 @@ impl Operation for Hold {
         let positions = arm.joint_array(net, "outCommandedPosition");
         let always = [("Value", "true".into())];
         let always = net.add("Core::BooleanValue", always).out("outValue");
-        // It only brakes: the speed is none of it.
-        let track = arm.track(net, &positions, &always, 1.0);
+        let track = arm.track(net, &positions, &always, requests.speed);
         let failures = arm.command(net, &track.out("outPosition"));
         let rests = track.out("outDone");
         Ok(Ports {

@@ -204,8 +204,8 @@ fn coupled_net_outlives_a_failure_until_rest() {
         )),
         "{text}"
     );
-    // From half of the speed, braking takes up to 0.225 s: twice that is less than the least time.
-    assert!(lost.contains("Time='1'"), "{lost}");
+    // At half the speed, braking takes up to 0.7 s.
+    assert!(lost.contains("Time='1.4'"), "{lost}");
     let mut fast = coupled();
     fast.limits.acceleration = 4.0;
     fast.limits.jerk = 1000.0;
@@ -294,10 +294,8 @@ fn stream_nets_track_goals_once_written() {
 #[test]
 fn full_speed_leaves_room_for_device_clock() {
     for (speed, velocity) in [(1.0, 2.0 * 0.999), (0.9995, 2.0 * 0.999), (0.5, 1.0)] {
-        let bounds = crate::plan::joint_bounds(&arm("left").joints[0], speed);
-        assert!((bounds.velocity - velocity).abs() < 1e-12, "{speed}");
         let [text, ..] = arm("left").limit_texts(speed);
-        assert_eq!(text, array(&[velocity / speed; 7]), "{speed}");
+        assert_eq!(text, array(&[velocity; 7]), "{speed}");
     }
 }
 
