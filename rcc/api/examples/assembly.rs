@@ -43,7 +43,7 @@ const SCREW: [f64; 3] = [0.3, -0.3, 0.06];
 const BESIDE: f64 = 0.022;
 /// Contact, N; pressing the peg and the screw, N; the torque of the screw, Nm, and the speed of the driver, rad/s.
 const CONTACT: f64 = 5.0;
-const PRESS: [f64; 2] = [12.0, 10.0];
+const PRESS: [f64; 2] = [12.0, 15.0];
 const TORQUE: f64 = 1.5;
 const DRIVER: f64 = 12.0;
 /// Grasping, N, at first and after a slip; how much more of a box one arm carries than the other when the other one slips, N.

@@ -1,5 +1,5 @@
-//! The messages that are spoken, as far as they matter here: what is read, and what is written. Bytes are checked against
-//! independent software in the Python tests. Whether a goal makes sense is decided in [`goal`](super::goal).
+//! The messages that are spoken, as far as they matter here: what is read, and what is written. Bytes are not yet checked
+//! against independent software. Whether a goal makes sense is decided in [`goal`](super::goal).
 
 use super::cdr::{Cdr, DecodeError, Reader};
 

@@ -1,4 +1,4 @@
-//! Messages that were written are read again, cut or changed ones are refused. Bytes of other software are in the Python tests.
+//! Messages that were written are read again, cut or changed ones are refused. No bytes of other software are read here.
 
 use super::*;
 
