@@ -1,11 +1,7 @@
 //! `takt scope` against a peer that speaks the scope's messages: samples in files, captures, losses, lost connections, wrong names;
 //! and against a controller with an emulated arm.
 
-#![expect(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test that cannot go on ends"
-)]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod common;
 #[path = "common/terminal.rs"]

@@ -235,6 +235,7 @@ impl Builder {
         Ok(())
     }
 
+    #[expect(clippy::too_many_lines, reason = "one line a figure")]
     fn check_figures(&self) -> Result<(), BuildError> {
         for (name, pose) in &self.bases {
             check_pose(name, pose)?;

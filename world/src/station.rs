@@ -51,6 +51,7 @@ fn down(x: f64, y: f64, z: f64) -> Pose {
 ///
 /// # Errors
 /// None that a seed could cause.
+#[expect(clippy::too_many_lines, reason = "a table of what stands where")]
 pub fn assembly(seed: u64) -> Result<World, BuildError> {
     let mut random = Random::new(seed);
     let mut near =

@@ -325,12 +325,17 @@ fn canopen_statuswords_and_bus_figures_are_probes() {
                     ScopeEvent::Frame(frame) => {
                         rows.extend(frame.iter().map(|(_, row)| row.to_vec()));
                     }
-                    _ => {}
+                    ScopeEvent::Ended { .. } | ScopeEvent::Lost { .. } => {}
                 }
             }
             std::thread::sleep(Duration::from_millis(20));
         }
         assert!(cause.starts_with("arm.events changed to "), "{cause}");
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a statusword is a whole number of 16 bits"
+        )]
         let bits = |row: &[f64], column: usize, mask: u64| row[column] as u64 & mask;
         let (first, last) = (&rows[0], &rows[rows.len() - 1]);
         assert_eq!((bits(first, 0, 0x6F), first[1]), (0x27, 4.0), "{first:?}");

@@ -128,6 +128,7 @@ fn comparison(probe: Token, words: &mut Words) -> Result<Trigger, String> {
 }
 
 /// A condition that begins with its kind.
+#[expect(clippy::too_many_lines, reason = "one arm for each kind")]
 fn condition(kind: &Token, words: &mut Words) -> Result<Trigger, String> {
     let word = kind.text.as_str();
     let probes = "`takt scope --list` shows all probes";

@@ -86,10 +86,10 @@ mod tests {
     #[test]
     fn clutch_lets_bit_turn_back_only() {
         let driver = Screwdriver::default();
-        assert_eq!(driver.step(10.0, 2.0, SPAN), 0.0);
+        assert!(driver.step(10.0, 2.0, SPAN).abs() < 1e-12);
         assert!((driver.step(-10.0, 2.0, SPAN) + 1.0).abs() < 1e-12);
         assert!((driver.step(f64::MAX, 1.9, SPAN) - 6.0).abs() < 1e-12);
-        assert_eq!(driver.step(f64::INFINITY, 0.0, SPAN), 0.0);
+        assert!(driver.step(f64::INFINITY, 0.0, SPAN).abs() < 1e-12);
     }
 
     #[test]

@@ -38,13 +38,11 @@ fn query<'a>(key: &'a str, payload: &'a [u8]) -> Query<'a> {
 }
 
 fn refusal(answer: Answer) -> Refusal {
-    match answer {
-        Answer::Reply(Reply::Refused { reason, text, .. }) => {
-            assert_eq!(text, reason.to_string());
-            reason
-        }
-        other => panic!("not refused: {other:?}"),
-    }
+    let Answer::Reply(Reply::Refused { reason, text, .. }) = answer else {
+        panic!("not refused: {answer:?}");
+    };
+    assert_eq!(text, reason.to_string());
+    reason
 }
 
 /// A controller with one session, opened at 0.
@@ -128,10 +126,10 @@ fn open(number: u128) -> SessionRequest {
 }
 
 fn nonce(reply: &Reply) -> Nonce {
-    match reply {
-        Reply::Granted { nonce, .. } => *nonce,
-        other => panic!("{other:?}"),
-    }
+    let Reply::Granted { nonce, .. } = reply else {
+        panic!("{reply:?}");
+    };
+    *nonce
 }
 
 #[test]
@@ -152,10 +150,10 @@ fn command_in_time_executes_once_and_repeats_reply() {
 }
 
 fn granted(answer: Answer) -> Reply {
-    match answer {
-        Answer::Reply(reply @ Reply::Granted { .. }) => reply,
-        other => panic!("{other:?}"),
-    }
+    let Answer::Reply(reply @ Reply::Granted { .. }) = answer else {
+        panic!("{answer:?}");
+    };
+    reply
 }
 
 #[test]

@@ -424,11 +424,7 @@ impl World {
         if (wrong + cell.error).abs() > 1 && cell.is_free_until == Nanos::ZERO {
             violations.push(format!("{at} begins {wrong} ns beside the instant"));
         }
-        if cell
-            .begins
-            .iter()
-            .any(|earlier| *earlier == (txn, cell.boot))
-        {
+        if cell.begins.contains(&(txn, cell.boot)) {
             violations.push(format!("{at} begins twice"));
         }
         self.report.violations.extend(violations);

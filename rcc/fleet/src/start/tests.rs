@@ -225,9 +225,10 @@ fn reservation_without_commit_expires() {
 #[test]
 fn commit_wrong_in_one_field_is_refused() {
     type Change = fn(&mut Commit);
+    type Check = fn(&Refusal) -> bool;
     let late: Change = |it| it.start_tai_ns = (NOW + GUARD + OFFSET).0 - MS;
     let far: Change = |it| it.start_tai_ns = (NOW + AHEAD_MAX + OFFSET).0 + MS;
-    let cases: [(Change, fn(&Refusal) -> bool); 8] = [
+    let cases: [(Change, Check); 8] = [
         (|it| it.boot = Boot(2), |it| *it == Refusal::OtherBoot),
         (
             |it| it.txn = Txn(8),

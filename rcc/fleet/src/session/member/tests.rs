@@ -177,10 +177,11 @@ fn opened(from: &zenoh::Session, boot: Boot) -> (u32, Nonce) {
         client: "panel".to_owned(),
         on_loss: LossPolicy::Cancel,
     };
-    match call(from, "takt/cell-a/cmd/session", &to_json(&open)) {
-        Reply::Granted { session, nonce, .. } => (session, nonce),
-        other => panic!("{other:?}"),
-    }
+    let reply = call(from, "takt/cell-a/cmd/session", &to_json(&open));
+    let Reply::Granted { session, nonce, .. } = reply else {
+        panic!("{reply:?}");
+    };
+    (session, nonce)
 }
 
 #[test]
