@@ -45,6 +45,12 @@ impl Nanos {
         self.0 as f64
     }
 
+    /// In s; exact to a nanosecond up to 104 days.
+    #[must_use]
+    pub const fn as_secs_f64(self) -> f64 {
+        self.to_f64() * 1e-9
+    }
+
     /// Absolute value.
     pub const fn abs(self) -> Self {
         Self(self.0.saturating_abs())

@@ -110,6 +110,11 @@ pub struct Producer<T> {
 }
 
 impl<T: Send> Producer<T> {
+    /// How many items were pushed, those included that a full ring returned.
+    pub fn offered(&self) -> u64 {
+        (self.tail as u64).wrapping_add(self.dropped())
+    }
+
     /// Appends `item`; a full ring returns it and counts it as dropped.
     ///
     /// # Errors
@@ -218,6 +223,7 @@ mod tests {
         }
         assert_eq!(producer.push(3), Err(3));
         assert_eq!((producer.dropped(), consumer.dropped()), (1, 1));
+        assert_eq!(producer.offered(), 4);
         assert_eq!(producer.free_slots(), 0);
         assert_eq!(consumer.pop(), Some(0));
         assert_eq!(producer.free_slots(), 1);

@@ -242,14 +242,13 @@ impl Builder {
         }
         for it in &self.docks {
             check_pose(&it.name, &it.pose)?;
-            let least = it.tolerance_m.min(it.tolerance_rad);
-            within(
-                &it.name,
-                "tolerance",
-                least,
-                [0.0, 10.0],
-                "0 to 10 m and rad",
-            )?;
+            for (what, value) in [
+                ("guides", it.guides_m),
+                ("tolerance", it.tolerance_m),
+                ("angular tolerance", it.tolerance_rad),
+            ] {
+                within(&it.name, what, value, [0.0, 10.0], "0 to 10 m and rad")?;
+            }
         }
         for it in &self.surfaces {
             check_pose(&it.name, &it.pose)?;

@@ -90,7 +90,7 @@ pub fn watch<T>(
             let mut due = next;
             while !ends.load(Ordering::Relaxed) {
                 if let Some(status) = inserts {
-                    record.set_point(seconds(takt_rt::monotonic()), status.commanded());
+                    record.set_point(takt_rt::monotonic().as_secs_f64(), status.commanded());
                 }
                 if takt_rt::monotonic() >= due {
                     let truth = world.truth();
@@ -108,11 +108,6 @@ pub fn watch<T>(
         ends.store(true, Ordering::Relaxed);
         (done, watcher.join().unwrap_or_default())
     })
-}
-
-#[expect(clippy::cast_precision_loss, reason = "a clock of some years")]
-fn seconds(time: takt_rt::Nanos) -> f64 {
-    time.0 as f64 / 1e9
 }
 
 impl Record {

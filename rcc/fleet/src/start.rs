@@ -9,7 +9,7 @@
 //!   commit(T, nonces of all) ────▶  accepted until T - 100 ms                               (3) Participant::commit
 //!                                   armed(T, nonces of all) ──▶ every participant           (4) Participant::armed
 //!                      T - 20 ms:   all are armed: hand the net over with T; else release   (5) Participant::poll
-//!                              T:   the net begins in the first cycle at T or later; no message is needed
+//!                              T:   the net begins in the cycle nearest to T; no message is needed
 //!                                   running: silence of a partner for 100 ms: partner lost  (6) Participant::poll
 //! ```
 //!

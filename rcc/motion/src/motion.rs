@@ -3,6 +3,7 @@
 //! the motion stopped without leaving the path. A motion that begins in motion comes onto its path
 //! from any state. Not here: joint limits along a Cartesian path in a cycle; plans check them.
 
+mod bounds;
 mod cartesian;
 mod coast;
 mod course;

@@ -32,6 +32,13 @@ impl Figure {
         }
     }
 
+    /// The value of a counter.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "counters below 2^53 are exact")]
+    pub const fn count(value: u64) -> f64 {
+        value as f64
+    }
+
     /// A number with that unit.
     #[must_use]
     pub fn with_unit(name: impl Into<String>, unit: &str) -> Self {

@@ -21,12 +21,12 @@ use takt_can::linux::{Options, SocketCan};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Tick};
 use takt_rt::interface::Medium;
-use takt_rt::ring::{Consumer, ring};
+use takt_rt::ring::{Consumer, Producer, ring};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
 use crate::config::{CanopenConfig, LinkLoss};
-use bus::{BusCounts, EventSender, bus_figures};
+use bus::{BusCounts, bus_figures};
 use events::NetworkEvent;
 use takt_can::link::CanLink;
 use takt_can::load::{Load, LoadMeter, LoadReader};
@@ -238,7 +238,7 @@ impl Canopen {
             errors: watch.errors(),
             network,
             arms,
-            events: EventSender::new(own_events),
+            events: own_events,
             of_bus: bus::BusLoad::new(load.clone()),
             cycle: config.cycle,
             started: false,
@@ -404,7 +404,7 @@ struct Driver {
     /// The arms, and the axis of each joint.
     arms: Vec<(Arm, Vec<Reached>)>,
     /// Events; unread ones are dropped.
-    events: EventSender,
+    events: Producer<NetworkEvent>,
     of_bus: bus::BusLoad,
     cycle: Duration,
     started: bool,
@@ -449,11 +449,13 @@ impl Driver {
                 lead(network, axes.get(joint)?, order)
             });
             while let Some((joint, event)) = arm.poll_event() {
-                self.events.push(NetworkEvent::Joint(number, joint, event));
+                self.events
+                    .push(NetworkEvent::Joint(number, joint, event))
+                    .ok();
             }
             for axis in axes {
                 if let Some(event) = axis.proof(network) {
-                    self.events.push(event);
+                    self.events.push(event).ok();
                 }
                 unproven += u64::from(axis.proven.is_none());
             }
@@ -470,7 +472,7 @@ impl Driver {
             failed: self.errors.failed(),
             faults: count(&self.shared.faults),
             unproven: count(&self.shared.unproven),
-            events: self.events.sent(),
+            events: self.events.offered(),
         };
         self.of_bus.values(&counts, tick)
     }
@@ -488,14 +490,14 @@ impl Driver {
             Event::Axis(node) => return self.report_axes(node),
             Event::Phase(..) | Event::Homed(_) | Event::Transferred(..) => return,
         };
-        self.events.push(event);
+        self.events.push(event).ok();
     }
 
     fn report_axes(&mut self, node: NodeId) {
         let axes = self.arms.iter_mut().flat_map(|(_, axes)| axes);
         for axis in axes.filter(|axis| axis.node == node) {
             if let Some(event) = axis.poll_event(&self.network) {
-                self.events.push(event);
+                self.events.push(event).ok();
             }
         }
     }

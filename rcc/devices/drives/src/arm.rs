@@ -100,8 +100,8 @@ impl fmt::Display for JointEvent {
             ),
             Self::Load(more) => write!(
                 f,
-                "the arm carries about {:.1} kg {} than its cell states, by its torques\nhint: `takt arm identify ARM` weighs \
-                 the payload; correct `payload` in the cell, or the masses of the URDF",
+                "the arm carries about {:.1} kg {} than its cell states, by its torques\nhint: correct `payload` \
+                 in the cell, or the masses of the URDF",
                 more.abs(),
                 if *more > 0.0 { "more" } else { "less" }
             ),
@@ -255,9 +255,9 @@ impl Arm {
         let elapsed = self.last.replace(now).map_or(Nanos(0), |last| now - last);
         let when = When {
             now,
-            elapsed_s: seconds(elapsed),
+            elapsed_s: elapsed.as_secs_f64(),
             dt_s: if elapsed > Nanos(0) {
-                seconds(self.period)
+                self.period.as_secs_f64()
             } else {
                 0.0
             },
@@ -391,14 +391,6 @@ pub fn proven(took: Duration, trusted: Objects) -> String {
             "its process data are proven, in {took} ms, but for {trusted}, taken on trust (`not_mirrored`)"
         )
     }
-}
-
-#[expect(
-    clippy::cast_precision_loss,
-    reason = "spans of milliseconds are exact"
-)]
-const fn seconds(span: Nanos) -> f64 {
-    span.0 as f64 * 1e-9
 }
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! Finds at run time that an arm carries another payload than the cell states: torques beyond the model that are those of a weight
-//! at the flange, for a while. A contact or friction of a single joint looks otherwise. It weighs roughly; `takt arm identify` does
-//! it well.
+//! at the flange, for a while. A contact or friction of a single joint looks otherwise. It weighs roughly.
 
 use nalgebra::Vector3;
 use takt_core::device::ARM_JOINTS_MAX;

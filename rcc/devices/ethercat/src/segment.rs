@@ -28,7 +28,7 @@ use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Follow, Tick};
 use takt_rt::interface::Medium;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
-use takt_rt::ring::{Consumer, ring};
+use takt_rt::ring::{Consumer, Producer, ring};
 use takt_rt::servo::{Estimate, Servo, ServoConfig};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
@@ -37,7 +37,7 @@ use crate::config::EthercatConfig;
 use access::{Access, Inspector};
 use arm::Arm;
 pub use describe::{check, describe, master_config};
-use events::{EventSender, SegmentEvent};
+use events::SegmentEvent;
 use takt_core::Error;
 use takt_core::device::bus::BusAccess;
 use takt_core::device::driver::{
@@ -153,7 +153,7 @@ impl Ethercat {
             clocks: [own_clock, ends.clock],
             shared: Arc::clone(&shared),
             waiting: own_waiting,
-            events: EventSender::new(own_events),
+            events: own_events,
             wire: WireNotes::default(),
             inspector,
             refused: Refused::default(),
@@ -325,7 +325,7 @@ struct Driver {
     shared: Arc<Shared>,
     waiting: LatestWriter<Option<Waiting>>,
     /// Events; unread ones are dropped.
-    events: EventSender,
+    events: Producer<SegmentEvent>,
     wire: WireNotes,
     inspector: Inspector,
     refused: Refused,
@@ -392,7 +392,7 @@ impl Driver {
     }
 
     fn send(&mut self, event: SegmentEvent) {
-        self.events.push(event);
+        self.events.push(event).ok();
     }
 
     /// Sends the frame that is due and waits for its answer, or for that of a frame still in flight; false if there
@@ -462,13 +462,13 @@ impl Driver {
             && let Some(event) = self.master.poll_event()
         {
             happened += 1;
-            self.events.push(SegmentEvent::Event(event));
+            self.events.push(SegmentEvent::Event(event)).ok();
         }
         while let Some(emergency) = self.master.poll_emergency() {
-            self.events.push(SegmentEvent::Emergency(emergency));
+            self.events.push(SegmentEvent::Emergency(emergency)).ok();
         }
         let unproven = self.shared.unproven.load(Ordering::Relaxed);
-        let counted = (unproven, self.events.sent());
+        let counted = (unproven, self.events.offered());
         let values = self.wire.values(&self.master, tick, counted);
         self.units.report_wire(&values);
         self.units
@@ -478,16 +478,20 @@ impl Driver {
         for (number, arm) in self.units.arms.iter_mut().enumerate() {
             arm.cycle(&mut self.master, &mut self.units.servos, tick, stopping);
             while let Some((slave, axis, event)) = arm.poll_event() {
-                self.events.push(SegmentEvent::Axis(slave, axis, event));
+                self.events
+                    .push(SegmentEvent::Axis(slave, axis, event))
+                    .ok();
             }
             while let Some((joint, event)) = arm.poll_joint() {
-                self.events.push(SegmentEvent::Joint(number, joint, event));
+                self.events
+                    .push(SegmentEvent::Joint(number, joint, event))
+                    .ok();
             }
         }
         for (number, servo) in self.units.servos.iter_mut().enumerate() {
             servo.publish(tick);
             while let Some(event) = servo.poll_event() {
-                self.events.push(SegmentEvent::Servo(number, event));
+                self.events.push(SegmentEvent::Servo(number, event)).ok();
             }
         }
         let unproven = self.units.arms.iter().map(Arm::unproven).sum();

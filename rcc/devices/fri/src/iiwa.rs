@@ -3,6 +3,7 @@
 //! cannot switch them.
 
 mod end;
+mod refusals;
 
 use takt_fri::client::Version;
 use takt_fri::linux::UdpLink;

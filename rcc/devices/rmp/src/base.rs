@@ -408,7 +408,7 @@ impl Driver {
     }
 
     fn report_figures(&mut self) {
-        let count = |count: &AtomicU64| Some(float(count.load(Ordering::Relaxed)));
+        let count = |count: &AtomicU64| Some(Figure::count(count.load(Ordering::Relaxed)));
         let counted = [&self.shared.frames, &self.shared.failed].map(count);
         self.end.report_figures(0, counted);
         let states = self.platform.states().into_iter();
@@ -416,7 +416,7 @@ impl Driver {
         for (link, (state, load)) in states.zip(loads).enumerate() {
             let bits = load.as_ref().and_then(LoadReader::read);
             let values = [
-                Some(float(state.map_or(0, code))),
+                Some(Figure::count(state.map_or(0, code))),
                 bits.map(|load| f64::from(load.last)),
             ];
             self.end.report_figures(2 + 2 * link, values);
@@ -445,11 +445,6 @@ fn pause(wait: Duration) {
     let until = takt_rt::monotonic() + wait.into();
     // Fails only for invalid times.
     takt_rt::sleep_until(until).ok();
-}
-
-#[expect(clippy::cast_precision_loss, reason = "counters below 2^53 are exact")]
-const fn float(count: u64) -> f64 {
-    count as f64
 }
 
 fn report_base(

@@ -180,11 +180,6 @@ impl DeviceDriver for Wsg {
     }
 }
 
-#[expect(clippy::cast_precision_loss, reason = "counters below 2^53 are exact")]
-const fn float(count: u64) -> f64 {
-    count as f64
-}
-
 struct Connection {
     stream: TcpStream,
     session: Session,
@@ -378,7 +373,7 @@ impl Driver {
         } = &*self.shared;
         let counted = [contact, connections, errors].map(|count| count.load(Ordering::Relaxed));
         let [contact, connections, errors] = counted;
-        let values = [contact, connections, errors, self.events].map(|it| Some(float(it)));
+        let values = [contact, connections, errors, self.events].map(|it| Some(Figure::count(it)));
         self.end.report_figures(0, values);
         self.end.publish();
     }

@@ -1,5 +1,5 @@
-//! The messages that are spoken, as far as they matter here: what is read, and what is written. Bytes are not yet checked
-//! against independent software. Whether a goal makes sense is decided in [`goal`](super::goal).
+//! The messages that are spoken, as far as they matter here: what is read, and what is written. Messages that are
+//! published have the bytes of rosbags in the tests; requests of actions are only read back. Whether a goal makes sense is decided in [`goal`](super::goal).
 
 use super::cdr::{Cdr, DecodeError, Reader};
 

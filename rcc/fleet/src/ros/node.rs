@@ -5,15 +5,17 @@ use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use serde_json::json;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
-use zenoh::{Config, Session, Wait as _};
+use zenoh::{Session, Wait as _};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt as _, CacheConfig};
 
 use super::cdr::MESSAGE_MAX;
 use super::keys::{Attachment, Kind, NameError, NodeName, Qos, check_name, gid, topic_key};
 use super::messages::Nanos;
 use super::types::Type;
+use crate::session::{self, SessionError};
 
 /// Address of the router that sessions of ROS connect to.
 pub const ROUTER: &str = "tcp/localhost:7447";
@@ -38,7 +40,10 @@ pub enum NodeError {
     /// A name is none of ROS.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// The session cannot be opened, or an endpoint not declared.
+    /// The session cannot be opened.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// An endpoint cannot be declared, or a message not sent.
     #[error("{what}: {cause}")]
     Zenoh {
         /// What was tried.
@@ -56,33 +61,17 @@ fn failed<E: ToString>(what: &str) -> impl FnOnce(E) -> NodeError {
 }
 
 /// A session without discovery by multicast.
-fn open(mode: &str, lists: [(&str, &str); 2]) -> Result<Session, NodeError> {
-    let mut config = Config::default();
-    let quoted = |text: &str| serde_json::Value::from(text).to_string();
-    let mut settings = vec![
-        ("mode", quoted(mode)),
-        ("scouting/multicast/enabled", "false".to_owned()),
+fn open(mode: &str, listen: &[&str], connect: &[&str]) -> Result<Session, NodeError> {
+    let entries = vec![
+        ("mode", json!(mode)),
+        ("listen/endpoints", json!(listen)),
+        ("connect/endpoints", json!(connect)),
+        ("scouting/multicast/enabled", json!(false)),
         // Transient local topics order their messages by time.
-        ("timestamping/enabled", "true".to_owned()),
-        (
-            "transport/link/rx/max_message_size",
-            MESSAGE_MAX.to_string(),
-        ),
+        ("timestamping/enabled", json!(true)),
+        ("transport/link/rx/max_message_size", json!(MESSAGE_MAX)),
     ];
-    for (key, address) in lists {
-        let list = if address.is_empty() {
-            "[]".to_owned()
-        } else {
-            format!("[{}]", quoted(address))
-        };
-        settings.push((key, list));
-    }
-    for (key, value) in settings {
-        config.insert_json5(key, &value).map_err(failed(key))?;
-    }
-    zenoh::open(config)
-        .wait()
-        .map_err(failed("cannot open the zenoh session"))
+    Ok(session::open(&entries)?)
 }
 
 /// A router for the sessions of ROS on this host, as `ros2 run rmw_zenoh_cpp rmw_zenohd` is one. It ends when it is dropped.
@@ -95,8 +84,7 @@ impl Router {
     /// # Errors
     /// If it cannot, such as when another router does.
     pub fn open(address: &str) -> Result<Self, NodeError> {
-        let lists = [("listen/endpoints", address), ("connect/endpoints", "")];
-        Ok(Self(open("router", lists)?))
+        Ok(Self(open("router", &[address], &[])?))
     }
 }
 
@@ -127,11 +115,7 @@ impl Node {
         if !config.namespace.is_empty() {
             check_name(&config.namespace)?;
         }
-        let lists = [
-            ("listen/endpoints", "tcp/localhost:0"),
-            ("connect/endpoints", config.router.as_str()),
-        ];
-        let session = open("peer", lists)?;
+        let session = open("peer", &["tcp/localhost:0"], &[&config.router])?;
         let name = NodeName {
             domain: config.domain,
             zid: session.zid().to_string(),
@@ -311,3 +295,6 @@ impl Request {
         reply.map_err(failed("cannot answer a request"))
     }
 }
+
+#[cfg(test)]
+mod tests;

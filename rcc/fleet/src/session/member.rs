@@ -100,12 +100,12 @@ impl Shared {
     }
 
     /// Whether another controller answers at the key of this cell.
-    fn finds_clash(&self) -> bool {
+    fn finds_clash(&self) -> Result<bool, SessionError> {
         let get = self.session.get(self.keys.info());
         let get = get.allowed_destination(zenoh::sample::Locality::Remote);
-        let Ok(replies) = get.timeout(CLASH_TIMEOUT).wait() else {
-            return false;
-        };
+        let replies = get.timeout(CLASH_TIMEOUT).wait();
+        let replies =
+            replies.map_err(SessionError::of("cannot look for a cell of the same name"))?;
         let mut clashes = false;
         while let Ok(reply) = replies.recv() {
             let value = reply
@@ -116,7 +116,7 @@ impl Shared {
             // Through a router the own answer may come back.
             clashes |= info.is_some_and(|info| info["boot"] != self.boot.to_string());
         }
-        clashes
+        Ok(clashes)
     }
 }
 
@@ -155,7 +155,7 @@ impl Member {
             ends: AtomicBool::new(false),
             clashes: AtomicBool::new(false),
         });
-        if shared.finds_clash() {
+        if shared.finds_clash()? {
             return Err(JoinError::Clash(name.clone()));
         }
         let mut member = Self {

@@ -40,7 +40,8 @@ pub enum ReleaseCause {
 /// What the caller has to do.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Output {
-    /// Hand the net over: it begins in the first cycle at this instant of `CLOCK_MONOTONIC` or later.
+    /// Hand the net over: it begins in the cycle nearest to this instant of `CLOCK_MONOTONIC`; the first one after it would be a
+    /// whole period late by the least error of a clock.
     Begin {
         /// The coordinated start.
         txn: Txn,
@@ -264,14 +265,7 @@ impl Participant {
         if commit.boot != self.boot {
             return Err(Refusal::OtherBoot);
         }
-        let Some(index) = self
-            .transactions
-            .iter()
-            .position(|it| it.prepare.txn == commit.txn)
-        else {
-            return Err(Refusal::Unknown { cell });
-        };
-        let Some(known) = self.transactions.get(index) else {
+        let Some(known) = self.find(commit.txn) else {
             return Err(Refusal::Unknown { cell });
         };
         let has_all = commit.nonces.len() == known.prepare.partners.len();
@@ -316,14 +310,12 @@ impl Participant {
         if let Some(it) = is_armed.get_mut(own) {
             *it = true;
         }
-        if let Some(known) = self.transactions.get_mut(index) {
-            known.phase = Phase::Committed {
-                commit: commit.clone(),
-                start,
-                offset: tai.offset,
-                armed: is_armed,
-            };
-        }
+        known.phase = Phase::Committed {
+            commit: commit.clone(),
+            start,
+            offset: tai.offset,
+            armed: is_armed,
+        };
         Ok(armed)
     }
 

@@ -5,10 +5,10 @@ use nalgebra::{UnitQuaternion, Vector3};
 use takt_net::definition::port;
 use takt_net::{Build, Cycle, Definition, Fault, Frame, In, NullRule, Out, Primitive, Twist};
 
+use super::bounds::{Bounds, State};
 use super::course::{Departure, Geometry, WHOLE, stopping_ways};
 use super::frame_path::{FramePath, FrameState, is_sensible};
 use super::path::Path;
-use super::profile::{Bounds, State};
 use super::ptp::incomplete;
 use super::runner::{Runner, with_ports};
 use super::spline::Spline;

@@ -5,7 +5,8 @@
 use takt_net::definition::port;
 use takt_net::{ArrayOut, Build, Cycle, Definition, Fault, FaultKind, In, NullRule, Primitive};
 
-use super::profile::{Profile, State};
+use super::bounds::State;
+use super::profile::Profile;
 use super::ptp::JointsFrom;
 use super::{joint_bounds, with_joint_limits};
 

@@ -1,8 +1,9 @@
 //! A motion along a path, cycle by cycle: from its start to its end, slower on demand, to a stop on the path, and from
 //! any state onto the path. Nets and plans run the same course. Its owner knows the path.
 
+use super::bounds::{Bounds, State, stopping};
 use super::lead::{Lead, SAMPLES};
-use super::profile::{Bounds, Profile, State, stopping};
+use super::profile::Profile;
 
 /// Override below which a motion holds.
 pub(super) const HOLD_BELOW: f64 = 0.001;

@@ -3,10 +3,10 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use takt_net::{Frame, Twist};
 
+use super::bounds::{Bounds, State};
 use super::course::{Geometry, Group, MOSTLY, Progress, WHOLE};
 use super::lead::Lead;
 use super::path::Path;
-use super::profile::{Bounds, State};
 use super::spline::{turned, turning};
 
 /// Square of a velocity per part of the path below which it has no direction.

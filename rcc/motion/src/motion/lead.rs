@@ -2,7 +2,8 @@
 //! of several coordinates, each of which comes to rest at zero with bounded jerk. The motion along the path goes on
 //! meanwhile, so that nothing stops. The limits of both together are checked by the owner of the path.
 
-use super::profile::{Bounds, Profile, State};
+use super::bounds::{Bounds, State};
+use super::profile::Profile;
 
 /// Instants of a lead at which the speed of the whole is checked.
 pub(super) const SAMPLES: usize = 32;

@@ -2,7 +2,7 @@
 
 use takt_net::{Build, Definition, Fault};
 
-use super::profile::Bounds;
+use super::bounds::Bounds;
 
 /// Largest allowed coordinate (rad or m) and limit: beyond, numbers lose precision.
 pub(super) const LARGEST: f64 = 1e6;

@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use takt_net::Frame;
 
+use super::bounds::{Bounds, State};
 use super::cartesian;
 use super::course::{Course, Geometry, Progress};
 use super::frame_path::{FramePath, FrameState, is_sensible};
 use super::path::Path;
 use super::plan::{FrameBounds, PlanError, Route};
-use super::profile::{Bounds, State};
 use super::ptp::JointLine;
 
 /// Most joints of a motion.

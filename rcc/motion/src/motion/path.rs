@@ -4,7 +4,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use takt_net::{Frame, Twist};
 
-use super::profile::Bounds;
+use super::bounds::Bounds;
 use super::spline::Spline;
 
 /// Sine of the angle between the sides to the auxiliary point and to the end below which three

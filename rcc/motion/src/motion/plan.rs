@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use takt_net::{Frame, Twist};
 
+pub use super::bounds::{Bounds, State};
 pub use super::frame_path::FrameState;
-pub use super::profile::{Bounds, State};
 pub use check::{Cause, Unfit};
 
 use super::course::{Course, Geometry, Progress, WHOLE};

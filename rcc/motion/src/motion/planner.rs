@@ -7,7 +7,7 @@ use rsruckig::position_third_step1::PositionThirdOrderStep1;
 use rsruckig::prelude::{DataArrayOrVec, Trajectory};
 use rsruckig::velocity_third_step1::VelocityThirdOrderStep1;
 
-use super::profile::{Bounds, State};
+use super::bounds::{Bounds, State};
 
 /// Tolerance for rounding: how far a sample may exceed a limit, relative to the limit.
 pub(super) const ROUNDING: f64 = 1e-9;

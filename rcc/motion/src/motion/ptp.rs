@@ -6,9 +6,9 @@ use takt_net::{
     ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, FaultKind, NullRule, Primitive,
 };
 
+use super::bounds::{Bounds, State};
 use super::course::{Course, Departure, Geometry, Group, MOSTLY, Progress, WHOLE, stopping_ways};
 use super::lead::Lead;
-use super::profile::{Bounds, State};
 use super::runner::{Runner, with_ports};
 use super::{joint_bounds, joint_positions, slowed, speed, with_joint_limits};
 

@@ -3,8 +3,8 @@
 use takt_net::definition::{Port, port};
 use takt_net::{Build, Cycle, Definition, Fault, In, Out};
 
+use super::bounds::Bounds;
 use super::course::{Course, Progress};
-use super::profile::Bounds;
 use super::with_speed;
 
 pub(super) const OVERRIDE: Port = port(

@@ -5,7 +5,7 @@
 use nalgebra::{SVector, UnitQuaternion, Vector3};
 use takt_net::{Frame, Twist};
 
-use super::profile::Bounds;
+use super::bounds::Bounds;
 
 /// Position (m) and rotation vector (rad).
 type Point = SVector<f64, 6>;

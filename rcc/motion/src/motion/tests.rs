@@ -13,7 +13,7 @@ use takt_net::value::text::{TextValue, format_array, parse_array};
 use takt_net::{Frame, Twist};
 use takt_tests::Random;
 
-use super::profile::Bounds;
+use super::bounds::Bounds;
 use crate::fixture::{Arm, Fixture, PERIOD_S};
 
 /// Longest run of a test, cycles.

@@ -4,8 +4,9 @@
 use takt_net::definition::port;
 use takt_net::{ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, In, NullRule, Out, Primitive};
 
+use super::bounds::{Bounds, State};
 use super::course::HOLD_BELOW;
-use super::profile::{Bounds, Profile, State};
+use super::profile::Profile;
 use super::ptp::{JointsFrom, with_joints_from};
 use super::runner::OVERRIDE;
 use super::{

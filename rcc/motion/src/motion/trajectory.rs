@@ -11,7 +11,8 @@ use takt_net::{ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, In, NullRule,
 
 pub use table::{Excess, Planned, Quantity, Table, TrajectoryError, Waypoint, plan};
 
-use super::profile::{Bounds, Profile, State};
+use super::bounds::{Bounds, State};
+use super::profile::Profile;
 use super::ptp::{JointsFrom, with_joints_from};
 use super::{joint_bounds, with_joint_limits};
 
@@ -81,8 +82,8 @@ struct Trajectory {
     /// Since the end of the table, s.
     over: f64,
     cause: Cause,
-    /// What was commanded in the cycle before, rad.
-    before: Box<[f64]>,
+    /// What was commanded last.
+    states: Box<[State]>,
     outs: Outs,
 }
 
@@ -107,9 +108,9 @@ impl Trajectory {
         self.phase = Phase::Waiting;
         (self.time, self.rate, self.slowing, self.over) = (0.0, 1.0, 0.0, 0.0);
         self.cause = Cause::default();
-        for (joint, (off, before)) in self.off.iter_mut().zip(&mut self.before).enumerate() {
+        for (joint, (off, state)) in self.off.iter_mut().zip(&mut self.states).enumerate() {
             off.reset(0.0);
-            *before = self.table.at(joint, 0.0).position;
+            *state = State::at_rest(self.table.at(joint, 0.0).position);
         }
     }
 
@@ -156,10 +157,10 @@ impl Trajectory {
     /// The joint that deviates most in relation to its tolerance, if that is exceeded.
     fn exceeded(&self, cycle: &Cycle<'_>, tolerances: &[f64]) -> Option<(i32, f64)> {
         let measured = self.measured.as_ref()?.get(cycle)?;
-        let pairs = self.before.iter().zip(measured).zip(tolerances);
+        let pairs = self.states.iter().zip(measured).zip(tolerances);
         let mut found: Option<(usize, f64, f64)> = None;
         for (joint, ((wanted, measured), tolerance)) in pairs.enumerate() {
-            let deviation = (measured.get() - wanted).abs();
+            let deviation = (measured.get() - wanted.position).abs();
             let share = deviation / tolerance;
             if *tolerance > 0.0 && share > 1.0 && found.is_none_or(|(_, _, most)| share > most) {
                 found = Some((joint, deviation, share));
@@ -259,7 +260,13 @@ impl Trajectory {
             return;
         }
         let rests = self.off.iter().all(Profile::is_at_rest);
-        match self.exceeded(cycle, &self.goal) {
+        // An arm that reports no position is not known to be there.
+        let matters = self.goal.iter().any(|tolerance| *tolerance > 0.0);
+        let is_null = |it: &ArrayIn<f64>| it.get(cycle).is_none();
+        let is_unknown = matters && self.measured.as_ref().is_some_and(is_null);
+        let missed = self.exceeded(cycle, &self.goal);
+        let missed = missed.or_else(|| is_unknown.then_some((-1, 0.0)));
+        match missed {
             None if rests => self.phase = Phase::Ended,
             Some((joint, amount)) if self.goal_time >= 0.0 && self.over > self.goal_time => {
                 self.cause = Cause {
@@ -292,13 +299,19 @@ impl Trajectory {
 
     fn write(&mut self, cycle: &Cycle<'_>) {
         let piece = self.table.piece_at(self.time);
-        let joints = 0..self.before.len();
-        let states = || joints.clone().map(|joint| self.state(piece, joint));
-        let outs = &self.outs;
-        outs.position.set(cycle, states().map(|it| it.position));
-        outs.velocity.set(cycle, states().map(|it| it.velocity));
+        for joint in 0..self.states.len() {
+            let now = self.state(piece, joint);
+            if let Some(state) = self.states.get_mut(joint) {
+                *state = now;
+            }
+        }
+        let (outs, states) = (&self.outs, &self.states);
+        outs.position
+            .set(cycle, states.iter().map(|it| it.position));
+        outs.velocity
+            .set(cycle, states.iter().map(|it| it.velocity));
         outs.acceleration
-            .set(cycle, states().map(|it| it.acceleration));
+            .set(cycle, states.iter().map(|it| it.acceleration));
         outs.time.set(cycle, self.time.min(self.table.duration()));
         let rests = self.off.iter().all(Profile::is_at_rest);
         let follows = self.phase == Phase::Following && rests;
@@ -307,12 +320,6 @@ impl Trajectory {
         outs.code.set(cycle, self.cause.code);
         outs.joint.set(cycle, self.cause.joint);
         outs.deviation.set(cycle, self.cause.amount);
-        for joint in joints {
-            let position = self.state(piece, joint).position;
-            if let Some(before) = self.before.get_mut(joint) {
-                *before = position;
-            }
-        }
     }
 }
 
@@ -401,7 +408,7 @@ fn build(b: &mut Build<'_, '_>) -> Result<Trajectory, Fault> {
         slowing: 0.0,
         over: 0.0,
         cause: Cause::default(),
-        before: vec![0.0; joints].into(),
+        states: vec![State::default(); joints].into(),
         outs: Outs {
             position: b.array_output("outPosition", joints)?,
             velocity: b.array_output("outVelocity", joints)?,

@@ -3,11 +3,7 @@
 
 use takt_can::load::LoadReader;
 use takt_core::device::Figure;
-use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
-use takt_rt::ring::Producer;
-
-use super::events::NetworkEvent;
 
 /// Number of the figures.
 pub(super) const COUNT: usize = 8;
@@ -60,47 +56,12 @@ impl BusLoad {
         [
             bits.zip(rate).map(|(bits, rate)| (bits / rate).min(1.0)),
             bits,
-            Some(count(counts.received)),
-            Some(count(counts.failed)),
-            Some(count(counts.faults)),
-            Some(count(counts.unproven)),
-            Some(seconds(tick.woken - tick.scheduled)),
-            Some(count(counts.events)),
+            Some(Figure::count(counts.received)),
+            Some(Figure::count(counts.failed)),
+            Some(Figure::count(counts.faults)),
+            Some(Figure::count(counts.unproven)),
+            Some((tick.woken - tick.scheduled).as_secs_f64()),
+            Some(Figure::count(counts.events)),
         ]
     }
-}
-
-/// Events on their way to the log, and how many there were. Those that are not fetched in time are dropped.
-#[derive(Debug)]
-pub(super) struct EventSender {
-    ring: Producer<NetworkEvent>,
-    sent: u64,
-}
-
-impl EventSender {
-    pub(super) const fn new(ring: Producer<NetworkEvent>) -> Self {
-        Self { ring, sent: 0 }
-    }
-
-    pub(super) fn push(&mut self, event: NetworkEvent) {
-        self.sent += 1;
-        self.ring.push(event).ok();
-    }
-
-    pub(super) const fn sent(&self) -> u64 {
-        self.sent
-    }
-}
-
-#[expect(clippy::cast_precision_loss, reason = "counters below 2^53 are exact")]
-const fn count(value: u64) -> f64 {
-    value as f64
-}
-
-#[expect(
-    clippy::cast_precision_loss,
-    reason = "spans of milliseconds are exact"
-)]
-const fn seconds(span: Nanos) -> f64 {
-    span.0 as f64 * 1e-9
 }

@@ -1,7 +1,6 @@
 //! Events of the driver of a segment: values from the real-time thread, formatted by their reader.
 
 use std::fmt;
-use takt_rt::ring::Producer;
 
 use takt_ethercat::config::IMAGE_MAX;
 use takt_ethercat::master::{Difference, EmergencyReport, Event};
@@ -108,27 +107,5 @@ impl fmt::Display for SegmentEvent {
             Self::Servo(servo, event) => write!(f, "servo axis {servo}: {event}"),
             Self::Joint(arm, joint, event) => write!(f, "arm {arm}, joint {joint}: {event}"),
         }
-    }
-}
-
-/// Events on their way to the log, and how many there were. Those that are not fetched in time are dropped.
-#[derive(Debug)]
-pub(super) struct EventSender {
-    ring: Producer<SegmentEvent>,
-    sent: u64,
-}
-
-impl EventSender {
-    pub(super) const fn new(ring: Producer<SegmentEvent>) -> Self {
-        Self { ring, sent: 0 }
-    }
-
-    pub(super) fn push(&mut self, event: SegmentEvent) {
-        self.sent += 1;
-        self.ring.push(event).ok();
-    }
-
-    pub(super) const fn sent(&self) -> u64 {
-        self.sent
     }
 }

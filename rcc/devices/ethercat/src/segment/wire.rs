@@ -58,26 +58,13 @@ impl WireNotes {
         let wrong = master.groups().iter().map(|group| group.misses).sum();
         [
             Some(f64::from(u8::from(master.is_operational()))),
-            Some(count(frames.lost.saturating_sub(frames.stale))),
-            Some(count(wrong)),
-            Some(count(unproven)),
+            Some(Figure::count(frames.lost.saturating_sub(frames.stale))),
+            Some(Figure::count(wrong)),
+            Some(Figure::count(unproven)),
             self.answer.map(|took| took.as_secs_f64()),
-            Some(seconds(tick.woken - tick.scheduled)),
-            tick.phase_error.map(seconds),
-            Some(count(events)),
+            Some((tick.woken - tick.scheduled).as_secs_f64()),
+            tick.phase_error.map(Nanos::as_secs_f64),
+            Some(Figure::count(events)),
         ]
     }
-}
-
-#[expect(clippy::cast_precision_loss, reason = "counters below 2^53 are exact")]
-const fn count(value: u64) -> f64 {
-    value as f64
-}
-
-#[expect(
-    clippy::cast_precision_loss,
-    reason = "spans of milliseconds are exact"
-)]
-const fn seconds(span: Nanos) -> f64 {
-    span.0 as f64 * 1e-9
 }

@@ -49,11 +49,6 @@ pub(super) fn config(text: &str) -> EthercatConfig {
     cell.of_kind::<EthercatConfig>().next().unwrap().clone()
 }
 
-#[expect(clippy::cast_precision_loss, reason = "spans of seconds are exact")]
-fn seconds(span: Nanos) -> f64 {
-    span.0 as f64 * 1e-9
-}
-
 impl Bench {
     /// With the device of that number operational, which is the one that moves.
     pub(super) fn new(config: &EthercatConfig, segment: Segment, device: usize) -> Self {
@@ -223,7 +218,7 @@ impl Bench {
         let mut left = Vec::new();
         for n in 0..cycles {
             if n % every == 0 {
-                let t = seconds(Nanos(n * self.cycle.0));
+                let t = Nanos(n * self.cycle.0).as_secs_f64();
                 let phase = t % 4.0;
                 let profile = if phase < 2.0 { phase } else { 4.0 - phase };
                 self.want(joint, start + slope * profile, every);

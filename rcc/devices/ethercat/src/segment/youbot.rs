@@ -21,7 +21,7 @@ use arm::Arm;
 use base::Base;
 pub(super) use describe::{check, describe, specs};
 use takt_core::device::driver::DeviceEnd;
-use time::{now, seconds};
+use time::now;
 pub use wait::Wait;
 pub(super) use wait::Waiting;
 

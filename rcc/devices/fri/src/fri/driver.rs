@@ -345,11 +345,7 @@ impl<P: Protocol> Driver<P> {
             return (positions, 0.0);
         }
         let (period, fresh) = (self.clock.period(), self.is_fresh());
-        #[expect(
-            clippy::cast_precision_loss,
-            reason = "spans of milliseconds are exact"
-        )]
-        let dt_s = (std::mem::take(&mut self.cycles) * period.0) as f64 * 1e-9;
+        let dt_s = Nanos(std::mem::take(&mut self.cycles) * period.0).as_secs_f64();
         for ((joint, position), set_points) in self
             .joints
             .iter_mut()
@@ -459,10 +455,6 @@ fn rates(
     span: Nanos,
 ) -> Option<[f64; AXES]> {
     let (now, before) = now.zip(before).filter(|_| span.0 > 0)?;
-    #[expect(
-        clippy::cast_precision_loss,
-        reason = "spans of milliseconds are exact"
-    )]
-    let span_s = span.0 as f64 * 1e-9;
+    let span_s = span.as_secs_f64();
     Some(std::array::from_fn(|i| (now[i] - before[i]) / span_s))
 }

@@ -43,28 +43,15 @@ impl Notes {
             lost, malformed, ..
         } = session.totals();
         let reported = |code: i32| (!is_silent).then(|| f64::from(code));
-        let time = |span: Option<Nanos>| span.filter(|_| !is_silent).map(seconds);
+        let time = |span: Option<Nanos>| span.filter(|_| !is_silent).map(Nanos::as_secs_f64);
         [
             reported(session.quality_code()),
             reported(session.state_code()),
-            Some(count(lost)),
-            Some(count(malformed)),
+            Some(Figure::count(lost)),
+            Some(Figure::count(malformed)),
             time(self.answer_time),
             time(self.phase_error),
-            Some(count(events)),
+            Some(Figure::count(events)),
         ]
     }
-}
-
-#[expect(clippy::cast_precision_loss, reason = "counters below 2^53 are exact")]
-const fn count(value: u64) -> f64 {
-    value as f64
-}
-
-#[expect(
-    clippy::cast_precision_loss,
-    reason = "spans of milliseconds are exact"
-)]
-const fn seconds(span: Nanos) -> f64 {
-    span.0 as f64 * 1e-9
 }

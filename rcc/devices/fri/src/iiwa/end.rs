@@ -18,6 +18,8 @@ use crate::config::{IiwaIo, IiwaModel};
 use crate::fri::orders::{Gate, answer, error, first, from_wire, to_wire};
 use crate::fri::{Joints, Orders, Protocol, Reception, RefusedOutput, Totals, guard};
 use crate::payload::Weight;
+
+use super::refusals::Refusals;
 use takt_core::device::DeviceStatus;
 use takt_core::device::on_end::OutputsOnEnd;
 
@@ -43,56 +45,6 @@ pub struct End {
     /// Of a payload that the cabinet does not know of, and its torques now, Nm.
     weight: Option<Weight>,
     held: Joints,
-}
-
-/// Which outputs are refused, digital ones before numbers.
-#[derive(Debug)]
-struct Refusals {
-    names: Vec<Name>,
-    refused: Vec<Refusal>,
-}
-
-/// Whether an output is written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Refusal {
-    /// It is, or nothing was commanded.
-    #[default]
-    None,
-    /// It is not, which is to be reported.
-    New(IoError),
-    /// It is not, which was reported.
-    Reported(IoError),
-}
-
-impl Refusals {
-    fn new(io: &IiwaIo) -> Self {
-        let names = io.bool_out.iter().chain(&io.real_out);
-        let names: Vec<_> = names
-            .map(|name| Name::new(name).unwrap_or_default())
-            .collect();
-        let refused = vec![Refusal::None; names.len()];
-        Self { names, refused }
-    }
-
-    /// Notes whether the output of that number was written; the same error is reported once.
-    fn note(&mut self, number: usize, written: Result<(), IoError>) {
-        let Some(refused) = self.refused.get_mut(number) else {
-            return;
-        };
-        *refused = match (written, *refused) {
-            (Ok(()), _) => Refusal::None,
-            (Err(error), Refusal::Reported(before)) if before == error => *refused,
-            (Err(error), _) => Refusal::New(error),
-        };
-    }
-
-    fn first_new(&self) -> Option<(usize, IoError)> {
-        let mut all = self.refused.iter().enumerate();
-        all.find_map(|(number, refused)| match refused {
-            Refusal::New(error) => Some((number, *error)),
-            Refusal::None | Refusal::Reported(_) => None,
-        })
-    }
 }
 
 /// Answers to the last orders.
@@ -400,18 +352,11 @@ impl Protocol for End {
     }
 
     fn refused_output(&self) -> Option<RefusedOutput> {
-        let (number, error) = self.outputs.first_new()?;
-        let name = *self.outputs.names.get(number)?;
-        Some(RefusedOutput { name, error })
+        self.outputs.next()
     }
 
     fn confirm_refused_output(&mut self) {
-        let reported = self.outputs.first_new();
-        if let Some((number, error)) = reported
-            && let Some(refused) = self.outputs.refused.get_mut(number)
-        {
-            *refused = Refusal::Reported(error);
-        }
+        self.outputs.confirm();
     }
 
     fn handle_silence(&mut self, now: Duration) -> bool {

@@ -1,6 +1,8 @@
-//! Messages that were written are read again, cut or changed ones are refused. No bytes of other software are read here.
+//! Messages that were written are read again, cut or changed ones are refused; published ones have the bytes
+//! that rosbags writes. Nothing is sent here.
 
 use super::*;
+use crate::ros::types;
 
 fn point(time: Nanos) -> Point {
     Point {
@@ -97,4 +99,47 @@ fn parallel_gripper_goal_has_one_position() {
         let goal = GripperGoal::decode_parallel(cdr.bytes());
         assert_eq!(goal.is_ok(), positions == 1, "{goal:?}");
     }
+}
+
+/// Types, hashes and bytes of messages as rosbags writes them; the Python tests compare them with rosbags.
+const ROSBAGS: &str = include_str!("../../../tests/ros2/rosbags.txt");
+
+#[test]
+fn messages_have_bytes_and_hashes_of_rosbags() {
+    let stamp = 1_700_000_000_123_456_789;
+    let names = ["a1".to_owned(), "joint_2".to_owned()];
+    let place = Transform {
+        parent: "world".to_owned(),
+        child: "left/base".to_owned(),
+        position: [0.1, 0.2, 0.3],
+        rotation: [0.0, 0.6, 0.0, 0.8],
+    };
+    let status = Status {
+        level: Level::Error,
+        name: "left".to_owned(),
+        message: "offline".to_owned(),
+        hardware: "KUKA LWR".to_owned(),
+        values: vec![("lost".to_owned(), "7".to_owned())],
+    };
+    let states = [&[0.5, -1.25][..], &[0.0, 1e-3], &[10.0, 20.0]];
+    let own = [
+        (types::STRING, string("<robot/>")),
+        (types::JOINT_STATE, joint_state(stamp, &names, states)),
+        (
+            types::WRENCH_STAMPED,
+            wrench(stamp, "left/flange", [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),
+        ),
+        (types::TF_MESSAGE, transforms(stamp, &[place])),
+        (types::DIAGNOSTIC_ARRAY, diagnostics(stamp, &[status])),
+        (
+            types::GOAL_STATUS_ARRAY,
+            goal_statuses(&[([9; 16], stamp, 4)]),
+        ),
+    ];
+    let own = own.map(|(ty, bytes)| {
+        let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        format!("{} {} {hex}", ty.name, ty.hash)
+    });
+    let golden: Vec<_> = ROSBAGS.lines().collect();
+    assert_eq!(own.to_vec(), golden);
 }

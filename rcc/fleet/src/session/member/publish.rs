@@ -11,6 +11,7 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt as _, CacheConfig
 
 use super::{Shared, TELEMETRY_PERIOD, TOPICS_MAX, refuse, reply};
 use crate::keys;
+use crate::session::SessionError;
 
 /// Answers queries of information and resources.
 pub(super) fn answer(shared: &Shared, queue: &Receiver<Query>) {
@@ -54,6 +55,7 @@ struct Published<'a> {
 pub(super) fn publish(shared: &Shared) {
     let mut published = BTreeMap::new();
     let mut is_full = false;
+    let mut failure = Failure::default();
     while !shared.ends() {
         let mut topics = shared.cell.telemetry();
         let is_over = topics.len() >= TOPICS_MAX;
@@ -69,10 +71,12 @@ pub(super) fn publish(shared: &Shared) {
             .collect();
         now.insert(shared.keys.info(), shared.info());
         published.retain(|key, _: &mut Published<'_>| now.contains_key(key));
-        for (key, text) in now {
-            update(shared, &mut published, key, text);
-        }
-        look_for_clash(shared);
+        let updated: Vec<_> = now
+            .into_iter()
+            .map(|(key, text)| update(shared, &mut published, key, text))
+            .chain([look_for_clash(shared)])
+            .collect();
+        failure.note(updated.into_iter().find_map(Result::err));
         std::thread::park_timeout(TELEMETRY_PERIOD);
     }
 }
@@ -82,31 +86,47 @@ fn update<'a>(
     published: &mut BTreeMap<String, Published<'a>>,
     key: String,
     text: String,
-) {
+) -> Result<(), SessionError> {
     if !published.contains_key(&key) {
         let publisher = shared.session.declare_publisher(key.clone());
         let publisher = publisher
             .cache(CacheConfig::default().max_samples(1))
             .publisher_detection();
-        match publisher.wait() {
-            Ok(publisher) => {
-                let last = String::new();
-                published.insert(key.clone(), Published { publisher, last });
-            }
-            Err(why) => return tracing::warn!("cannot publish `{key}`: {why}"),
-        }
+        let publisher = publisher
+            .wait()
+            .map_err(SessionError::of("cannot declare a topic"))?;
+        let last = String::new();
+        published.insert(key.clone(), Published { publisher, last });
     }
-    let Some(topic) = published.get_mut(&key).filter(|topic| topic.last != text) else {
-        return;
-    };
-    match topic.publisher.put(text.as_str()).wait() {
-        Ok(()) => topic.last = text,
-        Err(why) => tracing::warn!("cannot publish `{key}`: {why}"),
+    if let Some(topic) = published.get_mut(&key).filter(|topic| topic.last != text) {
+        let put = topic.publisher.put(text.as_str()).wait();
+        put.map_err(SessionError::of("cannot publish a topic"))?;
+        topic.last = text;
+    }
+    Ok(())
+}
+
+/// Reports at its onset that the network takes nothing, and once that it does again.
+#[derive(Debug, Default)]
+struct Failure(bool);
+
+impl Failure {
+    fn note(&mut self, error: Option<SessionError>) {
+        let did = std::mem::replace(&mut self.0, error.is_some());
+        match error {
+            Some(why) if !did => {
+                tracing::warn!(
+                    "telemetry of the fleet is not complete: {why}\nhint: restart the controller if it lasts"
+                );
+            }
+            None if did => tracing::info!("telemetry of the fleet is complete again"),
+            _ => {}
+        }
     }
 }
 
-fn look_for_clash(shared: &Shared) {
-    let clashes = shared.finds_clash();
+fn look_for_clash(shared: &Shared) -> Result<(), SessionError> {
+    let clashes = shared.finds_clash()?;
     let did = shared.clashes.swap(clashes, Ordering::AcqRel);
     let name = shared.keys.cell();
     match (did, clashes) {
@@ -117,4 +137,5 @@ fn look_for_clash(shared: &Shared) {
         (true, false) => tracing::info!("no other controller has the name `{name}` any more"),
         _ => {}
     }
+    Ok(())
 }

@@ -3,9 +3,9 @@
 
 use std::time::Duration;
 
+use super::super::bounds::{Bounds, State};
 use super::super::live::{FrameMotion, JointMotion};
 use super::super::plan::{FrameBounds, FrameState, Route};
-use super::super::profile::{Bounds, State};
 use super::*;
 
 const PERIOD: Duration = Duration::from_millis(1);

@@ -1,7 +1,7 @@
 //! Motions that begin in motion: in random states, beside their paths, and joining a line. Limits are checked as
 //! elsewhere, by differences of positions alone, with the states before the first cycle added.
 
-use super::super::profile::State;
+use super::super::bounds::State;
 use super::*;
 
 /// Positions before the first cycle of a coordinate in this state, oldest first.

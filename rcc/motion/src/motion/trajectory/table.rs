@@ -3,7 +3,7 @@
 
 use takt_net::JointLimits;
 
-use super::super::profile::State;
+use super::super::bounds::State;
 
 /// Most points of a table.
 pub(super) const POINTS_MAX: usize = 10_001;

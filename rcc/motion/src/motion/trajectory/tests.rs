@@ -269,6 +269,28 @@ fn deviation_at_goal_waits_then_fails() {
 }
 
 #[test]
+fn unknown_position_at_goal_is_no_arrival() {
+    let with = |tolerance: &str| {
+        let text = net(
+            &there(),
+            &format!(",GoalTolerance='[{tolerance}]',GoalTime='0.5'"),
+        );
+        // `z` is never written: the measured positions are null.
+        let text = text.replace("inMeasured=m.outValue", "inMeasured=k.outArray");
+        format!(
+            "z=Core::DoubleNetcommIn(Key='z'),k=Core::DoubleArraySet(inArray=m.outValue,inValue=z.outValue),{text}"
+        )
+    };
+    let last = |_, last| last;
+    assert_eq!(run(&with("0.01"), last, |_| false).code, "-5");
+    assert_eq!(
+        run(&with("0"), last, |_| false).code,
+        "0",
+        "any end is good"
+    );
+}
+
+#[test]
 fn start_beside_first_point_is_made_up_or_refused() {
     let with = |from: &str| {
         format!(

@@ -15,7 +15,7 @@ use super::describe::{ARM_PARTS, limits};
 use super::gripper::Gripper;
 use super::springs::Springs;
 use super::tool::Motions;
-use super::{Wait, Waiting, now, seconds};
+use super::{Wait, Waiting, now};
 use crate::config::{YouBotArm, YouBotControl, YouBotZero};
 use crate::segment::wire::{WireValues, wire_figures};
 use takt_core::device::DeviceStatus;
@@ -187,7 +187,11 @@ impl Arm {
         // A drive executes a command for one cycle, no matter how long the host stalled before.
         let is_later = |last| tick.scheduled > last;
         let passed = self.last.replace(tick.scheduled).is_some_and(is_later);
-        let dt = if passed { seconds(self.cycle) } else { 0.0 };
+        let dt = if passed {
+            self.cycle.as_secs_f64()
+        } else {
+            0.0
+        };
         let commanded = self.end.is_commanded();
         let stopping = stopping || self.is_held();
         let may_move = self.may_home && !commanded && !stopping;

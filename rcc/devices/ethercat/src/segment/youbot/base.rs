@@ -12,7 +12,7 @@ use takt_rt::cycle::Tick;
 
 use super::course::{Course, Planar, within};
 use super::describe::base_parts;
-use super::{now, seconds};
+use super::now;
 use crate::config::YouBotBase;
 use crate::segment::wire::{WireValues, wire_figures};
 use takt_core::device::DeviceStatus;
@@ -106,7 +106,11 @@ impl Base {
             .replace(tick.scheduled)
             .map(|last| tick.scheduled - last);
         let passed = elapsed.is_some_and(|elapsed| elapsed > Nanos(0));
-        let dt = if passed { seconds(self.cycle) } else { 0.0 };
+        let dt = if passed {
+            self.cycle.as_secs_f64()
+        } else {
+            0.0
+        };
         let fresh = self.end.is_fresh(tick.scheduled, self.cycle);
         let (velocity, pose) = (self.velocity(fresh), self.pose(fresh));
         let commanded = velocity.is_some() || pose.is_some();
@@ -114,7 +118,7 @@ impl Base {
         let follows = self.follows();
         self.refused = commanded && (self.refused || !follows);
         let pose = pose.filter(|_| velocity.is_none() && !self.refused && !stopping);
-        let period = seconds(self.end.net_period());
+        let period = self.end.net_period().as_secs_f64();
         let at = self.odometry.pose();
         let led = self.course.follow(pose.as_ref(), at, period);
         let velocity = velocity.filter(|_| !self.refused && !stopping);
@@ -163,7 +167,7 @@ impl Base {
             .map(|drive| master.inputs(drive.slave()).1);
         let age = ages.max().unwrap_or(0);
         let before = std::mem::replace(&mut self.age, age);
-        seconds(elapsed) + f64::from(before) * seconds(self.cycle)
+        elapsed.as_secs_f64() + f64::from(before) * self.cycle.as_secs_f64()
     }
 
     fn measure(&mut self, elapsed_s: f64) {
