@@ -6,9 +6,9 @@ use std::time::Duration;
 use takt_fri::diagnosis::{Measurement, Observer};
 use takt_fri::error::DecodeError;
 use takt_fri::guard::{Guard, Guarded, Violation};
-use takt_fri::sunrise::wire::{CommandMode, ControlMode, MonitorData, Name, Quality};
+use takt_fri::sunrise::wire::{CommandMode, ControlMode, MonitorData, Quality};
 use takt_fri::sunrise::{
-    AXES, Demand, IoError, IoLevel, JOINT_NAMES, Phase, Session, SessionConfig, Withheld,
+    AXES, Demand, IoLevel, JOINT_NAMES, Phase, Session, SessionConfig, Withheld,
 };
 use takt_net::JointLimits;
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, Io, JointImpedance};
