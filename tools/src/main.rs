@@ -41,6 +41,8 @@ mod output;
 mod page;
 mod quantity;
 mod record;
+#[cfg(feature = "fleet")]
+mod ros2;
 mod run;
 mod scope;
 mod screen;
@@ -115,6 +117,8 @@ enum Command {
     Page(page::Page),
     #[command(subcommand)]
     Record(record::Record),
+    #[cfg(feature = "fleet")]
+    Ros2(ros2::Ros2),
     Scope(scope::Scope),
     Stop(stop::Stop),
     Top(top::Top),
@@ -147,6 +151,8 @@ fn main() -> ExitCode {
         Command::Net(net) => net.run(),
         Command::Page(page) => page.run(),
         Command::Record(record) => record.run(),
+        #[cfg(feature = "fleet")]
+        Command::Ros2(ros2) => ros2.run(),
         Command::Scope(scope) => scope.run(),
         Command::Stop(stop) => stop.run(),
         Command::Top(top) => top.run(),

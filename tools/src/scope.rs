@@ -24,9 +24,11 @@ use crate::http::Site;
 use crate::output::{check_writable, positive_span, say, span};
 use crate::screen::Screen;
 pub(crate) use picture::Picture;
-use source::Source;
+pub(crate) use source::Source;
 use trigger::Trigger;
-use wire::{Mode, Request};
+#[cfg(feature = "fleet")]
+pub(crate) use wire::{Event, Frame, Group};
+pub(crate) use wire::{Mode, Request};
 
 /// How long the controller may take to answer.
 const TIMEOUT: Duration = Duration::from_secs(5);

@@ -44,6 +44,11 @@ impl Stop {
         self.requests() > 0
     }
 
+    /// Requests it as a signal does.
+    pub(crate) fn request(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
     /// Number of requests so far.
     pub(crate) fn requests(&self) -> u32 {
         self.0.load(Ordering::Relaxed)

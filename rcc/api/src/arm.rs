@@ -9,8 +9,8 @@ use crate::error::{Error, ErrorKind};
 use crate::expression::{Condition, Number};
 use crate::live::{JointGoal, JointVelocities, Live, SetPoint, Target, Twist};
 use crate::motion::{
-    ArmDescription, ArmMotion, CartesianLimits, Centre, Follow, ForceLimits, Goals, Hold, Jog,
-    Path, Press, Route, Stream,
+    AlongTrajectory, ArmDescription, ArmMotion, CartesianLimits, Centre, Follow, ForceLimits,
+    Goals, Hold, Jog, JointTrajectory, Path, Press, Route, Stream,
 };
 use crate::moving::MovingFrame;
 use crate::order::{Operation, Speed};
@@ -154,6 +154,21 @@ impl Arm {
         let points = through.into_iter().map(|point| self.goal(point));
         let points: Result<Vec<_>, _> = points.collect();
         self.motion(points.map(|points| Path::Frame(Route::Spline(points))))
+    }
+
+    /// A motion of the joints through points at given times, as planners make them. It is checked against the limits of the joints
+    /// before anything moves; factors of speed stretch its time, the [override of the cell](crate::Cell::set_override) does not
+    /// concern it. With [`now`](Activity::now) it begins in motion: from what is commanded then, the joints are led to the first
+    /// point that they can reach within their limits, without a jump of position, velocity or acceleration.
+    ///
+    /// It fails with [`ErrorKind::Unplanned`] if a limit is exceeded, at rest with [`ErrorKind::Deviation`] if a tolerance is, and
+    /// with [`ErrorKind::Stale`] if the arm is elsewhere when it begins.
+    pub fn trajectory(&self, trajectory: JointTrajectory) -> Activity {
+        let along = AlongTrajectory {
+            arm: self.description.clone(),
+            trajectory,
+        };
+        Activity::new(&self.session, along, self.speed)
     }
 
     /// Brakes the arm within its limits and keeps it under command where it comes to rest, until another activity takes

@@ -225,6 +225,12 @@ impl Engine {
         };
         match (key, text) {
             ("progress", number) => activity.progress = number.parse().unwrap_or(activity.progress),
+            ("joint", number) => {
+                activity.deviated.0 = number.parse().unwrap_or(activity.deviated.0);
+            }
+            ("deviation", number) => {
+                activity.deviated.1 = number.parse().unwrap_or(activity.deviated.1);
+            }
             (key, "true") => {
                 activity.has_maintained |= key == "maintaining";
                 activity.is_undecided &= key != FITS;

@@ -209,6 +209,21 @@ pub enum ErrorKind {
         /// The largest force, N.
         limit: f64,
     },
+    /// A measured position is further from the trajectory, or from its goal, than the tolerance permits; the arm is at rest.
+    #[error(
+        "{device}: joint {joint} is {deviation:.4} rad from the {place}, more than its tolerance\nhint: see its following error in \
+         `takt scope`; a slower trajectory, or another tolerance, may do"
+    )]
+    Deviation {
+        /// The arm.
+        device: String,
+        /// `path`, or `goal` at the end.
+        place: &'static str,
+        /// Number of the joint, from 0.
+        joint: usize,
+        /// Its deviation, rad.
+        deviation: f64,
+    },
     /// A motion cannot be planned by the program.
     #[error("{device}: the motion cannot be planned: {cause}")]
     Unplanned {

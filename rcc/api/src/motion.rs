@@ -14,6 +14,7 @@ mod press;
 mod stream;
 #[cfg(test)]
 mod tests;
+mod trajectory;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -37,6 +38,8 @@ pub(crate) use path::{ArmMotion, Path};
 pub use press::ForceLimits;
 pub(crate) use press::{Along, Press};
 pub(crate) use stream::{Goals, Stream};
+pub(crate) use trajectory::Along as AlongTrajectory;
+pub use trajectory::JointTrajectory;
 
 /// Joint positions that differ by more, rad, are different places.
 pub(crate) const ELSEWHERE: f64 = 2e-3;
@@ -194,17 +197,19 @@ impl ArmDescription {
         })
     }
 
-    /// A net that reads a port of all joints, as `outq0` and so on.
-    pub(crate) fn reader(&self, port: &str) -> String {
+    /// A net that reads ports of all joints, of the first one as `outq0` and so on, of the second one as `outv0`.
+    pub(crate) fn reader(&self, ports: &[&str]) -> String {
         let mut net = Net::default();
         for axis in 0..self.joints.len() {
-            let monitor = [("Robot", self.name.as_str().into()), ("Axis", axis.into())];
-            let value = net.add("RobotArm::JointMonitor", monitor).out(port);
-            let key = format!("q{axis}");
-            net.add(
-                "Core::DoubleNetcommOut",
-                [("inValue", (&value).into()), ("Key", key.into())],
-            );
+            for (port, letter) in ports.iter().zip(["q", "v"]) {
+                let monitor = [("Robot", self.name.as_str().into()), ("Axis", axis.into())];
+                let value = net.add("RobotArm::JointMonitor", monitor).out(port);
+                let key = format!("{letter}{axis}");
+                net.add(
+                    "Core::DoubleNetcommOut",
+                    [("inValue", (&value).into()), ("Key", key.into())],
+                );
+            }
         }
         net.finish_once()
     }

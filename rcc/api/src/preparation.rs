@@ -14,8 +14,21 @@ use crate::session::Session;
 pub(crate) struct Begin {
     /// Positions of its joints, rad.
     pub(crate) joints: Vec<f64>,
+    /// Their velocities, rad/s.
+    pub(crate) velocities: Vec<f64>,
     /// Whether it is at rest there; else it moves on until the activity takes over.
     pub(crate) is_at_rest: bool,
+}
+
+impl Begin {
+    /// At rest.
+    pub(crate) fn at_rest(joints: Vec<f64>) -> Self {
+        Self {
+            velocities: vec![0.0; joints.len()],
+            joints,
+            is_at_rest: true,
+        }
+    }
 }
 
 /// Where arms are when an activity begins, by their names, as far as known.
@@ -106,22 +119,21 @@ impl Session {
         let mut begins = Begins::new();
         for arm in order.operation.arms() {
             if let Some(joints) = before.get(&arm.name) {
-                let begin = joints.clone().map(|joints| Begin {
-                    joints,
-                    is_at_rest: true,
-                });
+                let begin = joints.clone().map(Begin::at_rest);
                 begins.extend(begin.map(|begin| (arm.name.clone(), begin)));
                 continue;
             }
             let latest = self.engine().latest(&arm.name);
-            let joints = match latest.filter(|_| when == When::Follow) {
-                Some(id) => self.goals().of(&arm.name, id),
-                None => self.joints(arm, "outCommandedPosition")?,
+            let begin = match latest {
+                Some(id) if when == When::Follow => {
+                    self.goals().of(&arm.name, id).map(Begin::at_rest)
+                }
+                Some(_) => self.moving(arm)?,
+                None => self
+                    .joints(arm, "outCommandedPosition")?
+                    .map(Begin::at_rest),
             };
-            let is_at_rest = latest.is_none() || when == When::Follow;
-            if let Some(joints) = joints {
-                begins.insert(arm.name.clone(), Begin { joints, is_at_rest });
-            }
+            begins.extend(begin.map(|begin| (arm.name.clone(), begin)));
         }
         Ok(begins)
     }
@@ -132,8 +144,33 @@ impl Session {
         arm: &ArmDescription,
         port: &str,
     ) -> Result<Option<Vec<f64>>, ErrorKind> {
-        let values = self.evaluate(&arm.reader(port))?;
-        let joint = |axis: usize| values.get(&format!("outq{axis}"))?.parse().ok();
-        Ok((0..arm.joints.len()).map(joint).collect())
+        let [joints] = self.read(arm, [port])?;
+        Ok(joints)
+    }
+
+    /// Where an arm is commanded that may move.
+    fn moving(&self, arm: &ArmDescription) -> Result<Option<Begin>, ErrorKind> {
+        let ports = ["outCommandedPosition", "outCommandedVelocity"];
+        let [joints, velocities] = self.read(arm, ports)?;
+        let begin = |joints: Vec<f64>| Begin {
+            velocities: velocities.unwrap_or_else(|| vec![0.0; joints.len()]),
+            joints,
+            is_at_rest: false,
+        };
+        Ok(joints.map(begin))
+    }
+
+    fn read<const N: usize>(
+        &self,
+        arm: &ArmDescription,
+        ports: [&str; N],
+    ) -> Result<[Option<Vec<f64>>; N], ErrorKind> {
+        let values = self.evaluate(&arm.reader(&ports))?;
+        let mut letters = ["q", "v"].into_iter();
+        Ok(ports.map(|_| {
+            let letter = letters.next()?;
+            let joint = |axis: usize| values.get(&format!("out{letter}{axis}"))?.parse().ok();
+            (0..arm.joints.len()).map(joint).collect()
+        }))
     }
 }

@@ -292,6 +292,51 @@ impl Arm {
         Activity::motion(py, self.0.get(py)?.spline(goals(through)?), options)
     }
 
+    /// A motion of the joints through positions at given times.
+    #[pyo3(signature = (times, positions, velocities=None, accelerations=None, *, path_tolerance=None, goal_tolerance=None,
+                        goal_time=1.0, **options))]
+    #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn trajectory(
+        &self,
+        py: Python<'_>,
+        times: Vec<f64>,
+        positions: Vec<Vec<f64>>,
+        velocities: Option<Vec<Vec<f64>>>,
+        accelerations: Option<Vec<Vec<f64>>>,
+        path_tolerance: Option<Vec<f64>>,
+        goal_tolerance: Option<Vec<f64>>,
+        goal_time: f64,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Activity> {
+        let count = times.len();
+        let rows = |name: &str, rows: Option<Vec<Vec<f64>>>| match rows {
+            Some(rows) if rows.len() != count => {
+                let text = format!("{count} times, but {} rows of {name}", rows.len());
+                Err(error::invalid(py, text))
+            }
+            Some(rows) => Ok(rows),
+            None => Ok(vec![Vec::new(); count]),
+        };
+        let positions = rows("positions", Some(positions))?;
+        let velocities = rows("velocities", velocities)?;
+        let accelerations = rows("accelerations", accelerations)?;
+        let rows = positions.into_iter().zip(velocities).zip(accelerations);
+        let points = times.into_iter().zip(rows);
+        let point = |(time, ((positions, velocities), accelerations))| api::Waypoint {
+            time,
+            positions,
+            velocities,
+            accelerations,
+        };
+        let trajectory = api::JointTrajectory {
+            points: points.map(point).collect(),
+            path_tolerance: path_tolerance.unwrap_or_default(),
+            goal_tolerance: goal_tolerance.unwrap_or_default(),
+            goal_time,
+        };
+        Activity::motion(py, self.0.get(py)?.trajectory(trajectory), options)
+    }
+
     /// Brakes the arm and keeps it under command where it comes to rest.
     #[pyo3(signature = (**options))]
     fn hold(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Activity> {

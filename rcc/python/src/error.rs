@@ -182,6 +182,18 @@ fn instance<'py>(
             attributes.set_item("limit", limit)?;
             "ForceExceeded"
         }
+        ErrorKind::Deviation {
+            device,
+            place,
+            joint,
+            deviation,
+        } => {
+            attributes.set_item("device", device)?;
+            attributes.set_item("place", place)?;
+            attributes.set_item("joint", joint)?;
+            attributes.set_item("deviation", deviation)?;
+            "Deviation"
+        }
         ErrorKind::PredecessorFailed(before) => {
             attributes.set_item("error", instance(py, before, None)?)?;
             "PredecessorFailed"

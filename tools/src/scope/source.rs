@@ -33,14 +33,14 @@ const RETRY_AFTER: Duration = Duration::from_secs(1);
 
 /// The thread, which ends when this is dropped.
 #[derive(Debug)]
-pub(super) struct Source {
+pub(crate) struct Source {
     events: Receiver<Event>,
     _end: Sender<()>,
 }
 
 impl Source {
     /// Connects, again and again if it `retries`.
-    pub(super) fn start(http: Http, request: Request, retries: bool) -> Self {
+    pub(crate) fn start(http: Http, request: Request, retries: bool) -> Self {
         let (sender, events) = sync_channel(AHEAD_MAX);
         let (end, ended) = channel::<()>();
         std::thread::spawn(move || {
@@ -58,7 +58,7 @@ impl Source {
     }
 
     /// The next event; `None` if none comes in time, or the thread has ended.
-    pub(super) fn next(&self, wait: Duration) -> Option<Event> {
+    pub(crate) fn next(&self, wait: Duration) -> Option<Event> {
         self.events.recv_timeout(wait).ok()
     }
 }

@@ -16,7 +16,7 @@ use serde::Serialize;
 
 /// What starts a capture, as on the wire.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub(super) struct Trigger {
+pub(crate) struct Trigger {
     on: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     probe: Option<String>,
@@ -78,7 +78,7 @@ impl Token {
 }
 
 /// Reads a trigger.
-pub(super) fn parse(text: &str) -> Result<Trigger, String> {
+pub(crate) fn parse(text: &str) -> Result<Trigger, String> {
     let tokens = tokens(text)?;
     let end = text.chars().count() + 1;
     let mut words = Words {

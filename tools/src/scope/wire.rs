@@ -9,20 +9,20 @@ const VERSION: u64 = 1;
 
 /// What is requested.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Request {
-    pub(super) probes: Vec<String>,
-    pub(super) every: u64,
-    pub(super) trigger: Option<Trigger>,
-    pub(super) pre_s: f64,
-    pub(super) post_s: f64,
-    pub(super) mode: Mode,
-    pub(super) rate_hz: f64,
+pub(crate) struct Request {
+    pub(crate) probes: Vec<String>,
+    pub(crate) every: u64,
+    pub(crate) trigger: Option<Trigger>,
+    pub(crate) pre_s: f64,
+    pub(crate) post_s: f64,
+    pub(crate) mode: Mode,
+    pub(crate) rate_hz: f64,
 }
 
 /// What follows a capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Mode {
+pub(crate) enum Mode {
     /// The next one, also without a trigger if none comes for a while
     Auto,
     /// The next one, at the next trigger
@@ -33,7 +33,7 @@ pub(super) enum Mode {
 
 /// What the controller reports.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Event {
+pub(crate) enum Event {
     /// What it samples.
     Setup(Setup),
     /// A trigger was found; its frames follow.
@@ -57,70 +57,70 @@ pub(super) enum Event {
 /// What is sampled.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
-pub(super) struct Setup {
-    pub(super) version: u64,
-    pub(super) groups: Vec<Group>,
-    pub(super) rejected: Vec<Rejected>,
+pub(crate) struct Setup {
+    pub(crate) version: u64,
+    pub(crate) groups: Vec<Group>,
+    pub(crate) rejected: Vec<Rejected>,
 }
 
 /// Probes that are sampled in the same cycles.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
-pub(super) struct Group {
-    pub(super) thread: String,
-    pub(super) period_s: f64,
-    pub(super) probes: Vec<Probe>,
+pub(crate) struct Group {
+    pub(crate) thread: String,
+    pub(crate) period_s: f64,
+    pub(crate) probes: Vec<Probe>,
 }
 
 /// A column.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
-pub(super) struct Probe {
-    pub(super) name: String,
-    pub(super) unit: String,
+pub(crate) struct Probe {
+    pub(crate) name: String,
+    pub(crate) unit: String,
     /// For states: their names, by number.
-    pub(super) states: Vec<String>,
+    pub(crate) states: Vec<String>,
 }
 
 /// A probe that cannot be sampled.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
-pub(super) struct Rejected {
-    pub(super) probe: String,
-    pub(super) cause: String,
-    pub(super) hint: String,
+pub(crate) struct Rejected {
+    pub(crate) probe: String,
+    pub(crate) cause: String,
+    pub(crate) hint: String,
 }
 
 /// A trigger that was found.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
-pub(super) struct Triggered {
-    pub(super) time_s: f64,
-    pub(super) cause: String,
+pub(crate) struct Triggered {
+    pub(crate) time_s: f64,
+    pub(crate) cause: String,
 }
 
 /// A probe without further values.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
-pub(super) struct Ended {
-    pub(super) probe: String,
-    pub(super) cause: String,
+pub(crate) struct Ended {
+    pub(crate) probe: String,
+    pub(crate) cause: String,
 }
 
 /// Samples of a group.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Frame {
-    pub(super) group: usize,
-    pub(super) columns: usize,
+pub(crate) struct Frame {
+    pub(crate) group: usize,
+    pub(crate) columns: usize,
     /// Samples lost before the first one.
-    pub(super) lost: u64,
+    pub(crate) lost: u64,
     /// Time, s since the controller's start, and the columns, row after row; null is not a number.
-    pub(super) values: Vec<f64>,
+    pub(crate) values: Vec<f64>,
 }
 
 /// A message that is not understood.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(super) enum WireError {
+pub(crate) enum WireError {
     #[error("the controller sent a message that is not understood: {0}")]
     Text(String),
     #[error("the controller sent a frame of {length} bytes with {rows} rows of {columns} columns")]
@@ -136,7 +136,7 @@ pub(super) enum WireError {
 }
 
 /// Reads a text message; `None` if it is of a kind that is not known here.
-pub(super) fn decode_text(text: &str) -> Result<Option<Event>, WireError> {
+pub(crate) fn decode_text(text: &str) -> Result<Option<Event>, WireError> {
     #[derive(Deserialize)]
     struct Lost {
         group: usize,
@@ -191,7 +191,7 @@ fn refusal(error: &serde_json::Value) -> String {
 const HEAD: usize = 16;
 
 /// Reads a binary message.
-pub(super) fn decode_frame(bytes: &[u8]) -> Result<Frame, WireError> {
+pub(crate) fn decode_frame(bytes: &[u8]) -> Result<Frame, WireError> {
     let short = || WireError::Length {
         length: bytes.len(),
         rows: 0,
@@ -220,13 +220,13 @@ pub(super) fn decode_frame(bytes: &[u8]) -> Result<Frame, WireError> {
 
 impl Frame {
     /// Its rows: the time, s, and the columns.
-    pub(super) fn rows(&self) -> impl Iterator<Item = (f64, &[f64])> {
+    pub(crate) fn rows(&self) -> impl Iterator<Item = (f64, &[f64])> {
         let rows = self.values.chunks_exact(self.columns.saturating_add(1));
         rows.filter_map(|row| row.split_first().map(|(time, values)| (*time, values)))
     }
 
     #[cfg(test)]
-    pub(super) fn of(group: usize, columns: usize, values: &[f64]) -> Self {
+    pub(crate) fn of(group: usize, columns: usize, values: &[f64]) -> Self {
         Self {
             group,
             columns,

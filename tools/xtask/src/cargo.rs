@@ -5,6 +5,7 @@ use std::fmt;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::time::Instant;
 
 use anyhow::Context;
 
@@ -42,6 +43,7 @@ impl Cargo {
     /// Runs to the end; true on success.
     pub(crate) fn succeeds(&self, root: &Path) -> anyhow::Result<bool> {
         note(&format!("+ {self}"));
+        let _took = Took::from_now();
         let status = self.command(root).status().context("cannot start cargo")?;
         Ok(status.success())
     }
@@ -49,6 +51,7 @@ impl Cargo {
     /// As [`Cargo::succeeds`], passing each line of its standard output to `take`.
     pub(crate) fn lines(&self, root: &Path, mut take: impl FnMut(&str)) -> anyhow::Result<bool> {
         note(&format!("+ {self}"));
+        let _took = Took::from_now();
         let mut child = self
             .command(root)
             .stdout(Stdio::piped())
@@ -111,6 +114,25 @@ pub(crate) fn workspace_root() -> anyhow::Result<PathBuf> {
 /// Cargo's target directory, as an absolute path.
 pub(crate) fn target_dir(root: &Path) -> PathBuf {
     root.join(std::env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| OsString::from("target")))
+}
+
+/// Notes how long a child process took, if it was long enough to matter.
+#[derive(Debug)]
+pub(crate) struct Took(Instant);
+
+impl Took {
+    pub(crate) fn from_now() -> Self {
+        Self(Instant::now())
+    }
+}
+
+impl Drop for Took {
+    fn drop(&mut self) {
+        let took = self.0.elapsed().as_secs();
+        if took >= 5 {
+            note(&format!("took {took} s"));
+        }
+    }
 }
 
 /// Prints a result on standard output. A closed pipe is no error.

@@ -25,7 +25,8 @@ pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
     step("clippy", Cargo::new(clippy).succeeds(root)?);
     let mut tally = test::count(root, &[], Golden::Compare)?;
     step("fuzz", fuzz::run(root, "stand", fuzz::COUNT, 0)?);
-    let doc = Cargo::new("doc --workspace --all-features --no-deps");
+    // With one example, features are those of the tests: nothing is compiled twice.
+    let doc = Cargo::new("doc --workspace --all-features --no-deps --lib --bins --example begin");
     step(
         "doc",
         doc.env("RUSTDOCFLAGS", "-D warnings").succeeds(root)?,

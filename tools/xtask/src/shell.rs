@@ -10,7 +10,7 @@ use std::thread::JoinHandle;
 
 use anyhow::Context;
 
-use crate::cargo::note;
+use crate::cargo::{Took, note};
 
 /// Exit status on timeout, see [`Line::limited`].
 pub(crate) const TIMEOUT_STATUS: u8 = 124;
@@ -80,6 +80,7 @@ impl Line {
     /// Runs to the end and returns the exit status; 1 if a signal ended it.
     pub(crate) fn status(&self) -> anyhow::Result<u8> {
         note(&format!("+ {self}"));
+        let _took = Took::from_now();
         let mut command = self.command();
         if self.relayed {
             command.stdout(Stdio::piped());
@@ -106,6 +107,7 @@ impl Line {
     /// As [`Line::status`], passing each line of its standard output to `take`.
     pub(crate) fn lines(&self, mut take: impl FnMut(&str)) -> anyhow::Result<u8> {
         note(&format!("+ {self}"));
+        let _took = Took::from_now();
         let mut command = self.command();
         let (mut child, errors) = self.spawn(command.stdout(Stdio::piped()))?;
         if let Some(stdout) = child.stdout.take() {

@@ -106,6 +106,17 @@ impl Failure {
         Self::off_path("fast", device, cause)
     }
 
+    /// The measured position of a joint is further from a trajectory than it may be; `place` is `path` or `goal`.
+    pub fn deviated(place: &'static str, device: &str) -> Self {
+        let error = ErrorKind::Deviation {
+            device: device.to_owned(),
+            place,
+            joint: 0,
+            deviation: 0.0,
+        };
+        Self::with(&format!("{place}_tolerance"), device, error)
+    }
+
     fn off_path(key: &str, device: &str, cause: &str) -> Self {
         let error = ErrorKind::Unreachable {
             device: device.to_owned(),
@@ -116,8 +127,14 @@ impl Failure {
     }
 
     /// The error with what is known at the end of the net.
-    fn at_end(&self, reason: &str, part: f64) -> ErrorKind {
+    fn at_end(&self, reason: &str, part: f64, deviated: (usize, f64)) -> ErrorKind {
         let mut error = self.error.clone();
+        if let ErrorKind::Deviation {
+            joint, deviation, ..
+        } = &mut error
+        {
+            (*joint, *deviation) = deviated;
+        }
         if let ErrorKind::Unreachable { progress, .. } = &mut error {
             *progress = part * 100.0;
         }
@@ -233,6 +250,8 @@ pub(super) struct Activity {
     pub(super) values: BTreeSet<String>,
     /// Part of the path, 0 to 1.
     pub(super) progress: f64,
+    /// The joint that deviates, and how far, rad.
+    pub(super) deviated: (usize, f64),
     /// Whether a program still refers to it.
     pub(super) is_held: bool,
     /// How it ends if its net is unloaded before it runs: its end was requested after its rule.
@@ -302,7 +321,7 @@ impl Activity {
         let is = |key: &str| self.values.contains(key);
         let mut failures = self.failures.iter();
         if let Some(failure) = failures.find(|failure| is(&failure.key)) {
-            return Err(failure.at_end(reason, self.progress));
+            return Err(failure.at_end(reason, self.progress, self.deviated));
         }
         if let Some(name) = self
             .values

@@ -201,6 +201,7 @@ impl Engine {
             state,
             values: BTreeSet::new(),
             progress: 0.0,
+            deviated: (0, 0.0),
             is_held: true,
             pending: None,
             is_unloading: false,

@@ -31,10 +31,7 @@ fn arm(name: &str) -> ArmDescription {
 }
 
 fn begins(names: &[&str]) -> Begins {
-    let begin = Begin {
-        joints: BENT.to_vec(),
-        is_at_rest: true,
-    };
+    let begin = Begin::at_rest(BENT.to_vec());
     let pairs = names.iter().map(|name| ((*name).to_owned(), begin.clone()));
     pairs.collect()
 }

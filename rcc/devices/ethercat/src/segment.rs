@@ -511,6 +511,11 @@ impl Driver {
         }
         self.units.youbots.cycle(&mut self.master, tick, stopping);
         self.inspector.cycle(&mut self.master, tick.scheduled);
+        self.share(happened);
+    }
+
+    /// What is known outside of the thread, after a cycle in which so many events happened.
+    fn share(&mut self, happened: usize) {
         let frames = self.master.frames();
         let shared = &self.shared;
         shared.cycles.store(self.master.cycles(), Ordering::Relaxed);

@@ -104,6 +104,11 @@ impl<W> Goals<W> {
         true
     }
 
+    /// Forgets a goal that could not begin: for its client it never was one.
+    pub fn forget(&mut self, id: GoalId) {
+        self.goals.retain(|goal| goal.id != id);
+    }
+
     fn find(&mut self, id: GoalId) -> Option<&mut Goal<W>> {
         self.goals.iter_mut().find(|goal| goal.id == id)
     }
@@ -201,6 +206,15 @@ mod tests {
         assert!(goals.accept(id(1), 10));
         assert!(!goals.accept(id(1), 11));
         assert_eq!(goals.statuses(), [(id(1), 10, 1)]);
+    }
+
+    #[test]
+    fn forgotten_goal_may_come_again() {
+        let mut goals = Goals::<u8>::default();
+        assert!(goals.accept(id(1), 10));
+        goals.forget(id(1));
+        assert!(goals.statuses().is_empty());
+        assert!(goals.accept(id(1), 11));
     }
 
     #[test]

@@ -72,6 +72,8 @@ struct Trajectory {
     goal: Box<[f64]>,
     goal_time: f64,
     start: f64,
+    /// Whether it also begins in motion, or elsewhere.
+    joins: bool,
     period_s: f64,
     phase: Phase,
     /// Along the table, s.
@@ -110,7 +112,7 @@ impl Trajectory {
         self.cause = Cause::default();
         for (joint, (off, state)) in self.off.iter_mut().zip(&mut self.states).enumerate() {
             off.reset(0.0);
-            *state = State::at_rest(self.table.at(joint, 0.0).position);
+            *state = State::at_rest(self.table.start(joint).position);
         }
     }
 
@@ -127,13 +129,16 @@ impl Trajectory {
         let (mut most, mut worst) = (0.0, 0);
         let mut moves = false;
         for (joint, (state, bounds)) in from.states.iter().zip(&self.bounds).enumerate() {
-            let wanted = self.table.at(joint, 0.0);
+            let wanted = self.table.start(joint);
             let deviation = (state.position - wanted.position).abs();
             if deviation > most {
                 (most, worst) = (deviation, joint);
             }
             let slack = 2.0 * bounds.acceleration * self.period_s + SAME_VELOCITY;
             moves |= (state.velocity - wanted.velocity).abs() > slack;
+        }
+        if self.joins && self.table.join(&from.states, &self.bounds).is_ok() {
+            return true;
         }
         if most > self.start || moves {
             self.phase = Phase::Stray;
@@ -147,7 +152,7 @@ impl Trajectory {
             }
         } else if most > SAME {
             for (joint, (off, state)) in self.off.iter_mut().zip(&from.states).enumerate() {
-                let deviation = state.position - self.table.at(joint, 0.0).position;
+                let deviation = state.position - self.table.start(joint).position;
                 off.begin(State::at_rest(deviation), 0.0, 1.0);
             }
         }
@@ -401,6 +406,7 @@ fn build(b: &mut Build<'_, '_>) -> Result<Trajectory, Fault> {
         goal: tolerances(b, "GoalTolerance", joints)?,
         goal_time: b.value("GoalTime")?,
         start: b.value("StartTolerance")?,
+        joins: b.value("Join")?,
         period_s,
         phase: Phase::Waiting,
         time: 0.0,
@@ -463,6 +469,12 @@ pub(super) fn definition() -> Definition {
         "StartTolerance",
         "0.01",
         "largest deviation of a joint at rest from the first point, rad; it is made up for on the way",
+    )
+    .parameter::<bool>(
+        "Join",
+        "false",
+        "leads from any state at inFrom, at rest or in motion, to the second point by quintic polynomials, if velocity and acceleration \
+         permit; else, and where they do not, a deviation beyond StartTolerance and an unplanned velocity end it",
     )
     .array_output::<f64>("outPosition", "position of each joint, rad")
     .array_output::<f64>("outVelocity", "velocity of each joint, rad/s")

@@ -155,6 +155,14 @@ class ForceExceeded(_OfDevice):
     limit: float
 
 
+class Deviation(_OfDevice):
+    """Joint `joint` of `device` is `deviation`, rad, from the `place`, `path` or `goal`, of its trajectory; it is at rest."""
+
+    place: str
+    joint: int
+    deviation: float
+
+
 class Unplanned(_OfDevice):
     """A motion of `device` cannot be planned, for `cause`; nothing was begun."""
 

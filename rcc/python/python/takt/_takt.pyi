@@ -310,6 +310,28 @@ class Arm:
 
         Raises `Invalid` if a matrix or quaternion is no pose.
         """
+    def trajectory(
+        self,
+        times: Iterable[float],
+        positions: Iterable[Iterable[float]],
+        velocities: Iterable[Iterable[float]] | None = None,
+        accelerations: Iterable[Iterable[float]] | None = None,
+        *,
+        path_tolerance: Iterable[float] | None = None,
+        goal_tolerance: Iterable[float] | None = None,
+        goal_time: float = 1.0,
+        **options: Unpack[_MotionOptions],
+    ) -> Activity:
+        """A motion of the joints through positions (rad, shape times x joints) at given times, s from its start.
+
+        Between points positions are quintic polynomials where both have `accelerations`, rad/s^2, else cubic ones; without
+        `velocities`, rad/s, they follow from the points beside. A point at 0 is where the arm should be, within 0.01 rad. With
+        `now` it begins in motion, without a jump of position, velocity or acceleration.
+
+        `path_tolerance` and `goal_tolerance`, rad, one value for all joints or one for each, bound the deviation of measured
+        positions on the way and at the end, where the arm has `goal_time` s more, below 0 as long as it takes. It fails at rest
+        with `Deviation`. Raises `Unplanned` if a limit of a joint is exceeded, `Invalid` for other numbers of rows.
+        """
     def hold(self, **options: Unpack[_Options]) -> Activity:
         """Brakes the arm and keeps it under command where it comes to rest: `Outcome.Maintaining`.
 

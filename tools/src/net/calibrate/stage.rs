@@ -143,12 +143,19 @@ fn parameters(definition: &Definition, instance: usize, size: usize) -> Vec<Stri
             )
         }
         "Motion::Track" | "Motion::Coast" => FAST_JOINTS.to_owned(),
+        "Motion::Trajectory" => {
+            // Positions and velocities of all joints at the start, and after 1000 s.
+            let point = |position: &str| format!("{}{}", position.repeat(size), " 0".repeat(size));
+            let (start, end) = (point(" 0"), point(" 1"));
+            format!("{FAST_JOINTS},Joints='{size}',Table='0{start}/1000{end}'")
+        }
         _ => String::new(),
     };
     let own = |parameter: &Parameter| {
         let value = match (parameter.name, parameter.ty) {
             // The default, a program that does nothing: what others cost is in their object code.
             _ if definition.name == "Irl::Program" => return None,
+            ("Table", _) => return None,
             ("Size", _) => size.to_string(),
             // Tools belong to the last axis.
             ("Axis", _) if definition.name == "RobotArm::ToolParameters" => "6".to_owned(),

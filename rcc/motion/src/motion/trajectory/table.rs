@@ -3,7 +3,7 @@
 
 use takt_net::JointLimits;
 
-use super::super::bounds::State;
+use super::super::bounds::{Bounds, State};
 
 /// Most points of a table.
 pub(super) const POINTS_MAX: usize = 10_001;
@@ -335,6 +335,50 @@ impl Table {
     #[must_use]
     pub fn at(&self, joint: usize, time: f64) -> State {
         self.in_piece(self.piece_at(time), joint, time)
+    }
+
+    /// The state of a joint at the first point, as it was planned.
+    pub(super) fn start(&self, joint: usize) -> State {
+        self.points
+            .first()
+            .map_or_else(State::default, |point| state(point, joint))
+    }
+
+    /// Lets joints come from these states: the first piece leads from there to its end.
+    ///
+    /// # Errors
+    /// The joint that would exceed its bounds; the table is what it was then.
+    pub(super) fn join(&mut self, from: &[State], bounds: &[Bounds]) -> Result<(), usize> {
+        for (joint, (from, bounds)) in from.iter().zip(bounds).enumerate() {
+            let (width, coefficients) = self.joining(joint, *from);
+            for sample in 1..=SAMPLES {
+                let time = width * f64::from(sample) / f64::from(SAMPLES);
+                let at = evaluate(&coefficients, time);
+                // Also what is not a number.
+                let is_within = at.velocity.abs() <= bounds.velocity * (1.0 + ROUNDING)
+                    && at.acceleration.abs() <= bounds.acceleration * (1.0 + ROUNDING);
+                if !is_within {
+                    return Err(joint);
+                }
+            }
+        }
+        for (joint, from) in from.iter().enumerate() {
+            let (_, coefficients) = self.joining(joint, *from);
+            if let Some(piece) = self.pieces.get_mut(joint) {
+                *piece = coefficients;
+            }
+        }
+        Ok(())
+    }
+
+    /// The first piece of a joint from another state, with its length, s.
+    fn joining(&self, joint: usize, from: State) -> (f64, Coefficients) {
+        let width = self.times.get(1).copied().unwrap_or(0.0);
+        let to = match self.pieces.get(self.joints + joint) {
+            Some(next) => evaluate(next, 0.0),
+            None => self.at(joint, width),
+        };
+        (width, piece(width, [from, to], true))
     }
 
     /// Checks limits along pieces, and rest at the end.

@@ -334,3 +334,48 @@ fn trajectory_from_motion_joins_without_jump() {
     let none = plan(&[table.at(0, 1.0)], &soon[..1], &limits).unwrap_err();
     assert!(matches!(none, TrajectoryError::Unjoined(_)), "{none}");
 }
+
+#[test]
+fn joining_begins_in_any_motion_without_jump() {
+    // The table was planned from rest at 0; the joint is elsewhere and moves when the net begins.
+    let with = |from: [f64; 3], more: &str| {
+        let [position, velocity, acceleration] = from;
+        let states = format!(
+            "f=Core::DoubleArrayNetcommIn(Key='f',Value='[{position}]'),\
+             g=Core::DoubleArrayNetcommIn(Key='g',Value='[{velocity}]'),\
+             h=Core::DoubleArrayNetcommIn(Key='h',Value='[{acceleration}]')"
+        );
+        let ports = ",inFrom=f.outValue,inFromVelocity=g.outValue,inFromAcceleration=h.outValue";
+        format!("{},{states}", net(&there(), &format!("{ports}{more}")))
+    };
+    for from in [[0.05, 0.3, 0.5], [-0.2, -0.4, 0.0], [0.0, 0.0, 0.0]] {
+        let mut run = run(&with(from, ",Join='true'"), |_, last| last, |_| false);
+        assert_eq!(run.code, "0", "{from:?}");
+        run.positions[0] = from[0];
+        let first = (run.positions[1] - run.positions[0]) / PERIOD_S;
+        assert!((first - from[1]).abs() < 0.02, "{from:?}: {first}");
+        let (velocity, acceleration) = most(&run.positions);
+        assert!(
+            velocity < 2.0 && acceleration < 10.1,
+            "{from:?}: {velocity} {acceleration}"
+        );
+        let last = run.positions[run.positions.len() - 1];
+        assert!((last - 1.0).abs() < 1e-9, "{from:?}: {last}");
+        if from[1] != 0.0 {
+            let strict = self::run(&with(from, ""), |_, last| last, |_| false);
+            assert_eq!(strict.code, "2", "{from:?}");
+        }
+    }
+    // Too far to be at the end of the table in time within the limits: it brakes where it is.
+    let fast = run(
+        &with([-2.0, -1.9, 0.0], ",Join='true'"),
+        |_, last| last,
+        |_| false,
+    );
+    assert_eq!(fast.code, "2");
+    let (velocity, acceleration) = most(&fast.positions[1..]);
+    assert!(
+        velocity < 2.0 && acceleration < 10.1,
+        "{velocity} {acceleration}"
+    );
+}
