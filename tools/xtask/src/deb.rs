@@ -31,7 +31,7 @@ pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
         say("skipped: needs dpkg-deb, of Debian's package dpkg");
         return Ok(false);
     }
-    let build = Cargo::new("build --release -p takt-tools");
+    let build = Cargo::new("build --release -p takt-tools --features fleet");
     anyhow::ensure!(build.succeeds(root)?, "takt does not build");
     let target = cargo::target_dir(root);
     let package = Package {

@@ -41,6 +41,7 @@ fn config_default_is_closed_and_bounded() {
         ("listen/exit_on_failure", json!(true)),
         ("connect/endpoints", json!([])),
         ("connect/exit_on_failure", json!(false)),
+        ("connect/timeout_ms", json!(-1)),
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/enabled", json!(false)),
         ("transport/unicast/max_sessions", json!(128)),

@@ -39,11 +39,22 @@ impl Cell for Bench {
         vec![("device/left/state".to_owned(), json!("operational"))]
     }
 
-    fn resource(&self, path: &str) -> Option<Value> {
-        (path == "nets").then(|| json!([1, 2]))
+    fn devices(&self) -> Vec<String> {
+        vec!["left".to_owned()]
     }
 
-    fn opened(&self, _session: u32, _client: &str) {}
+    fn log(&self, from: u64) -> (Vec<String>, u64) {
+        let lines = ["first", "second"].map(str::to_owned);
+        let from = usize::try_from(from).unwrap();
+        (lines.into_iter().skip(from).collect(), 2)
+    }
+
+    fn resource(&self, path: &str) -> Result<Value, String> {
+        let there = (path == "nets").then(|| json!([1, 2]));
+        there.ok_or_else(|| format!("there is no resource `{path}`"))
+    }
+
+    fn opened(&self, _session: u32, _client: &str, _on_loss: LossPolicy) {}
 
     fn execute(&self, _session: u32, line: &str) -> Vec<String> {
         self.executed.lock().unwrap().push(line.to_owned());
