@@ -10,7 +10,7 @@ use crate::http::Http;
 #[derive(Clone, Debug, Default, Serialize)]
 pub(crate) struct Report {
     /// Of this object; it changes when readers of the old form would misread it.
-    schema: &'static str,
+    pub(crate) schema: &'static str,
     pub(crate) version: String,
     /// Who stopped everything; `None` if nothing is stopped.
     pub(crate) stopped_by: Option<String>,

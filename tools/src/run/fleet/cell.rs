@@ -18,7 +18,7 @@ use super::commands::Commands;
 use crate::http::Http;
 use crate::output::chain;
 use crate::top::finding::Grade;
-use crate::top::report::Report;
+use crate::top::report::{Device, Report};
 
 /// How long the own server may take: far longer than it does.
 const TIMEOUT: Duration = Duration::from_secs(1);
@@ -133,7 +133,7 @@ impl Cell for FleetCell {
         let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         let periods = report.threads.iter().map(|thread| thread.period_ns);
         let periods: Vec<_> = periods.collect();
-        let devices = report.devices.iter();
+        let devices = devices(report);
         let devices = devices.map(|device| json!({"name": device.name, "type": device.kind}));
         let devices: Vec<_> = devices.collect();
         let info = json!({
@@ -167,8 +167,7 @@ impl Cell for FleetCell {
 
     fn devices(&self) -> Vec<String> {
         let state = self.state();
-        let devices = state.report.devices.iter();
-        let answering = devices.filter(|device| device.state != "off");
+        let answering = devices(&state.report).filter(|device| device.state != "off");
         answering.map(|device| device.name.clone()).collect()
     }
 
@@ -262,10 +261,18 @@ fn topics(report: &Report) -> Vec<Topic> {
         .collect()
 }
 
+/// The devices, without the controller itself, which is listed as one.
+fn devices(report: &Report) -> impl Iterator<Item = &Device> {
+    report.devices.iter().filter(|device| device.kind != "rcc")
+}
+
 /// A cell in one line: what `takt fleet list` and `top` show.
 fn summary(state: &State) -> Value {
     let report = &state.report;
-    let operational = report.devices.iter().filter(|it| it.state == "op").count();
+    let (count, operational) = (
+        devices(report).count(),
+        devices(report).filter(|it| it.state == "op").count(),
+    );
     let running = report
         .nets
         .iter()
@@ -297,7 +304,7 @@ fn summary(state: &State) -> Value {
         "state": word,
         "failure": state.failure,
         "stopped_by": report.stopped_by,
-        "devices": report.devices.len(), "operational": operational,
+        "devices": count, "operational": operational,
         "nets": report.nets.len(), "running": running,
         "machines": report.machines.len(),
         "missed": missed, "latency_ns_max": latest,
@@ -320,7 +327,7 @@ fn clock(tai: &Tai) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::top::report::{Device, Net};
+    use crate::top::report::Net;
 
     #[test]
     fn path_cannot_end_the_request_line() {
