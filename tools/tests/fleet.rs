@@ -150,6 +150,26 @@ fn fleet_lists_reads_commands_and_watches_two_cells() {
     let text = expect_status(&fleet(&endpoint, &wrong), 1);
     assert!(text.starts_with("f=err("), "{text}");
 
+    // Joints of a cell behind the router, in batches: time, measured and commanded positions.
+    let watch = [
+        "watch",
+        "cell-b/device/left/joints",
+        "--count",
+        "2",
+        "--json",
+    ];
+    let text = expect_status(&fleet(&endpoint, &watch), 0);
+    let batch = json(text.lines().last().unwrap());
+    let rows = batch["value"]["rows"].as_array().unwrap();
+    assert!(rows.len() > 1, "{text}");
+    let positions = rows[0][1].as_array().unwrap();
+    assert!(positions.len() == 7 && positions[0].is_f64(), "{text}");
+    let of = |row: usize| rows[row][0].as_f64().unwrap();
+    assert!(
+        (of(1) - of(0) - 0.002).abs() < 1e-6,
+        "500 Hz of 1 kHz: {text}"
+    );
+
     // The right to command is the cell's own to give.
     let denied = run(&[
         "fleet",

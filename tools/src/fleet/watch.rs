@@ -16,11 +16,14 @@ use crate::signal::Stop;
 /// How often signals and the end are looked for.
 const TICK: Duration = Duration::from_millis(100);
 
+/// End of the keys of joints.
+const JOINTS: &str = "/joints";
+
 /// Print telemetry as it comes: the newest values first, then each change; which cells, devices and sessions are alive or lost; how many
 /// samples were missed.
 ///
 /// KEY is a key of the fleet with or without `takt/` before it: CELL for all of a cell, CELL/device/left/state, `*/findings` for all
-/// cells, CELL/log. Exit status: 0 good; 1 nothing came; 2 the fleet is not reachable.
+/// cells, CELL/log. Joints come in batches, 20 a second, and are shown only if KEY names them: CELL/device/left/joints. Exit status: 0 good; 1 nothing came; 2 the fleet is not reachable.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt fleet watch weld3
@@ -73,7 +76,7 @@ impl Watch {
             && until.is_none_or(|until| Instant::now() < until)
             && self.count.is_none_or(|bound| count < bound)
         {
-            if let Some(seen) = watch.next(TICK) {
+            if let Some(seen) = watch.next(TICK).filter(|seen| self.shows(seen)) {
                 say(&self.line(&seen))?;
                 count += 1;
             }
@@ -91,6 +94,11 @@ impl Watch {
         } else {
             Verdict::Failed
         })
+    }
+
+    fn shows(&self, seen: &Seen) -> bool {
+        let is_of_joints = matches!(seen, Seen::Value { key, .. } if key.ends_with(JOINTS));
+        !is_of_joints || self.topics.ends_with(JOINTS)
     }
 
     fn line(&self, seen: &Seen) -> String {

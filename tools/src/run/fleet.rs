@@ -5,6 +5,8 @@
 mod cell;
 #[cfg(feature = "fleet")]
 mod commands;
+#[cfg(feature = "fleet")]
+mod joints;
 
 use std::path::Path;
 
@@ -136,7 +138,12 @@ mod with {
                 lines: local.or(tcp),
                 token,
             };
-            let cell = Arc::new(FleetCell::new(controller.clone(), ways, book));
+            let cell = Arc::new(FleetCell::new(
+                controller.clone(),
+                ways,
+                book,
+                settings.settings.joints_hz,
+            ));
             let ends = Arc::new(AtomicBool::new(false));
             let ended = Arc::clone(&ends);
             let thread = std::thread::Builder::new().name("fleet".to_owned());

@@ -1,4 +1,4 @@
-//! A cell as a member of a fleet: its liveliness tokens, its telemetry, its resources and its commands, in three threads of its own and
+//! A cell as a member of a fleet: its liveliness tokens, its telemetry, its resources and its commands, in four threads of its own and
 //! one for each session of commands. It knows no controller: what it publishes and executes comes from a [`Cell`]. It starts nothing on
 //! several cells at one instant.
 //!
@@ -7,6 +7,7 @@
 //! command that takes long delays neither the keep-alive of its session nor other sessions.
 
 mod commands;
+mod joints;
 mod publish;
 mod reach;
 
@@ -57,6 +58,15 @@ pub trait Cell: Send + Sync + 'static {
     fn telemetry(&self) -> Vec<Topic>;
     /// Names of the devices that answer: each has a liveliness token.
     fn devices(&self) -> Vec<String>;
+    /// Names of the devices with joints that can be published.
+    fn arms(&self) -> Vec<String> {
+        Vec::new()
+    }
+    /// Samples of the joints of these devices since the last call, each a batch. Others are not subscribed to any more.
+    fn joints(&self, devices: &[String]) -> Vec<(String, Value)> {
+        let _ = devices;
+        Vec::new()
+    }
     /// Lines of the log from this number on, and the number of the line after them. The first call is with 0.
     fn log(&self, from: u64) -> (Vec<String>, u64);
     /// The resource of this path, such as `nets`.
@@ -203,6 +213,9 @@ impl Member {
             commands::serve(&shared, (commands, from_commands), limits);
         })?;
         member.spawn("fleet-pub", |shared| publish::publish(&shared))?;
+        if settings.joints_hz > 0 {
+            member.spawn("fleet-joints", |shared| joints::publish(&shared))?;
+        }
         // At last: who sees it can query.
         let token = shared.session.liveliness().declare_token(keys.alive());
         member.token = Some(

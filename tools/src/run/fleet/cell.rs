@@ -15,6 +15,7 @@ use takt_fleet::session::member::{Cell, Topic};
 use takt_server::LogBook;
 
 use super::commands::Commands;
+use super::joints::{Arm, Joints};
 use crate::http::Http;
 use crate::output::chain;
 use crate::top::finding::Grade;
@@ -43,6 +44,9 @@ pub(super) struct FleetCell {
     http: Option<Http>,
     book: LogBook,
     commands: Commands,
+    /// Highest rate of joints, 1/s.
+    joints_hz: u32,
+    joints: Mutex<Joints>,
     state: Mutex<State>,
 }
 
@@ -53,20 +57,24 @@ struct State {
     /// Why there is no newer report.
     failure: Option<String>,
     clock: TaiWatch,
+    arms: Vec<Arm>,
 }
 
 impl FleetCell {
-    pub(super) fn new(controller: Controller, ways: Ways, book: LogBook) -> Self {
+    pub(super) fn new(controller: Controller, ways: Ways, book: LogBook, joints_hz: u32) -> Self {
         let Ways { http, lines, token } = ways;
         Self {
             controller,
             http: http.map(|address| Http::with_token(address, token.clone(), TIMEOUT)),
             book,
             commands: Commands::new(lines, token),
+            joints_hz,
+            joints: Mutex::default(),
             state: Mutex::new(State {
                 report: Report::default(),
                 failure: None,
                 clock: TaiWatch::new(Nanos::ZERO),
+                arms: Vec::new(),
             }),
         }
     }
@@ -93,6 +101,10 @@ impl FleetCell {
         }
         match read {
             Some(Ok(report)) => {
+                let arms = devices(&report);
+                let arms =
+                    arms.filter_map(|it| Arm::of(&self.controller, &it.name, self.joints_hz));
+                state.arms = arms.collect();
                 state.report = report;
                 if state.failure.take().is_some() {
                     tracing::info!("telemetry of the fleet is up to date again");
@@ -169,6 +181,24 @@ impl Cell for FleetCell {
         let state = self.state();
         let answering = devices(&state.report).filter(|device| device.state != "off");
         answering.map(|device| device.name.clone()).collect()
+    }
+
+    fn arms(&self) -> Vec<String> {
+        self.state()
+            .arms
+            .iter()
+            .map(|arm| arm.name.clone())
+            .collect()
+    }
+
+    fn joints(&self, devices: &[String]) -> Vec<(String, Value)> {
+        let arms = self.state().arms.clone();
+        let wanted: Vec<_> = arms
+            .iter()
+            .filter(|arm| devices.contains(&arm.name))
+            .collect();
+        let mut joints = self.joints.lock().unwrap_or_else(PoisonError::into_inner);
+        joints.read(&self.controller, &wanted)
     }
 
     fn log(&self, from: u64) -> (Vec<String>, u64) {
@@ -367,6 +397,7 @@ mod tests {
             report: report(1),
             failure: None,
             clock: TaiWatch::new(Nanos::ZERO),
+            arms: Vec::new(),
         };
         let summary = summary(&state);
         assert_eq!(summary["state"], "good");

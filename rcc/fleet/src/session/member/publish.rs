@@ -197,10 +197,10 @@ fn declare(
 
 /// Reports at its onset that the network takes nothing, and once that it does again.
 #[derive(Debug, Default)]
-struct Failure(bool);
+pub(super) struct Failure(bool);
 
 impl Failure {
-    fn note(&mut self, error: Option<SessionError>) {
+    pub(super) fn note(&mut self, error: Option<SessionError>) {
         let did = std::mem::replace(&mut self.0, error.is_some());
         match error {
             Some(why) if !did => {

@@ -30,6 +30,8 @@ struct Bench {
     is_real: bool,
     executed: Mutex<Vec<String>>,
     lost: Mutex<Vec<u32>>,
+    /// Devices whose joints are subscribed to.
+    wanted: Mutex<Vec<String>>,
 }
 
 impl Cell for Bench {
@@ -50,6 +52,16 @@ impl Cell for Bench {
 
     fn devices(&self) -> Vec<String> {
         vec!["left".to_owned()]
+    }
+
+    fn arms(&self) -> Vec<String> {
+        vec!["left".to_owned()]
+    }
+
+    fn joints(&self, devices: &[String]) -> Vec<(String, Value)> {
+        *self.wanted.lock().unwrap() = devices.to_vec();
+        let batch = |name: &String| (name.clone(), json!([0.5]));
+        devices.iter().map(batch).collect()
     }
 
     fn log(&self, from: u64) -> (Vec<String>, u64) {
@@ -384,4 +396,22 @@ fn watch_shows_history_log_tokens_and_loss() {
     };
     while watch.next(ARRIVES).unwrap() != lost {}
     assert_eq!(watch.missed(), 0);
+}
+
+#[test]
+fn joints_are_published_while_subscribed_to() {
+    let endpoint = free_endpoint();
+    let bench = Arc::new(Bench::default());
+    let _cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
+    let observer = observer(&endpoint);
+    assert!(bench.wanted.lock().unwrap().is_empty());
+    let joints = observer.declare_subscriber("takt/cell-a/device/left/joints");
+    let joints = joints.wait().unwrap();
+    let sample = joints.recv_timeout(ARRIVES).unwrap().unwrap();
+    assert_eq!(*sample.payload().to_bytes(), *b"[0.5]");
+    assert_eq!(*bench.wanted.lock().unwrap(), ["left"]);
+    joints.undeclare().wait().unwrap();
+    while !bench.wanted.lock().unwrap().is_empty() {
+        std::thread::yield_now();
+    }
 }
