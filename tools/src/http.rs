@@ -58,6 +58,20 @@ impl Http {
         })
     }
 
+    #[cfg(feature = "fleet")]
+    /// A client of `HOST:PORT` with this token. It connects to nothing yet.
+    pub(crate) const fn with_token(
+        address: String,
+        token: Option<Token>,
+        timeout: Duration,
+    ) -> Self {
+        Self {
+            address,
+            token,
+            timeout,
+        }
+    }
+
     /// `HOST:PORT`.
     pub(crate) fn address(&self) -> &str {
         &self.address

@@ -21,6 +21,8 @@ mod doctor;
 #[cfg(feature = "ethercat")]
 mod ecat;
 mod emulate;
+#[cfg(feature = "fleet")]
+mod fleet;
 #[cfg(feature = "fri")]
 mod fri;
 mod grip;
@@ -96,6 +98,9 @@ enum Command {
     /// Emulate robots and devices at an interface.
     #[command(subcommand)]
     Emulate(emulate::Emulate),
+    #[cfg(feature = "fleet")]
+    #[command(subcommand)]
+    Fleet(fleet::Fleet),
     #[cfg(feature = "fri")]
     #[command(subcommand)]
     Fri(fri::Fri),
@@ -140,6 +145,8 @@ fn main() -> ExitCode {
         Command::Ecat(ecat) => ecat.run(),
         Command::Cell(cell) => cell.run(),
         Command::Emulate(emulate) => emulate.run(),
+        #[cfg(feature = "fleet")]
+        Command::Fleet(fleet) => fleet.run(),
         #[cfg(feature = "fri")]
         Command::Fri(fri) => fri.run(),
         Command::Grip(grip) => grip.run(),

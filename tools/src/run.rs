@@ -2,6 +2,7 @@
 //! `service` notifies the service manager.
 
 mod access;
+mod fleet;
 mod logging;
 mod page_program;
 mod reload;
@@ -65,11 +66,14 @@ pub(crate) struct Run {
 impl Run {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         let cell = read_cell(&self.config).map_err(WrongCell)?;
+        let fleet = fleet::Settings::of_cell(&self.config, &cell).map_err(WrongCell)?;
         // Before all threads: each that allocated earlier would keep free memory of its own.
         let host = prepare(&HostConfig::default());
         let book = LogBook::default();
         let logging = Logging::start(cell.controller.log.as_deref(), &book)?;
         let access = Access::of_cell(&cell)?;
+        #[cfg(feature = "fleet")]
+        let (token, lines) = (access.token().cloned(), book.clone());
         // Before threads with work, so that nothing delays a stop, and after memory is locked.
         let switch = StopSwitch::default();
         let channel = stop_channel(&cell, access.token(), &switch)?;
@@ -114,7 +118,12 @@ impl Run {
         for (name, address) in controller.waits_at() {
             say(&format!("{name} waits for its robot at udp {address}"))?;
         }
+        #[cfg(feature = "fleet")]
+        let fleet = fleet
+            .map(|settings| fleet::Fleet::start(settings, &controller, &server, token, lines))
+            .transpose()?;
         Service::new(&self.config, cell, &controller, logging).run()?;
+        drop(fleet);
         stop_server(server);
         if let Some(cycles) = controller.finish_recording()? {
             say(&format!("recorded {cycles} cycles"))?;

@@ -1,9 +1,9 @@
 //! `takt top`: how a running controller is, on one screen: findings, threads, devices, nets and machines, the worst first. It
 //! reads the controller's HTTP resources and commands nothing.
 
-mod finding;
+pub(crate) mod finding;
 mod poll;
-mod report;
+pub(crate) mod report;
 mod table;
 mod text;
 mod view;

@@ -37,6 +37,9 @@
 //! origins = ["https://app.foxglove.dev"] # web pages that may connect; "file://" for desktop programs
 //! every = 1                # only each n-th cycle is sent
 //!
+//! [fleet]                  # other controllers on the network; leave out for none. Its keys are those of docs/fleet.md
+//! cell = "weld3"
+//!
 //! [[device]]
 //! name = "left"
 //! type = "kuka_lwr_fri"
@@ -76,7 +79,7 @@ pub use frames::{
     BaseConfig, CellFrames, FRAMES_MAX, FrameConfig, HomeConfig, Placement, ToolConfig, WORLD,
 };
 pub use live::LiveSettings;
-use location::located;
+pub use location::located;
 pub use objects::{ObjectConfig, ObjectShape};
 
 /// Net threads that a controller may have.
@@ -93,6 +96,8 @@ pub struct CellConfig {
     pub controller: ControllerConfig,
     /// What is sent to other tools while it runs.
     pub live: LiveSettings,
+    /// The table `[fleet]` as it is written; programs that join a fleet read and check it, others leave it alone.
+    pub fleet: Option<toml::Table>,
     /// Its devices with drivers of their own.
     pub devices: Vec<Arc<dyn DriverConfig>>,
     /// Its buses, each with devices of its own.
@@ -108,6 +113,7 @@ struct Rest {
     controller: ControllerConfig,
     #[serde(default)]
     live: LiveSettings,
+    fleet: Option<toml::Table>,
     #[serde(default)]
     frame: Vec<FrameConfig>,
     #[serde(default)]
@@ -343,6 +349,7 @@ impl CellConfig {
         Ok(Self {
             controller: rest.controller,
             live: rest.live,
+            fleet: rest.fleet,
             devices,
             buses,
             frames: CellFrames {

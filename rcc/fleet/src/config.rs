@@ -91,9 +91,15 @@ pub fn of_cell(cell: &CellName, settings: &FleetSettings) -> Entries {
         &settings.connect,
         &limits,
     );
-    // A cell runs on without a peer, and tries again.
+    // A cell runs on without a peer, and zenoh tries again for ever, but for a client that has never been connected: opening its session
+    // would wait as long.
+    let timeout_ms = if settings.mode == FleetMode::Client {
+        0
+    } else {
+        -1
+    };
     entries.push(("connect/exit_on_failure", json!(false)));
-    entries.push(("connect/timeout_ms", json!(0)));
+    entries.push(("connect/timeout_ms", json!(timeout_ms)));
     entries.extend(tls(tls_files(settings).as_ref()));
     entries.push(("access_control", access::rules(cell, settings)));
     entries

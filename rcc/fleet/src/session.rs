@@ -1,6 +1,8 @@
 //! Sessions on the network, over zenoh. No real-time thread calls anything here: all of it allocates, locks and blocks.
 
 pub mod member;
+pub mod observer;
+pub mod remote;
 
 pub use zenoh;
 

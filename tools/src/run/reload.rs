@@ -50,6 +50,7 @@ fn for_restart(old: &CellConfig, new: &CellConfig) -> Vec<&'static str> {
         }
     }
     same("[live]", old.live == new.live);
+    same("[fleet]", old.fleet == new.fleet);
     let (old, new) = (&old.controller, &new.controller);
     same("period", old.period == new.period);
     same("priority", old.priority == new.priority);
@@ -215,6 +216,8 @@ mod tests {
         let mut new = old.clone();
         new.controller.costs = Some("costs.toml".into());
         assert_eq!(Changes::between(&old, &new).restart, ["[controller]"]);
+        new.fleet = Some(toml::Table::new());
+        assert_eq!(Changes::between(&old, &new).restart, ["[fleet]"]);
     }
 
     /// A cell of ordinary threads that listens nowhere.

@@ -10,7 +10,7 @@ use crate::output::time;
 /// How bad something is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Grade {
+pub(crate) enum Grade {
     Good,
     Warn,
     Fail,
@@ -19,7 +19,7 @@ pub(super) enum Grade {
 /// Of what a finding is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Subject {
+pub(crate) enum Subject {
     Controller,
     Thread(String),
     Device(String),
@@ -30,11 +30,11 @@ pub(super) enum Subject {
 
 /// Something that is wrong.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(super) struct Finding {
-    pub(super) grade: Grade,
-    pub(super) subject: Subject,
-    pub(super) cause: String,
-    pub(super) hint: Option<String>,
+pub(crate) struct Finding {
+    pub(crate) grade: Grade,
+    pub(crate) subject: Subject,
+    pub(crate) cause: String,
+    pub(crate) hint: Option<String>,
 }
 
 /// Events longer ago are history, ns.
@@ -63,7 +63,7 @@ impl Finding {
 }
 
 /// All findings, the worst first.
-pub(super) fn judge(report: &Report) -> Vec<Finding> {
+pub(crate) fn judge(report: &Report) -> Vec<Finding> {
     let mut found = of_controller(report);
     found.extend(report.threads.iter().flat_map(of_thread));
     found.extend(report.devices.iter().flat_map(of_device));
@@ -230,7 +230,7 @@ fn of_usage(usage: &Usage) -> Option<Finding> {
 }
 
 /// A time that has passed: `12 s`, `3 min`, `5 h`.
-pub(super) fn ago(ns: i64) -> String {
+pub(crate) fn ago(ns: i64) -> String {
     let seconds = ns / 1_000_000_000;
     match seconds {
         ..1 => time(ns),

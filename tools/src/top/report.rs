@@ -8,153 +8,153 @@ use crate::http::Http;
 
 /// The state of a controller. Times are in ns.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Report {
+pub(crate) struct Report {
     /// Of this object; it changes when readers of the old form would misread it.
-    schema: &'static str,
-    pub(super) version: String,
+    pub(crate) schema: &'static str,
+    pub(crate) version: String,
     /// Who stopped everything; `None` if nothing is stopped.
-    pub(super) stopped_by: Option<String>,
+    pub(crate) stopped_by: Option<String>,
     /// Allocations in real-time threads.
-    pub(super) allocations: u64,
-    pub(super) usage: Vec<Usage>,
-    pub(super) threads: Vec<Thread>,
-    pub(super) devices: Vec<Device>,
+    pub(crate) allocations: u64,
+    pub(crate) usage: Vec<Usage>,
+    pub(crate) threads: Vec<Thread>,
+    pub(crate) devices: Vec<Device>,
     /// Buses whose load is measured.
-    pub(super) buses: Vec<Bus>,
-    pub(super) nets: Vec<Net>,
-    pub(super) machines: Vec<Machine>,
+    pub(crate) buses: Vec<Bus>,
+    pub(crate) nets: Vec<Net>,
+    pub(crate) machines: Vec<Machine>,
     /// What is wrong, the worst first.
-    pub(super) findings: Vec<Finding>,
+    pub(crate) findings: Vec<Finding>,
 }
 
 /// How much of a bounded resource is in use.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Usage {
-    pub(super) name: String,
-    pub(super) used: u64,
-    pub(super) bound: u64,
+pub(crate) struct Usage {
+    pub(crate) name: String,
+    pub(crate) used: u64,
+    pub(crate) bound: u64,
 }
 
 /// A net thread; times since its start.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Thread {
-    pub(super) name: String,
-    pub(super) period_ns: i64,
-    pub(super) cycles: u64,
-    pub(super) missed: u64,
+pub(crate) struct Thread {
+    pub(crate) name: String,
+    pub(crate) period_ns: i64,
+    pub(crate) cycles: u64,
+    pub(crate) missed: u64,
     /// Cycles missed since the report before; `None` in the first.
-    pub(super) missed_now: Option<u64>,
-    pub(super) latency: Times,
-    pub(super) execution: Times,
+    pub(crate) missed_now: Option<u64>,
+    pub(crate) latency: Times,
+    pub(crate) execution: Times,
     /// `None` if it runs on the host's clock.
-    pub(super) clock: Option<Clock>,
+    pub(crate) clock: Option<Clock>,
 }
 
 /// Distribution of a time, ns.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub(super) struct Times {
-    pub(super) p99_ns: i64,
-    pub(super) max_ns: i64,
+pub(crate) struct Times {
+    pub(crate) p99_ns: i64,
+    pub(crate) max_ns: i64,
 }
 
 /// The clock that a thread follows.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Clock {
-    pub(super) device: String,
-    pub(super) state: String,
-    pub(super) phase_error: Times,
+pub(crate) struct Clock {
+    pub(crate) device: String,
+    pub(crate) state: String,
+    pub(crate) phase_error: Times,
 }
 
 /// A device.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Device {
-    pub(super) name: String,
+pub(crate) struct Device {
+    pub(crate) name: String,
     #[serde(rename = "type")]
-    pub(super) kind: String,
+    pub(crate) kind: String,
     /// `op`, `safeop` or `off`.
-    pub(super) state: String,
+    pub(crate) state: String,
     /// Since its last measurement; `None` if there was none.
-    pub(super) age_ns: Option<i64>,
+    pub(crate) age_ns: Option<i64>,
     /// How often it stopped following commands.
-    pub(super) faults: u64,
+    pub(crate) faults: u64,
     /// Quality of its FRI session, as its driver names it; `None` for all else.
-    pub(super) quality: Option<String>,
-    pub(super) event: Option<Event>,
+    pub(crate) quality: Option<String>,
+    pub(crate) event: Option<Event>,
 }
 
 /// A bus.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Bus {
-    pub(super) name: String,
+pub(crate) struct Bus {
+    pub(crate) name: String,
     /// Bit rate, bit/s; `None` if it is not known.
-    pub(super) bit_rate: Option<u64>,
+    pub(crate) bit_rate: Option<u64>,
     /// Bits of frames within the last second, bit/s, and within the fullest one.
-    pub(super) bits: u64,
-    pub(super) bits_max: u64,
+    pub(crate) bits: u64,
+    pub(crate) bits_max: u64,
     /// The same as parts of the bit rate, 0 to 1.
-    pub(super) load: Option<f64>,
-    pub(super) load_max: Option<f64>,
+    pub(crate) load: Option<f64>,
+    pub(crate) load_max: Option<f64>,
 }
 
 /// The last event of a device.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Event {
-    pub(super) severity: String,
-    pub(super) ago_ns: i64,
-    pub(super) times: u64,
-    pub(super) cause: String,
-    pub(super) hint: Option<String>,
+pub(crate) struct Event {
+    pub(crate) severity: String,
+    pub(crate) ago_ns: i64,
+    pub(crate) times: u64,
+    pub(crate) cause: String,
+    pub(crate) hint: Option<String>,
 }
 
 /// A net.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Net {
-    pub(super) name: String,
-    pub(super) state: String,
-    pub(super) description: String,
+pub(crate) struct Net {
+    pub(crate) name: String,
+    pub(crate) state: String,
+    pub(crate) description: String,
     /// Why it ended, if not by itself.
-    pub(super) end: Option<String>,
-    pub(super) figures: Option<Figures>,
+    pub(crate) end: Option<String>,
+    pub(crate) figures: Option<Figures>,
     /// Set-points that are or were rejected.
-    pub(super) rejected: Vec<Rejected>,
+    pub(crate) rejected: Vec<Rejected>,
 }
 
 /// What the evaluation of a net costs.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub(super) struct Figures {
+pub(crate) struct Figures {
     /// Declared cost bound.
-    pub(super) cost_ns: i64,
+    pub(crate) cost_ns: i64,
     /// The time that nets of its thread may take together.
-    pub(super) budget_ns: i64,
-    pub(super) longest_ns: i64,
+    pub(crate) budget_ns: i64,
+    pub(crate) longest_ns: i64,
     /// Cycles of its thread that were late while it ran.
-    pub(super) overruns: u64,
+    pub(crate) overruns: u64,
     /// Cycles in which it took longer than declared.
-    pub(super) over_cost: u64,
+    pub(crate) over_cost: u64,
 }
 
 /// Set-points of a net that a device or primitive rejected.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Rejected {
-    pub(super) device: String,
-    pub(super) part: String,
-    pub(super) cause: String,
-    pub(super) hint: String,
-    pub(super) lasts: bool,
+pub(crate) struct Rejected {
+    pub(crate) device: String,
+    pub(crate) part: String,
+    pub(crate) cause: String,
+    pub(crate) hint: String,
+    pub(crate) lasts: bool,
 }
 
 /// A state machine.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Machine {
-    pub(super) name: String,
-    pub(super) status: String,
-    pub(super) state: String,
-    pub(super) error: String,
+pub(crate) struct Machine {
+    pub(crate) name: String,
+    pub(crate) status: String,
+    pub(crate) state: String,
+    pub(crate) error: String,
 }
 
 impl Report {
     /// Reads it; `before` is the report that was read last.
-    pub(super) fn read(http: &Http, before: Option<&Self>) -> anyhow::Result<Self> {
+    pub(crate) fn read(http: &Http, before: Option<&Self>) -> anyhow::Result<Self> {
         let status = http.get("/status/")?;
         let rest = Rest {
             stop: http.get("/stop/")?,
@@ -167,7 +167,7 @@ impl Report {
     }
 
     /// From the resources.
-    pub(super) fn of(status: &Value, rest: &Rest, before: Option<&Self>) -> Self {
+    pub(crate) fn of(status: &Value, rest: &Rest, before: Option<&Self>) -> Self {
         let stop = &rest.stop;
         let by = text(&stop["by"]);
         let by = if by.is_empty() {
@@ -205,24 +205,24 @@ impl Report {
     }
 
     /// Whether something fails.
-    pub(super) fn fails(&self) -> bool {
+    pub(crate) fn fails(&self) -> bool {
         self.count(Grade::Fail) > 0
     }
 
     /// Number of findings of a grade.
-    pub(super) fn count(&self, grade: Grade) -> usize {
+    pub(crate) fn count(&self, grade: Grade) -> usize {
         self.findings.iter().filter(|it| it.grade == grade).count()
     }
 }
 
 /// The resources beside `/status/`.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Rest {
-    pub(super) stop: Value,
-    pub(super) devices: Value,
-    pub(super) nets: Value,
-    pub(super) stats: Value,
-    pub(super) machines: Value,
+pub(crate) struct Rest {
+    pub(crate) stop: Value,
+    pub(crate) devices: Value,
+    pub(crate) nets: Value,
+    pub(crate) stats: Value,
+    pub(crate) machines: Value,
 }
 
 impl Usage {

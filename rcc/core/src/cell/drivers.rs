@@ -95,9 +95,10 @@ impl DriverKind {
 }
 
 /// Tables that are not those of drivers.
-const OWN: [&str; 7] = [
+const OWN: [&str; 8] = [
     "controller",
     "live",
+    "fleet",
     "frame",
     "base",
     "tool",

@@ -9,8 +9,9 @@ use toml::de::{DeTable, DeValue};
 
 use super::drivers::error_at;
 
-/// The text of an error, with its line if one is found.
-pub(super) fn located(file: &str, why: String) -> String {
+/// The text of an error of meaning, with its line of the cell file if one is found.
+#[must_use]
+pub fn located(file: &str, why: String) -> String {
     let table = DeTable::parse(file);
     let Some(span) = table.ok().and_then(|table| find(table.get_ref(), &why)) else {
         return why;

@@ -176,7 +176,7 @@ fn cell_faults_show_their_line() {
         (
             "[controller]\n[profibus]",
             "line 2, column 2",
-            "unknown field `profibus`, expected one of `controller`, `live`, `frame`, `base`, `tool`, `home`, `object`, `device`, `ethercat`, `canopen`",
+            "unknown field `profibus`, expected one of `controller`, `live`, `fleet`, `frame`, `base`, `tool`, `home`, `object`, `device`, `ethercat`, `canopen`",
         ),
         (
             "[[ethercat]]\nname = 's'\n[[ethercat]]\nname = 3",
@@ -190,6 +190,16 @@ fn cell_faults_show_their_line() {
             "{text}: {error}"
         );
     }
+}
+
+#[test]
+fn cell_fleet_is_kept_as_written() {
+    let cell = of_text("[fleet]\ncell = \"weld3\"\nlinks = 7").unwrap();
+    let fleet = cell.fleet.clone().unwrap();
+    assert_eq!(fleet["cell"].as_str(), Some("weld3"));
+    assert_ne!(cell, CellConfig::default());
+    let error = of_text("fleet = 1").unwrap_err();
+    assert!(error.contains("line 1, column 9"), "{error}");
 }
 
 #[test]

@@ -1,13 +1,15 @@
-//! `[fleet]`: the cell as a member of a fleet of controllers. It opens nothing, and `takt run` does not read it yet.
+//! `[fleet]`: the cell as a member of a fleet of controllers. It opens nothing.
 
 use std::net::{IpAddr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Deserialize;
 use takt_core::Loopback;
-use takt_core::cell::ControllerConfig;
+use takt_core::cell::{ControllerConfig, located};
 use takt_core::span;
+
+use crate::keys::CellName;
 
 /// Most bytes of the name of a cell.
 pub const CELL_NAME_BYTES_MAX: usize = 64;
@@ -126,7 +128,39 @@ impl Default for FleetSettings {
 /// Where a cell listens if nothing is configured.
 pub const FLEET_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
+const NO_CELL: &str = "[fleet] has no `cell`: the name of this cell in the fleet\nhint: set cell = \"weld3\" under [fleet]";
+
+/// What of a cell file is read here.
+#[derive(Deserialize)]
+struct CellFile {
+    fleet: Option<FleetSettings>,
+}
+
 impl FleetSettings {
+    /// Reads and checks the table `[fleet]` of a cell file; without one, the cell is in no fleet. Files that it names are relative
+    /// to `folder`, that of the cell file.
+    ///
+    /// # Errors
+    /// The first fault, with its line and a hint.
+    pub fn of_file(
+        text: &str,
+        folder: &Path,
+        controller: &ControllerConfig,
+    ) -> Result<Option<(CellName, Self)>, String> {
+        let file: CellFile = toml::from_str(text).map_err(|error| error.to_string())?;
+        let Some(mut fleet) = file.fleet else {
+            return Ok(None);
+        };
+        fleet.check(controller).map_err(|why| located(text, why))?;
+        let name = fleet.cell.as_deref().ok_or(NO_CELL)?;
+        let name = CellName::new(name).map_err(|why| why.to_string())?;
+        let files = [&mut fleet.ca, &mut fleet.certificate, &mut fleet.key];
+        for file in files.into_iter().flatten() {
+            *file = folder.join(&*file);
+        }
+        Ok(Some((name, fleet)))
+    }
+
     /// The endpoints at which it listens.
     #[must_use]
     pub fn listens(&self) -> Vec<String> {
@@ -152,7 +186,7 @@ impl FleetSettings {
             return if *self == Self::default() {
                 Ok(())
             } else {
-                Err("[fleet] has no `cell`: the name of this cell in the fleet\nhint: set cell = \"weld3\" under [fleet]".to_owned())
+                Err(NO_CELL.to_owned())
             };
         };
         if !is_cell_name(cell) {
@@ -424,6 +458,30 @@ mod tests {
             parse("cells = \"a\"")
                 .unwrap_err()
                 .contains("unknown field `cells`")
+        );
+    }
+
+    #[test]
+    fn fleet_of_cell_file_is_read_with_lines_and_folder() {
+        let of = |text: &str| {
+            let controller = ControllerConfig::default();
+            FleetSettings::of_file(text, Path::new("/etc/takt"), &controller)
+        };
+        let text = format!("[[device]]\nname = \"a\"\n[fleet]\ncell = \"a\"\n{TLS}");
+        let (name, fleet) = of(&text).unwrap().unwrap();
+        assert_eq!(name.as_str(), "a");
+        assert_eq!(fleet.ca, Some(PathBuf::from("/etc/takt/ca.pem")));
+        assert_eq!(of("[controller]").unwrap(), None);
+        assert!(of("[fleet]").unwrap_err().contains("has no `cell`"));
+        let error = of("[controller]\n[fleet]\ncell = \"a\"\nlinks = 0").unwrap_err();
+        assert!(
+            error.contains("line 4") && error.contains("fleet.links is 0"),
+            "{error}"
+        );
+        let error = of("[fleet]\ncells = \"a\"").unwrap_err();
+        assert!(
+            error.contains("line 2") && error.contains("unknown field `cells`"),
+            "{error}"
         );
     }
 

@@ -41,6 +41,7 @@ fn config_default_is_closed_and_bounded() {
         ("listen/exit_on_failure", json!(true)),
         ("connect/endpoints", json!([])),
         ("connect/exit_on_failure", json!(false)),
+        ("connect/timeout_ms", json!(-1)),
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/enabled", json!(false)),
         ("transport/unicast/max_sessions", json!(128)),
@@ -190,4 +191,45 @@ fn config_is_taken_by_zenoh_key_by_key() {
             }
         }
     }
+}
+
+#[test]
+fn fleet_reference_states_each_key_and_its_default() {
+    let reference = include_str!("../../../../docs/fleet.md");
+    let (_, part) = reference.split_once("\n## Settings\n").unwrap();
+    let part = part.split("\n## ").next().unwrap();
+    let rows = part.lines().filter_map(|line| line.strip_prefix("| `"));
+    let rows: Vec<_> = rows
+        .map(|row| {
+            let mut columns = row.split(" | ");
+            let key = columns.next().unwrap().trim_end_matches('`');
+            (key, columns.next().unwrap().trim_matches('`'))
+        })
+        .collect();
+    let cell = "cell = 'weld3'\n";
+    for (key, default) in &rows {
+        if ["required", "–"].contains(default) {
+            continue;
+        }
+        let is_plain = default.starts_with('[') || default.parse::<u32>().is_ok();
+        let quote = if is_plain { "" } else { "'" };
+        let text = format!("{cell}{key} = {quote}{default}{quote}");
+        let stated: FleetSettings = toml::from_str(&text).unwrap();
+        assert_eq!(stated, settings(), "{key}");
+    }
+    // The parser lists the keys that it knows.
+    let error = toml::from_str::<FleetSettings>("zz = 1")
+        .unwrap_err()
+        .to_string();
+    let (_, known) = error.split_once("expected one of ").unwrap();
+    let mut known: Vec<_> = known.split('`').skip(1).step_by(2).collect();
+    let mut keys: Vec<_> = rows.iter().map(|(key, _)| *key).collect();
+    known.sort_unstable();
+    keys.sort_unstable();
+    assert_eq!(known, keys);
+    let example = part.split("```toml\n").nth(1).unwrap();
+    let example = example.split("```").next().unwrap();
+    let example: FleetSettings = toml::from_str(example).unwrap();
+    let controller = takt_core::cell::ControllerConfig::default();
+    assert_eq!(example.check(&controller), Ok(()));
 }

@@ -1,15 +1,19 @@
-//! A cell as a member of a fleet: its liveliness token, its telemetry, its resources and its commands, in three threads of its own.
-//! It knows no controller: what it publishes and executes comes from a [`Cell`]. It starts nothing on several cells at one instant.
+//! A cell as a member of a fleet: its liveliness tokens, its telemetry, its resources and its commands, in four threads of its own and
+//! one for each session of commands. It knows no controller: what it publishes and executes comes from a [`Cell`]. It starts nothing on
+//! several cells at one instant.
 //!
 //! Callbacks of zenoh only pass queries to bounded queues, since zenoh reads the link in the thread that calls back. A full queue refuses
-//! the query at once. The instant of a command is that at which it leaves the queue, so that one that waited too long is refused.
+//! the query at once. The instant of a command is that at which it leaves the queue, so that one that waited too long is refused. A
+//! command that takes long delays neither the keep-alive of its session nor other sessions.
 
 mod commands;
+mod joints;
 mod publish;
+mod reach;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -17,18 +21,22 @@ use serde_json::Value;
 use takt_core::Nanos;
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
-use zenoh::query::Query;
+use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 
 use super::{SessionError, open};
-use crate::command::{Boot, Limits, Lost, random};
+use crate::command::{Boot, Limits, LossPolicy, Lost, random};
 use crate::config::{FleetSettings, of_cell};
 use crate::keys::{CellKeys, CellName};
+use commands::Event;
 
 /// Period of telemetry, and of the search for another cell of the same name.
 pub const TELEMETRY_PERIOD: Duration = Duration::from_secs(1);
 
 /// Most topics of telemetry of a cell; the others are left out, and the log says so.
 pub const TOPICS_MAX: usize = 1024;
+
+/// Lines of the log that late joiners get.
+pub const LOG_LINES_KEPT: usize = 256;
 
 /// Queries that wait for a thread; more are refused.
 const QUEUE: usize = 64;
@@ -39,8 +47,8 @@ const CLASH_TIMEOUT: Duration = Duration::from_millis(500);
 /// A topic of telemetry: the rest of its key behind `takt/<cell>/`, and its value now.
 pub type Topic = (String, Value);
 
-/// What a controller offers to a fleet. Its functions are called in threads of the member, never in real-time ones; each must return
-/// within a fraction of the life of a nonce, and must not wait for a motion.
+/// What a controller offers to a fleet. Its functions are called in threads of the member, never in real-time ones. All but
+/// [`Self::execute`] must return within a fraction of the life of a nonce.
 pub trait Cell: Send + Sync + 'static {
     /// Now on the monotonic clock of the controller.
     fn now(&self) -> Nanos;
@@ -48,11 +56,28 @@ pub trait Cell: Send + Sync + 'static {
     fn info(&self) -> serde_json::Map<String, Value>;
     /// All topics; what has changed since the last call is published.
     fn telemetry(&self) -> Vec<Topic>;
-    /// The resource of this path, such as `nets`; `None` if there is none.
-    fn resource(&self, path: &str) -> Option<Value>;
-    /// A session was opened by this client.
-    fn opened(&self, session: u32, client: &str);
-    /// Executes a DirectIO line and returns its reply lines.
+    /// Names of the devices that answer: each has a liveliness token.
+    fn devices(&self) -> Vec<String>;
+    /// Names of the devices with joints that can be published.
+    fn arms(&self) -> Vec<String> {
+        Vec::new()
+    }
+    /// Samples of the joints of these devices since the last call, each a batch. Others are not subscribed to any more.
+    fn joints(&self, devices: &[String]) -> Vec<(String, Value)> {
+        let _ = devices;
+        Vec::new()
+    }
+    /// Lines of the log from this number on, and the number of the line after them. The first call is with 0.
+    fn log(&self, from: u64) -> (Vec<String>, u64);
+    /// The resource of this path, such as `nets`.
+    ///
+    /// # Errors
+    /// Why there is none, for people.
+    fn resource(&self, path: &str) -> Result<Value, String>;
+    /// A session was opened by this client. When it is lost, its nets end as the policy states.
+    fn opened(&self, session: u32, client: &str, on_loss: LossPolicy);
+    /// Executes a DirectIO line and returns its reply lines, in a thread of the session. It may take long: the session may meanwhile be
+    /// lost or closed.
     fn execute(&self, session: u32, line: &str) -> Vec<String>;
     /// A session was closed by its client.
     fn closed(&self, session: u32);
@@ -83,6 +108,8 @@ struct Shared {
     boot: Boot,
     cell: Arc<dyn Cell>,
     session: zenoh::Session,
+    /// Endpoints to which it connects.
+    connect: Vec<String>,
     ends: AtomicBool,
     clashes: AtomicBool,
 }
@@ -103,6 +130,10 @@ impl Shared {
     fn finds_clash(&self) -> Result<bool, SessionError> {
         let get = self.session.get(self.keys.info());
         let get = get.allowed_destination(zenoh::sample::Locality::Remote);
+        // All answers have the same key: each counts.
+        let get = get
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None);
         let replies = get.timeout(CLASH_TIMEOUT).wait();
         let replies =
             replies.map_err(SessionError::of("cannot look for a cell of the same name"))?;
@@ -152,6 +183,7 @@ impl Member {
             boot: Boot(random()()),
             cell,
             session,
+            connect: settings.connect.clone(),
             ends: AtomicBool::new(false),
             clashes: AtomicBool::new(false),
         });
@@ -164,13 +196,26 @@ impl Member {
             threads: Vec::new(),
         };
         let keys = &shared.keys;
-        let reads = queue(&shared, &[keys.info(), keys.of("resource/**")])?;
-        let commands = queue(&shared, &[keys.cmd_session(), keys.cmd_directio()])?;
-        member.spawn("fleet-read", move |shared| publish::answer(&shared, &reads))?;
+        let (reads, from_reads) = sync_channel(QUEUE);
+        answer(
+            &shared,
+            &[keys.info(), keys.of("resource/**")],
+            &reads,
+            |it| it,
+        )?;
+        let (commands, from_commands) = sync_channel(QUEUE);
+        let own = [keys.cmd_session(), keys.cmd_directio()];
+        answer(&shared, &own, &commands, Event::Query)?;
+        member.spawn("fleet-read", move |shared| {
+            publish::answer(&shared, &from_reads);
+        })?;
         member.spawn("fleet-cmd", move |shared| {
-            commands::serve(&shared, &commands, limits);
+            commands::serve(&shared, (commands, from_commands), limits);
         })?;
         member.spawn("fleet-pub", |shared| publish::publish(&shared))?;
+        if settings.joints_hz > 0 {
+            member.spawn("fleet-joints", |shared| joints::publish(&shared))?;
+        }
         // At last: who sees it can query.
         let token = shared.session.liveliness().declare_token(keys.alive());
         member.token = Some(
@@ -221,21 +266,25 @@ impl Drop for Member {
     }
 }
 
-/// A queue of the queries to these keys.
-fn queue(shared: &Arc<Shared>, keys: &[String]) -> Result<Receiver<Query>, SessionError> {
-    let (sender, receiver) = sync_channel(QUEUE);
+/// Passes queries to these keys to a queue.
+fn answer<T: Send + 'static>(
+    shared: &Arc<Shared>,
+    keys: &[String],
+    queue: &SyncSender<T>,
+    event: fn(Query) -> T,
+) -> Result<(), SessionError> {
     for key in keys {
-        let sender: SyncSender<Query> = sender.clone();
+        let queue = queue.clone();
         let take = move |query: Query| {
-            let (TrySendError::Full(query) | TrySendError::Disconnected(query)) =
-                match sender.try_send(query) {
-                    Ok(()) => return,
-                    Err(refused) => refused,
-                };
-            refuse(
-                &query,
-                "too many queries wait\nhint: send it again later, and fewer at a time",
-            );
+            // The query shares its reply channel with its clone.
+            if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
+                queue.try_send(event(query.clone()))
+            {
+                refuse(
+                    &query,
+                    "too many queries wait\nhint: send it again later, and fewer at a time",
+                );
+            }
         };
         let queryable = shared.session.declare_queryable(key).callback(take);
         queryable
@@ -243,7 +292,7 @@ fn queue(shared: &Arc<Shared>, keys: &[String]) -> Result<Receiver<Query>, Sessi
             .wait()
             .map_err(SessionError::of("cannot answer queries"))?;
     }
-    Ok(receiver)
+    Ok(())
 }
 
 /// Replies that a query was refused; a client that has gone meanwhile does not get it.

@@ -1,95 +1,271 @@
-//! The thread that executes commands. What may be executed is decided by [`Admission`], not here.
+//! The thread that admits commands, and one for each session that executes them. What may be executed is decided by [`Admission`],
+//! not here.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::Duration;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel};
+use std::time::{Duration, Instant};
 
+use takt_core::Nanos;
+use zenoh::Wait as _;
+use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Query as Sent;
 
 use super::{Shared, refuse, reply};
-use crate::command::{Admission, Answer, Limits, Query, Reply, random, to_json};
+use crate::command::{
+    Admission, Answer, Limits, LossPolicy, Lost, Query, Refusal, Reply, random, to_json,
+};
 
 /// Longest wait for a query, after which losses of sessions are looked for.
 const WAIT_MAX: Duration = Duration::from_millis(20);
 
+/// Refusals of one kind are logged again after a pause of this length only.
+const REFUSALS_PAUSE: Duration = Duration::from_secs(10);
+
+/// What the thread that admits commands takes from its queue.
+pub(super) enum Event {
+    /// A query from the network.
+    Query(Sent),
+    /// A command was executed.
+    Done(Done),
+}
+
+/// A command that was executed, with its reply lines.
+pub(super) struct Done {
+    session: u32,
+    seq: u64,
+    lines: Vec<String>,
+    sent: Sent,
+}
+
+/// A command to be executed.
+struct Job {
+    seq: u64,
+    line: String,
+    until: Nanos,
+    sent: Sent,
+}
+
+/// An open session.
+struct Open {
+    /// To its thread, which ends when this is dropped.
+    jobs: Sender<Job>,
+    _token: Option<LivelinessToken>,
+}
+
 /// Takes commands until the member leaves; then all sessions are lost.
-pub(super) fn serve(shared: &Shared, queue: &Receiver<Sent>, limits: Limits) {
+pub(super) fn serve(
+    shared: &Arc<Shared>,
+    (queue, events): (SyncSender<Event>, Receiver<Event>),
+    limits: Limits,
+) {
     let keys = (shared.keys.cmd_session(), shared.keys.cmd_directio());
-    let mut admission = Admission::new(keys, shared.boot, limits, random());
+    let mut commands = Commands {
+        admission: Admission::new(keys, shared.boot, limits, random()),
+        shared,
+        queue,
+        open: BTreeMap::new(),
+        refusals: Refusals::default(),
+    };
     while !shared.ends() {
-        match queue.recv_timeout(WAIT_MAX) {
-            Ok(query) => handle(shared, &mut admission, &query),
+        match events.recv_timeout(WAIT_MAX) {
+            Ok(Event::Query(query)) => commands.handle(query),
+            Ok(Event::Done(done)) => commands.finish(done),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => break,
         }
-        while let Some(lost) = admission.poll(shared.cell.now()) {
-            tracing::warn!(
-                "session {} of the fleet is lost: no keep-alive arrived in time",
-                lost.session
-            );
-            shared.cell.lost(lost);
-        }
+        commands.lose(shared.cell.now());
     }
-    while let Some(lost) = admission.poll(takt_core::Nanos(i64::MAX)) {
-        shared.cell.lost(lost);
-    }
+    commands.lose(Nanos(i64::MAX));
 }
 
-fn handle(shared: &Shared, admission: &mut Admission, sent: &Sent) {
-    let now = shared.cell.now();
-    let payload = sent.payload().map(|payload| payload.to_bytes());
-    let query = Query {
-        key: sent.key_expr().as_str(),
-        parameters: sent.parameters().as_str(),
-        payload: payload.as_deref().unwrap_or_default(),
-    };
-    // The key of the queryable that got it is not known here: what is not exactly the one is checked as the other.
-    let is_session = query.key == shared.keys.cmd_session();
-    let own = if is_session {
-        shared.keys.cmd_session()
-    } else {
-        shared.keys.cmd_directio()
-    };
-    let answer = if is_session {
-        admission.handle_session(&query, now)
-    } else {
-        admission.handle_query(&query, now)
-    };
-    match act(shared, admission, answer) {
-        // A reply may only be to a key that the query includes.
-        Some(said) if query.key == own => reply(sent, &own, to_json(&said)),
-        Some(said) => refuse(sent, &to_json(&said)),
-        None => refuse(sent, "the session ended while the command ran"),
-    }
+struct Commands<'a> {
+    shared: &'a Arc<Shared>,
+    admission: Admission,
+    queue: SyncSender<Event>,
+    open: BTreeMap<u32, Open>,
+    refusals: Refusals,
 }
 
-fn act(shared: &Shared, admission: &mut Admission, answer: Answer) -> Option<Reply> {
-    match answer {
-        Answer::Reply(said) => Some(said),
-        Answer::Opened {
-            session,
-            client,
-            reply,
-            ..
-        } => {
-            shared.cell.opened(session, &client);
-            Some(reply)
-        }
-        Answer::Closed { session, reply } => {
-            shared.cell.closed(session);
-            Some(reply)
-        }
-        Answer::Execute {
-            session,
-            seq,
-            line,
-            until,
-        } => {
-            let lines = if shared.cell.now() > until {
-                vec!["error: too late, the command was not begun".to_owned()]
-            } else {
-                shared.cell.execute(session, &line)
+impl Commands<'_> {
+    fn lose(&mut self, now: Nanos) {
+        while let Some(lost) = self.admission.poll(now) {
+            let Lost { session, on_loss } = lost;
+            let nets = match on_loss {
+                LossPolicy::Continue => "its nets run on",
+                LossPolicy::Cancel => "its nets are cancelled",
+                LossPolicy::Stop => "its nets are aborted",
             };
-            admission.finish(session, seq, lines)
+            tracing::warn!(
+                "session {session} of the fleet is lost, since no keep-alive arrived in time: {nets}"
+            );
+            self.open.remove(&session);
+            self.shared.cell.lost(lost);
         }
+    }
+
+    fn handle(&mut self, sent: Sent) {
+        let now = self.shared.cell.now();
+        let payload = sent.payload().map(|payload| payload.to_bytes());
+        let query = Query {
+            key: sent.key_expr().as_str(),
+            parameters: sent.parameters().as_str(),
+            payload: payload.as_deref().unwrap_or_default(),
+        };
+        // The key of the queryable that got it is not known here: what is not exactly the one is checked as the other.
+        let answer = if query.key == self.shared.keys.cmd_session() {
+            self.admission.handle_session(&query, now)
+        } else {
+            self.admission.handle_query(&query, now)
+        };
+        drop(payload);
+        match answer {
+            Answer::Reply(said) => self.answer(&sent, &said),
+            Answer::Opened {
+                session,
+                client,
+                on_loss,
+                reply,
+            } => {
+                self.shared.cell.opened(session, &client, on_loss);
+                self.begin(session);
+                self.answer(&sent, &reply);
+            }
+            Answer::Closed { session, reply } => {
+                self.open.remove(&session);
+                self.shared.cell.closed(session);
+                self.answer(&sent, &reply);
+            }
+            Answer::Execute {
+                session,
+                seq,
+                line,
+                until,
+            } => self.execute(
+                session,
+                Job {
+                    seq,
+                    line,
+                    until,
+                    sent,
+                },
+            ),
+        }
+    }
+
+    /// Starts the thread of a session and shows it to the fleet.
+    fn begin(&mut self, session: u32) {
+        let (jobs, from_jobs) = channel::<Job>();
+        let (shared, queue) = (Arc::clone(self.shared), self.queue.clone());
+        let thread = std::thread::Builder::new().name(format!("fleet-s{session}"));
+        let started = thread.spawn(move || {
+            while let Ok(job) = from_jobs.recv() {
+                let lines = execute(&shared, session, &job);
+                let Job { seq, sent, .. } = job;
+                let done = Done {
+                    session,
+                    seq,
+                    lines,
+                    sent,
+                };
+                if queue.send(Event::Done(done)).is_err() {
+                    return;
+                }
+            }
+        });
+        if let Err(why) = started {
+            tracing::error!("no thread for session {session} of the fleet: {why}");
+        }
+        let key = self.shared.keys.session_alive(&session.to_string());
+        let token = self.shared.session.liveliness().declare_token(key).wait();
+        if let Err(why) = &token {
+            tracing::warn!("session {session} of the fleet is not shown as alive: {why}");
+        }
+        let _token = token.ok();
+        self.open.insert(session, Open { jobs, _token });
+    }
+
+    fn execute(&mut self, session: u32, job: Job) {
+        let Some(open) = self.open.get(&session) else {
+            let why = "the session ended before the command";
+            return refuse(&job.sent, why);
+        };
+        if let Err(unsent) = open.jobs.send(job) {
+            let Job { seq, sent, .. } = unsent.0;
+            let why = "error: the controller has no thread for this session, the command was not begun\nhint: close the session and open another";
+            self.finish(Done {
+                session,
+                seq,
+                lines: vec![why.to_owned()],
+                sent,
+            });
+        }
+    }
+
+    fn finish(&mut self, done: Done) {
+        match self.admission.finish(done.session, done.seq, done.lines) {
+            Some(said) => self.answer(&done.sent, &said),
+            None => refuse(&done.sent, "the session ended while the command ran"),
+        }
+    }
+
+    /// Replies, or refuses: a reply may only be to a key that the query includes.
+    fn answer(&mut self, sent: &Sent, said: &Reply) {
+        if let Reply::Refused { reason, .. } = said {
+            self.refusals.note(reason, Instant::now());
+        }
+        let asked = sent.key_expr().as_str();
+        let keys = [
+            self.shared.keys.cmd_session(),
+            self.shared.keys.cmd_directio(),
+        ];
+        match keys.iter().find(|key| *key == asked) {
+            Some(own) => reply(sent, own, to_json(said)),
+            None => refuse(sent, &to_json(said)),
+        }
+    }
+}
+
+fn execute(shared: &Shared, session: u32, job: &Job) -> Vec<String> {
+    if shared.cell.now() > job.until {
+        vec!["error: too late, the command was not begun".to_owned()]
+    } else {
+        shared.cell.execute(session, &job.line)
+    }
+}
+
+/// Reports refusals at their onset, by kind.
+#[derive(Debug, Default)]
+struct Refusals(BTreeMap<String, Instant>);
+
+impl Refusals {
+    /// Logs a refusal unless one of its kind was there shortly before. Returns whether it did.
+    fn note(&mut self, reason: &Refusal, now: Instant) -> bool {
+        let kind = serde_json::to_value(reason).unwrap_or_default();
+        let kind = kind["code"].as_str().unwrap_or_default().to_owned();
+        let before = self.0.insert(kind, now);
+        let is_onset = before.is_none_or(|before| now.duration_since(before) > REFUSALS_PAUSE);
+        if is_onset {
+            tracing::warn!("a query of the fleet is refused and changes nothing: {reason}");
+        }
+        is_onset
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refusals_of_a_kind_are_logged_at_onset() {
+        let mut refusals = Refusals::default();
+        let begin = Instant::now();
+        let at = |seconds| begin + Duration::from_secs(seconds);
+        let late = |late_ns| Refusal::Late { late_ns };
+        assert!(refusals.note(&late(1), at(0)));
+        assert!(!refusals.note(&late(2), at(9)));
+        assert!(refusals.note(&Refusal::Wildcard, at(9)));
+        assert!(!refusals.note(&late(3), at(18)));
+        assert!(refusals.note(&late(3), at(40)));
     }
 }

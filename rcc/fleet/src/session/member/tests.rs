@@ -13,6 +13,8 @@ use crate::command::{
 };
 use crate::config::{FleetMode, FleetRight, FleetRule, Observer, of_observer};
 use crate::keys::{ALL_ALIVE, cell_of_alive};
+use crate::session::observer::{Fleet, Seen};
+use crate::session::remote::Remote;
 
 /// Upper bound for a reply that must arrive.
 const ARRIVES: Duration = Duration::from_secs(20);
@@ -22,12 +24,21 @@ const DENIED: Duration = Duration::from_millis(500);
 #[derive(Default)]
 struct Bench {
     now: AtomicI64,
+    /// Commands `wait` end when this is set.
+    is_released: AtomicBool,
+    /// The clock runs by itself.
+    is_real: bool,
     executed: Mutex<Vec<String>>,
     lost: Mutex<Vec<u32>>,
+    /// Devices whose joints are subscribed to.
+    wanted: Mutex<Vec<String>>,
 }
 
 impl Cell for Bench {
     fn now(&self) -> Nanos {
+        if self.is_real {
+            return takt_core::monotonic();
+        }
         Nanos(self.now.load(Ordering::SeqCst))
     }
 
@@ -39,14 +50,41 @@ impl Cell for Bench {
         vec![("device/left/state".to_owned(), json!("operational"))]
     }
 
-    fn resource(&self, path: &str) -> Option<Value> {
-        (path == "nets").then(|| json!([1, 2]))
+    fn devices(&self) -> Vec<String> {
+        vec!["left".to_owned()]
     }
 
-    fn opened(&self, _session: u32, _client: &str) {}
+    fn arms(&self) -> Vec<String> {
+        vec!["left".to_owned()]
+    }
+
+    fn joints(&self, devices: &[String]) -> Vec<(String, Value)> {
+        *self.wanted.lock().unwrap() = devices.to_vec();
+        let batch = |name: &String| (name.clone(), json!([0.5]));
+        devices.iter().map(batch).collect()
+    }
+
+    fn log(&self, from: u64) -> (Vec<String>, u64) {
+        let lines = ["first", "second"].map(str::to_owned);
+        let from = usize::try_from(from).unwrap();
+        (lines.into_iter().skip(from).collect(), 2)
+    }
+
+    fn resource(&self, path: &str) -> Result<Value, String> {
+        let there = (path == "nets").then(|| json!([1, 2]));
+        there.ok_or_else(|| format!("there is no resource `{path}`"))
+    }
+
+    fn opened(&self, _session: u32, _client: &str, _on_loss: LossPolicy) {}
 
     fn execute(&self, _session: u32, line: &str) -> Vec<String> {
         self.executed.lock().unwrap().push(line.to_owned());
+        while line == "wait" && !self.is_released.load(Ordering::SeqCst) {
+            std::thread::yield_now();
+        }
+        if line == "second" {
+            std::thread::sleep(Duration::from_secs(1));
+        }
         vec![format!("did {line}")]
     }
 
@@ -218,4 +256,162 @@ fn command_repeated_or_late_or_to_all_cells_is_not_executed() {
     drop(cell);
     assert_eq!(*bench.lost.lock().unwrap(), [session]);
     assert_eq!(*bench.executed.lock().unwrap(), ["nets"]);
+}
+
+/// A query with the newest nonce of a session.
+fn command(boot: Boot, session: u32, nonce: Nonce, line: &str) -> String {
+    to_json(&CommandRequest {
+        boot,
+        session,
+        seq: 1,
+        nonce,
+        not_after_ns: i64::MAX,
+        line: line.to_owned(),
+    })
+}
+
+#[test]
+fn command_that_takes_long_delays_no_other_session() {
+    let endpoint = free_endpoint();
+    let bench = Arc::new(Bench::default());
+    let cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
+    let observer = observer(&endpoint);
+    let boot = cell.boot();
+    let (slow, nonce) = opened(&observer, boot);
+    let long = observer.clone();
+    let waits = std::thread::spawn(move || {
+        call(
+            &long,
+            "takt/cell-a/cmd/directio",
+            &command(boot, slow, nonce, "wait"),
+        )
+    });
+    while bench.executed.lock().unwrap().is_empty() {
+        std::thread::yield_now();
+    }
+    // Meanwhile the session is kept alive, its command is under way, and another session works.
+    let renew = SessionRequest::Renew {
+        boot,
+        session: slow,
+        nonce,
+    };
+    let renewed = call(&observer, "takt/cell-a/cmd/session", &to_json(&renew));
+    assert!(matches!(renewed, Reply::Granted { .. }), "{renewed:?}");
+    let again = command(boot, slow, nonce, "wait");
+    let again = call(&observer, "takt/cell-a/cmd/directio", &again);
+    let Reply::Refused { reason, .. } = again else {
+        panic!("{again:?}");
+    };
+    assert_eq!(reason, Refusal::Busy { seq: 1 });
+    let open = SessionRequest::Open {
+        boot,
+        open: OpenId(2),
+        client: "other".to_owned(),
+        on_loss: LossPolicy::Stop,
+    };
+    let other = call(&observer, "takt/cell-a/cmd/session", &to_json(&open));
+    let Reply::Granted { session, nonce, .. } = other else {
+        panic!("{other:?}");
+    };
+    let quick = command(boot, session, nonce, "quick");
+    let done = call(&observer, "takt/cell-a/cmd/directio", &quick);
+    assert!(matches!(done, Reply::Done { .. }), "{done:?}");
+    bench.is_released.store(true, Ordering::SeqCst);
+    let done = waits.join().unwrap();
+    assert!(matches!(done, Reply::Done { session, .. } if session == slow));
+    assert_eq!(*bench.executed.lock().unwrap(), ["wait", "quick"]);
+}
+
+#[test]
+fn remote_keeps_session_alive_and_executes_in_order() {
+    takt_tests::steady(|| {
+        let endpoint = free_endpoint();
+        let bench = Arc::new(Bench {
+            is_real: true,
+            ..Bench::default()
+        });
+        let _cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
+        let fleet = Fleet::connect(&Observer {
+            connect: vec![endpoint],
+            tls: None,
+        });
+        let fleet = fleet.unwrap();
+        let name = CellName::new("cell-a").unwrap();
+        let opened = Remote::open(&fleet, &name, "panel", LossPolicy::Cancel);
+        let mut remote = opened.unwrap();
+        // The second takes twice as long as a nonce lives.
+        for line in ["first", "second", "third"] {
+            let (lines, omitted) = remote.execute(line, ARRIVES).unwrap();
+            assert_eq!((lines, omitted), (vec![format!("did {line}")], 0));
+        }
+        drop(remote);
+        assert_eq!(
+            *bench.executed.lock().unwrap(),
+            ["first", "second", "third"]
+        );
+        assert!(bench.lost.lock().unwrap().is_empty(), "it was closed");
+        let none = CellName::new("none").unwrap();
+        let error = Remote::open(&fleet, &none, "panel", LossPolicy::Cancel).unwrap_err();
+        assert!(error.to_string().contains("no answer from none"), "{error}");
+    });
+}
+
+#[test]
+fn watch_shows_history_log_tokens_and_loss() {
+    let endpoint = free_endpoint();
+    let bench = Arc::new(Bench::default());
+    let _router = joined("cell-a", &router(&endpoint), &bench).unwrap();
+    let settings = FleetSettings {
+        connect: vec![endpoint.clone()],
+        ..FleetSettings::default()
+    };
+    let cell = joined("cell-b", &settings, &bench).unwrap();
+    let fleet = Fleet::connect(&Observer {
+        connect: vec![endpoint],
+        tls: None,
+    });
+    let fleet = fleet.unwrap();
+    let watch = fleet.watch("takt/cell-b/**").unwrap();
+    let value = |rest: &str, text: &str| Seen::Value {
+        key: format!("takt/cell-b/{rest}"),
+        text: text.to_owned(),
+    };
+    let alive = |rest: &str| Seen::Alive {
+        key: format!("takt/cell-b/{rest}"),
+    };
+    let mut missing = vec![
+        value("device/left/state", "\"operational\""),
+        value("log", "\"first\""),
+        value("log", "\"second\""),
+        alive("alive"),
+        alive("device/left/alive"),
+    ];
+    while !missing.is_empty() {
+        let seen = watch.next(ARRIVES).unwrap();
+        missing.retain(|it| *it != seen);
+    }
+    drop(cell);
+    let lost = Seen::Lost {
+        key: "takt/cell-b/alive".to_owned(),
+    };
+    while watch.next(ARRIVES).unwrap() != lost {}
+    assert_eq!(watch.missed(), 0);
+}
+
+#[test]
+fn joints_are_published_while_subscribed_to() {
+    let endpoint = free_endpoint();
+    let bench = Arc::new(Bench::default());
+    let _cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
+    let observer = observer(&endpoint);
+    assert!(bench.wanted.lock().unwrap().is_empty());
+    let joints = observer.declare_subscriber("takt/cell-a/device/left/joints");
+    let joints = joints.wait().unwrap();
+    let sample = joints.recv_timeout(ARRIVES).unwrap().unwrap();
+    assert_eq!(*sample.payload().to_bytes(), *b"[0.5]");
+    assert_eq!(*bench.wanted.lock().unwrap(), ["left"]);
+    joints.undeclare().wait().unwrap();
+    while !bench.wanted.lock().unwrap().is_empty() {
+        std::thread::yield_now();
+    }
 }
