@@ -7,6 +7,8 @@ use std::time::Duration;
 use takt_fri::lwr::emulator::KrcStatus;
 use takt_world::{EventKind, Truth, World};
 
+use crate::faults::carried;
+
 /// Between two samples of the truth.
 const EVERY: Duration = Duration::from_millis(20);
 /// Between two samples of the set-points.
@@ -19,14 +21,18 @@ const BRAKES: f64 = 0.9;
 const SAMPLES_MAX: usize = 100_000;
 /// A carried body is at rest below this speed, m/s.
 const RESTS: f64 = 0.002;
+/// A peg is in its hole this near to the axis, m.
+const BESIDE: f64 = 0.005;
 /// Height of the middle of a box above which it is in motion, m.
-const CARRIED: f64 = 0.16;
+pub(crate) const CARRIED: f64 = 0.16;
 
 /// A moment of an assembly.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Moment {
     /// On the clock of the world, s.
     pub at_s: f64,
+    /// Forces at the flanges of both arms, N.
+    pub flanges_n: [f64; 2],
     /// Internal force of the box that two hands hold, N.
     pub internal_n: f64,
     /// Deviation of the distance of the hands from that at their grasp, mm; NaN unless both hold one box.
@@ -121,7 +127,7 @@ impl Record {
         let Some(at) = truth.at.filter(|_| self.moments.len() < SAMPLES_MAX) else {
             return;
         };
-        let carried = truth.bodies.iter().find(|body| body.held_by.len() == 2);
+        let carried = carried(truth);
         let place = |hand: &str| {
             let hand = truth.hand(hand)?;
             Some(hand.flange?.translation.vector)
@@ -143,15 +149,19 @@ impl Record {
             self.moved = !rests;
         }
         let peg = truth.pegs.first();
+        let force = |hand: &str| truth.hand(hand).map(|hand| hand.wrench.force);
+        let at_right = force("right").zip(force("driver")).map(|(a, b)| a + b);
+        let forces = [force("left"), at_right];
         self.moments.push(Moment {
             at_s,
+            flanges_n: forces.map(|force| force.map_or(0.0, |force| force.norm())),
             internal_n: carried.map_or(0.0, |body| body.internal_force_n),
             grasp_mm: distance
                 .zip(first)
                 .map_or(f64::NAN, |(now, first)| (now - first) * 1e3),
             peg_n: peg.map_or(0.0, |peg| peg.force_n),
             depth_mm: peg.map_or(f64::NAN, |peg| {
-                if peg.depth_m > 0.0 {
+                if peg.depth_m > 0.0 && peg.offset_m < BESIDE {
                     peg.depth_m * 1e3
                 } else {
                     f64::NAN
