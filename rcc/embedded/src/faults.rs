@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use takt_world::{BodyTruth, EventKind, Truth, World};
 
-use crate::watch::CARRIED;
+use crate::watch::{AT_HOLE, CARRIED};
 
 /// How far the base docks beside its place, m: twice the tolerance of its switch.
 const BESIDE: f64 = 0.008;
@@ -187,7 +187,8 @@ impl Faults {
 
     /// The burrs are gone once the peg is drawn back from them.
     fn jam(&mut self, truth: &Truth) {
-        let depth = truth.pegs.first().map_or(f64::NAN, |peg| peg.depth_m);
+        let peg = truth.pegs.first().filter(|peg| peg.offset_m < AT_HOLE);
+        let depth = peg.map_or(f64::NAN, |peg| peg.depth_m);
         self.has_jammed |= depth > BURRS * 0.9;
         if self.has_jammed && depth < 0.0 {
             self.world.turn_knobs(|knobs| knobs.obstructed_m = None);

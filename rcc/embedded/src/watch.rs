@@ -21,8 +21,8 @@ const BRAKES: f64 = 0.9;
 const SAMPLES_MAX: usize = 100_000;
 /// A carried body is at rest below this speed, m/s.
 const RESTS: f64 = 0.002;
-/// A peg is in its hole this near to the axis, m.
-const BESIDE: f64 = 0.005;
+/// A peg is at its hole this near to the axis, m.
+pub(crate) const AT_HOLE: f64 = 0.005;
 /// Height of the middle of a box above which it is in motion, m.
 pub(crate) const CARRIED: f64 = 0.16;
 
@@ -161,7 +161,7 @@ impl Record {
                 .map_or(f64::NAN, |(now, first)| (now - first) * 1e3),
             peg_n: peg.map_or(0.0, |peg| peg.force_n),
             depth_mm: peg.map_or(f64::NAN, |peg| {
-                if peg.depth_m > 0.0 && peg.offset_m < BESIDE {
+                if peg.depth_m > 0.0 && peg.offset_m < AT_HOLE {
                     peg.depth_m * 1e3
                 } else {
                     f64::NAN

@@ -45,6 +45,10 @@ const GRASP: [f64; 2] = [40.0, 80.0];
 const LIFT: f64 = 0.012;
 const UNEVEN: f64 = 1.5;
 const WEIGHT: f64 = 11.0;
+/// Speed of a box that both arms carry, m/s: faster, an elbow does not keep up where the box passes the bases.
+const CARRY: f64 = 0.16;
+/// After this time, an arm has come to rest, too.
+const SETTLES: Duration = Duration::from_millis(300);
 /// What stops this far before its seat jams, m.
 const JAMMED: f64 = 0.003;
 /// Height of the fingers when the workpiece stands on its peg, m.
@@ -209,7 +213,7 @@ impl<'r> Station<'r> {
         let slips = (left - right).abs().over(UNEVEN);
         for force in GRASP {
             perform("grasp the box", self.both(|hand| hand.grasp(0.01, force)))?;
-            let load = coupled(place(from, platform), &self.arms)?.with_limits(limits(0.2));
+            let load = coupled(place(from, platform), &self.arms)?.with_limits(limits(CARRY));
             let lift = load.lin(place(from, platform + LIFT)).speed(0.3);
             perform("lift the box", lift)?;
             if self.cell.holds(&slips)? || !self.cell.holds(&is_carried)? {
@@ -306,6 +310,8 @@ impl<'r> Station<'r> {
         let before = Pose::quaternion([x + BESIDE, SEATED - 0.02, z], FORTH);
         perform("turn", bit.ptp_to(self.world.pose(before)))?;
         let soft = Control::cartesian([2000.0, 2000.0, 2000.0, 300.0, 300.0, 300.0], [0.7; 6]);
+        // The arm follows its last set-point by then: its controller refuses to switch before.
+        std::thread::sleep(SETTLES);
         perform("impedance", bit.switch_to(soft))?;
         let torque = self.driver.analogue_input(0)?;
         let driven = |speed| self.driver.set_analogue(0, speed);

@@ -48,7 +48,7 @@ const PANELS: [Panel; 3] = [
         curves: &[
             ("left arm", |it| it.flanges_n[0]),
             ("right arm", |it| it.flanges_n[1]),
-            ("internal, of the box", |it| it.internal_n.abs()),
+            ("in the box", |it| it.internal_n.abs()),
             ("on the peg", |it| it.peg_n),
         ],
         range: [0.0, 27.0],
