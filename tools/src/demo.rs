@@ -93,6 +93,10 @@ impl Demo {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         let nets = self.robots.nets(self.duration);
         if self.print_net {
+            anyhow::ensure!(
+                self.robots != Kind::Assembly,
+                "the program of `assembly` makes its nets while it runs\nhint: `takt record info assembly.mcap` lists those of a run"
+            );
             nets.iter().try_for_each(|net| say(net.trim_end()))?;
             return Ok(Verdict::Good);
         }

@@ -17,6 +17,8 @@ const SET_POINT_EVERY: Duration = Duration::from_millis(2);
 const SPAN: usize = 3;
 /// An arm brakes below this part of its speed at contact.
 const BRAKES: f64 = 0.9;
+/// For as many samples.
+const BRAKING: usize = 4;
 /// Most samples of each kind; an assembly takes a third of that.
 const SAMPLES_MAX: usize = 100_000;
 /// A carried body is at rest below this speed, m/s.
@@ -69,7 +71,7 @@ pub struct Figures {
     pub detected_ms: Option<f64>,
     /// Largest force on the peg, N.
     pub insertion_n: f64,
-    /// Depth of the peg, mm.
+    /// Depth of the peg in its hole, mm.
     pub depth_mm: f64,
     /// Largest torque of the screw, Nm.
     pub torque_nm: f64,
@@ -187,7 +189,9 @@ impl Record {
             }),
             detected_ms: self.detected(truth),
             insertion_n: peg.map_or(0.0, |peg| peg.force_max_n),
-            depth_mm: peg.map_or(0.0, |peg| peg.depth_m * 1e3),
+            depth_mm: peg
+                .filter(|peg| peg.offset_m < AT_HOLE)
+                .map_or(0.0, |peg| peg.depth_m * 1e3),
             torque_nm: screw.map_or(0.0, |screw| screw.torque_max_nm),
             is_screwed: screw.is_some_and(|screw| screw.is_seated && !screw.is_cross_threaded),
             stops: self.stops.len(),
@@ -217,9 +221,11 @@ impl Record {
         });
         let speeds: Vec<_> = speeds.collect();
         let before = speeds.iter().rev().find(|(at, _)| *at < seated)?.1;
-        let brakes = speeds
-            .iter()
-            .find(|(at, speed)| *at >= seated && *speed < before * BRAKES)?;
-        Some((brakes.0 - seated) * 1e3)
+        // One slow sample is one of a watcher that was late.
+        let brakes = speeds.windows(BRAKING).find(|window| {
+            let slow = |(at, speed): &(f64, f64)| *at >= seated && *speed < before * BRAKES;
+            window.iter().all(slow)
+        })?;
+        Some((brakes.first()?.0 - seated) * 1e3)
     }
 }

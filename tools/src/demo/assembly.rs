@@ -159,7 +159,10 @@ impl Demo {
         let mut recorded = None;
         if let Some((server, controller)) = alive {
             report.take_controller(&controller);
-            recorded = controller.finish_recording()?;
+            match controller.finish_recording() {
+                Ok(cycles) => recorded = cycles,
+                Err(error) => report.fail(error.to_string()),
+            }
             if self.open {
                 self.print_report(&report, drawn.is_ok().then_some(&svg), recorded, &record)?;
                 self.stay(&stop)?;

@@ -7,8 +7,8 @@ use std::f64::consts::FRAC_1_SQRT_2 as HALF;
 use std::time::{Duration, Instant};
 
 use takt_api::{
-    Activity, Arm, Base, CartesianLimits, Cell, Composite, Control, Frame, Gripper, Io, Outcome,
-    Pose, coupled, deg, together,
+    Activity, Arm, Base, CartesianLimits, Cell, Composite, Control, Frame, Gripper, Handle, Io,
+    Outcome, Pose, coupled, deg, together,
 };
 
 pub(crate) type Done<T = ()> = Result<T, Box<dyn Error>>;
@@ -323,11 +323,11 @@ impl<'r> Station<'r> {
             let ended = press.wait_to_end_for(SCREW_WITHIN);
             perform("driver off", driven(0.0))?;
             let Some(ended) = ended else {
-                press.cancel();
-                return Err(format!(
-                    "the screw does not reach {TORQUE} Nm\nhint: is there one at the bit?"
-                )
-                .into());
+                self.stop_pressing(&press, attempt)?;
+                let back = self.lin(bit, [x + BESIDE, SEATED - 0.02, z], FORTH);
+                perform("draw the screw back", back)?;
+                self.note("the screw does not bite: it is drawn back, and pressed again");
+                continue;
             };
             expect(
                 "drive the screw",
@@ -353,6 +353,25 @@ impl<'r> Station<'r> {
         std::thread::sleep(Duration::from_secs(3));
         perform("stiff", bit.switch_to(Control::position()))?;
         Ok(())
+    }
+
+    /// Ends a press under which the screw did not become tight; the second one ends the assembly.
+    fn stop_pressing(&self, press: &Handle, attempt: usize) -> Done {
+        let force = self.cell.value(&-self.bit.force().x())?;
+        press.cancel();
+        expect("stop pressing", &press.wait_to_end()?, &Outcome::Cancelled)?;
+        if attempt == 0 {
+            return Ok(());
+        }
+        let (force, left) = (
+            force.unwrap_or(f64::NAN),
+            (SCREWED - self.tip(&self.bit, BIT)?) * 1e3,
+        );
+        Err(format!(
+            "the screw does not reach {TORQUE} Nm, twice: {left:.1} mm before its seat, pressed with {force:.1} N\nhint: is there one \
+             at the bit?"
+        )
+        .into())
     }
 
     /// The left arm puts the workpiece into the second box; both arms go back.

@@ -96,7 +96,7 @@ impl Report {
             injected: injected.iter().map(ToString::to_string).collect(),
             error,
             notes: notes.to_vec(),
-            cycle_s: steps.iter().map(|(_, duration)| duration).sum(),
+            cycle_s: steps.iter().fold(0.0, |sum, (_, duration)| sum + duration),
             steps,
             internal_force_n_max: figures.internal_n,
             grasp_distance_mm_max: figures.grasp_mm,
@@ -117,9 +117,7 @@ impl Report {
         let stats = controller.stats();
         let rt_allocations = takt_rt::alloc::real_time_allocations();
         if rt_allocations > 0 {
-            let text = format!("{rt_allocations} allocations in real-time threads");
-            self.faults.push(text);
-            self.ok = false;
+            self.fail(format!("{rt_allocations} allocations in real-time threads"));
         }
         self.controller = Some(Cycles {
             cycles: stats.cycles,
@@ -127,6 +125,12 @@ impl Report {
             rt_allocations,
             sync_error_ns_max: controller.hand_over().max.0,
         });
+    }
+
+    /// Adds what speaks against it.
+    pub(super) fn fail(&mut self, fault: String) {
+        self.faults.push(fault);
+        self.ok = false;
     }
 
     pub(super) const fn verdict(&self) -> Verdict {
