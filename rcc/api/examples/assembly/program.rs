@@ -34,8 +34,9 @@ const SCREWED: f64 = 0.087;
 /// Where the magazine offers the screw, and its place beside the peg, x, m.
 const SCREW: [f64; 3] = [0.3, -0.3, 0.06];
 const BESIDE: f64 = 0.022;
-/// Contact, N; pressing the peg and the screw, N; the torque of the screw, Nm, and the speed of the driver, rad/s.
-const CONTACT: f64 = 5.0;
+/// Contact, N, more than sliding over the chamfer of the hole takes; pressing the peg and the screw, N; the torque of the screw, Nm, and
+/// the speed of the driver, rad/s.
+const CONTACT: f64 = 8.0;
 const PRESS: [f64; 2] = [12.0, 15.0];
 const TORQUE: f64 = 1.5;
 const DRIVER: f64 = 12.0;

@@ -194,6 +194,7 @@ impl Report {
             );
         }
         for fault in &self.faults {
+            let fault = fault.replace('\n', "\n           ");
             let _ = writeln!(text, "FAULT      {fault}");
         }
         text + if self.ok { "OK\n" } else { "FAILED\n" }
