@@ -2,6 +2,7 @@
 //! in memory; a client sends nets as text over TCP; the report gives the result. All parts are the code that runs
 //! against real robots.
 
+mod assembly;
 mod cell;
 mod lola;
 mod motion;
@@ -22,7 +23,7 @@ use takt_core::device::driver::DeviceDriver as _;
 use takt_core::record::Recorder;
 use takt_core::stop_channel::StopSwitch;
 use takt_devices::ethercat::Ethercat;
-use takt_embedded::{EmulatedCell, Machines};
+use takt_embedded::{EmulatedCell, Fault, Machines};
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::LogBook;
 
@@ -43,23 +44,23 @@ const READY_WITHIN: Duration = Duration::from_mins(1);
 /// Move emulated robots with nets.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
-    /// Which robots: two LWRs, these beside a TX90 and a youBot on EtherCAT, or `lola`, a test station of three servomotors whose
-    /// machine calibrates, homes and moves it.
+    /// Which robots: two LWRs, these beside a TX90 and a youBot on EtherCAT, `assembly`, where a program assembles a workpiece with two
+    /// arms, a base and a screwdriver, or `lola`, a test station of three servomotors whose machine calibrates, homes and moves it.
     #[arg(long, alias = "cell", value_enum, default_value_t = Kind::Pair)]
     robots: Kind,
-    /// How long the motion takes; that of `lola` takes as long as its program.
+    /// How long the motion takes; those of `assembly` and `lola` take as long as their programs.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = positive_span)]
     duration: Duration,
     /// Print one JSON object instead of the report.
     #[arg(long)]
     json: bool,
-    /// File of the plot.
-    #[arg(long, value_name = "FILE.svg", default_value = "takt-demo.svg")]
-    svg: PathBuf,
+    /// File of the plot [default: takt-demo.svg, or assembly.svg].
+    #[arg(long, value_name = "FILE.svg")]
+    svg: Option<PathBuf>,
     /// Lose this share of datagrams in each direction, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
     drop: f64,
-    /// Record everything that enters and leaves the net thread.
+    /// Record everything that enters and leaves the net thread; `assembly` always does, to assembly.mcap.
     #[arg(long, value_name = "FILE.mcap", conflicts_with = "from")]
     record: Option<PathBuf>,
     /// Replay a recording instead, and compare the output byte for byte.
@@ -74,24 +75,48 @@ pub(crate) struct Demo {
     /// End the process at the first allocation in a real-time thread.
     #[arg(long)]
     guard: bool,
+    /// Switch a fault of `assembly` on, such as `docks-beside`; several that it overcomes may be given.
+    #[arg(long, value_name = "FAULT", value_delimiter = ',')]
+    fault: Vec<Fault>,
+    /// Where the parts of `assembly` lie, and where its base docks.
+    #[arg(long, value_name = "NUMBER", default_value_t = 1)]
+    seed: u64,
+    /// Assemble without blending: each motion ends at rest.
+    #[arg(long)]
+    stopping: bool,
+    /// Only the program of `assembly`, at the controller of another demo.
+    #[arg(long, value_name = "ADDRESS", hide = true)]
+    program: Option<String>,
 }
 
 impl Demo {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         let nets = self.robots.nets(self.duration);
         if self.print_net {
+            anyhow::ensure!(
+                self.robots != Kind::Assembly,
+                "the program of `assembly` makes its nets while it runs\nhint: `takt record info assembly.mcap` lists those of a run"
+            );
             nets.iter().try_for_each(|net| say(net.trim_end()))?;
             return Ok(Verdict::Good);
-        }
-        if self.open {
-            return self.show();
         }
         if let Some(recording) = &self.from {
             return replay(recording);
         }
+        if self.robots == Kind::Assembly {
+            return self.assemble();
+        }
+        anyhow::ensure!(
+            self.fault.is_empty() && !self.stopping && self.program.is_none(),
+            "only `assembly` has faults to switch on and blending to switch off\nhint: add --cell assembly"
+        );
+        if self.open {
+            return self.show();
+        }
         let emulated = EmulatedCell::named(self.robots.cell())?;
         let cell = emulated.config.clone();
-        check_writable(&self.svg)?;
+        let svg = self.svg_or("takt-demo.svg");
+        check_writable(&svg)?;
         let stop = Stop::listen()?;
         let host = prepare(&HostConfig::default());
         let switch = StopSwitch::default();
@@ -133,9 +158,9 @@ impl Demo {
         let drawn = match &trace {
             Some(trace) => {
                 report.set_states(trace.states());
-                lola::draw(&self.svg, &samples, trace)
+                lola::draw(&svg, &samples, trace)
             }
-            None => plot::draw(&self.svg, arms, &samples, &controller.stats()),
+            None => plot::draw(&svg, arms, &samples, &controller.stats()),
         };
         stop_server(server);
         // Before its robots, so that their end is no fault.
@@ -146,9 +171,13 @@ impl Demo {
             Ok(cycles) => (cycles, None),
             Err(error) => (None, Some(error)),
         };
-        let verdict = self.print(&report, cycles, drawn.is_ok())?;
+        let verdict = self.print(&report, cycles, drawn.is_ok().then_some(&svg))?;
         drawn?;
         failed.map_or(Ok(verdict), |error| Err(error.into()))
+    }
+
+    fn svg_or(&self, default: &str) -> PathBuf {
+        self.svg.clone().unwrap_or_else(|| default.into())
     }
 
     /// Sends the machine of the station, starts it, and follows it to its end.
@@ -288,14 +317,14 @@ impl Demo {
         &self,
         report: &Report,
         recorded: Option<u64>,
-        is_drawn: bool,
+        svg: Option<&PathBuf>,
     ) -> anyhow::Result<Verdict> {
         if self.json {
             say(&serde_json::to_string(report)?)?;
         } else {
             say(report.text().trim_end())?;
-            if is_drawn {
-                say(&format!("plot       {}", self.svg.display()))?;
+            if let Some(svg) = svg {
+                say(&format!("plot       {}", svg.display()))?;
             }
             if let (Some(cycles), Some(path)) = (recorded, &self.record) {
                 say(&format!("recording  {}, {cycles} cycles", path.display()))?;

@@ -377,3 +377,32 @@ fn picture_of_a_net_shows_every_primitive() {
     let broken = run_with_input(&["net", "dot", "-"], "{a=Core::Clock(");
     expect_status(&broken, 1);
 }
+
+/// The program is a process of its own then.
+#[test]
+fn demo_assembly_program_killed_leaves_box_in_both_hands() {
+    let _alone = alone();
+    let folder = Folder::new();
+    let recording = folder.file("assembly.mcap");
+    let args = ["--cell", "assembly", "--fault", "program-killed"];
+    let report = good_demo(&[&args[..], &["--record", &recording]].concat());
+    let error = report["error"].as_str().unwrap();
+    assert!(error.contains("signal: 9"), "{report}");
+    assert_eq!(report["held"], serde_json::json!(["box_1"]), "{report}");
+    assert_eq!(report["dropped"], 0);
+    assert_eq!(report["controller"]["rt_allocations"], 0);
+    let internal = report["internal_force_n_max"].as_f64().unwrap();
+    assert!(internal > 0.0 && internal <= 15.0, "{report}");
+}
+
+#[test]
+fn demo_faults_of_assembly_are_refused_elsewhere() {
+    let output = run(&["demo", "--cell", "pair", "--fault", "jams"]);
+    expect_status(&output, 2);
+    let error = complaint(&output);
+    assert!(error.contains("hint: add --cell assembly"), "{error}");
+    let output = run(&["demo", "--cell", "assembly", "--fault", "rain"]);
+    expect_status(&output, 2);
+    let error = complaint(&output);
+    assert!(error.contains("the faults are docks-beside"), "{error}");
+}

@@ -6,60 +6,99 @@
     reason = "a test may fail anywhere, and shows what happened"
 )]
 
-#[allow(dead_code, reason = "tests call what `main` calls")]
-#[path = "../examples/assembly.rs"]
-mod assembly;
+#[allow(dead_code, reason = "an example and a demo read what tests do not")]
+#[path = "../examples/assembly/program.rs"]
+mod program;
 
-use std::error::Error;
+use std::sync::Mutex;
+use std::time::Duration;
 
-use assembly::Step;
+use program::{Progress, Step};
 use takt_api::Cell;
 use takt_embedded::world::{Truth, World};
-use takt_embedded::{Embedded, EmulatedCell, Figures, Moment, watch};
+use takt_embedded::{Embedded, EmulatedCell, Fault, Faults, Figures, watch};
 use takt_tests::steady;
 
-/// Assembles in a world: the steps, or why it ended, and the figures. `fault` may change the world at any truth, the first of which is
-/// that before the robots start.
-fn run(
-    mut fault: impl FnMut(&World, &Truth) + Send,
-) -> (Result<Vec<Step>, Box<dyn Error>>, Figures) {
+/// How long the world is watched after the program has ended.
+const AFTER: Duration = Duration::from_secs(1);
+
+/// What became of an assembly.
+struct Ended {
+    result: Result<Vec<Step>, String>,
+    notes: Vec<&'static str>,
+    figures: Figures,
+    truth: Truth,
+}
+
+impl Ended {
+    /// Why the program ended.
+    fn error(&self) -> &str {
+        self.result.as_ref().err().unwrap()
+    }
+
+    /// What a hand holds in the end.
+    fn held(&self, hand: &str) -> Option<&str> {
+        self.truth.hand(hand)?.holds.as_deref()
+    }
+}
+
+/// Assembles with faults.
+fn run(faults: &[Fault]) -> Ended {
     let emulated = EmulatedCell::named("assembly").unwrap();
     let world = emulated.world.as_ref().unwrap().world.clone();
-    fault(&world, &world.truth());
+    let faults = Faults::new(&world, faults);
     let embedded = Embedded::emulate(emulated).unwrap();
+    let ended = run_in(&embedded, &world, faults);
+    embedded.stop().unwrap();
+    ended
+}
+
+fn run_in(embedded: &Embedded, world: &World, mut faults: Faults) -> Ended {
     let cell = Cell::connect(&embedded.address().to_string()).unwrap();
     let krcs = embedded.machines().unwrap().krcs();
     let right = krcs.iter().find(|(name, _)| name == "right");
     let right = right.map(|(_, robot)| robot.status());
-    let work = || assembly::run(&cell, true);
-    let (ended, record) = watch(&world, right, work, |truth| fault(&world, truth));
+    let notes = Mutex::new(Vec::new());
+    let report = |progress: Progress<'_>| match progress {
+        Progress::Begins(_) => {}
+        Progress::Ended(step) => println!("{step:?}"),
+        Progress::Note(text) => {
+            println!("note: {text}");
+            notes.lock().unwrap().push(text);
+        }
+    };
+    let work = || {
+        let ended = program::run(&cell, true, &report).map_err(|error| error.to_string());
+        std::thread::sleep(AFTER);
+        ended
+    };
+    let (result, record) = watch(world, right, work, |truth| {
+        if faults.poll(truth) == Some(Fault::ArmLost) {
+            right.unwrap().set_drop(1.0);
+        }
+    });
     let truth = world.truth();
     for event in &truth.events {
         println!("{:?} {:?}", event.at, event.kind);
     }
-    let of = |it: &&Moment| it.grasp_mm.abs();
-    let mut held: Vec<_> = record
-        .moments
-        .iter()
-        .filter(|it| it.grasp_mm.is_finite())
-        .collect();
-    held.sort_by(|a, b| of(b).total_cmp(&of(a)));
-    println!(
-        "largest changes of the grasp: {:#?}",
-        held.iter().take(3).collect::<Vec<_>>()
-    );
     let figures = record.figures(&truth);
-    println!("{figures:#?}");
-    cell.close().unwrap();
-    embedded.stop().unwrap();
-    (ended, figures)
+    println!("{result:?}\n{figures:#?}");
+    let _ = cell.close();
+    Ended {
+        result,
+        notes: notes.into_inner().unwrap(),
+        figures,
+        truth,
+    }
 }
 
 #[test]
 fn assembly_example_inserts_peg_and_drives_screw() {
     steady(|| {
-        let (ended, figures) = run(|_, _| {});
-        let names: Vec<_> = ended.unwrap().iter().map(|step| step.name).collect();
+        let Ended {
+            result, figures, ..
+        } = run(&[]);
+        let names: Vec<_> = result.unwrap().iter().map(|step| step.name).collect();
         let expected = [
             "start and dock",
             "unload a box",
@@ -89,33 +128,70 @@ fn assembly_example_inserts_peg_and_drives_screw() {
     });
 }
 
-/// The base docks 8 mm off, until it has driven away from the dock again.
-fn dock_beside_once(world: &World, truth: &Truth, has_docked: &mut bool) {
-    let x = truth.bases.first();
-    let x = x.map_or(f64::NAN, |(_, base)| base.translation.x);
-    *has_docked |= x < 0.97;
-    let is_beside = truth.at.is_none() || !*has_docked || x < 1.0;
-    if truth.at.is_none() || !is_beside {
-        let beside = if is_beside { 0.008 } else { 0.0 };
-        world.turn_knobs(|knobs| knobs.docking_offset = [beside, 0.0, 0.0]);
-    }
-}
-
 #[test]
-fn assembly_docks_again_and_names_missing_peg() {
+fn assembly_docks_again_grasps_harder_and_names_missing_peg() {
     steady(|| {
-        let mut has_docked = false;
-        let (ended, figures) = run(|world, truth| {
-            dock_beside_once(world, truth, &mut has_docked);
-            if truth.at.is_none() {
-                world.remove_body("peg");
-            }
-        });
-        // Beside its place, the base would have ended it before.
-        let error = ended.unwrap_err().to_string();
+        let ended = run(&[Fault::DocksBeside, Fault::Slips, Fault::NoPeg]);
+        let error = ended.error();
         assert!(error.contains("box 1 has no peg"), "{error}");
         assert!(error.contains("hint:"), "{error}");
+        // What it overcame before.
+        let [beside, slips] = ended.notes[..] else {
+            panic!("{:?}", ended.notes);
+        };
+        assert!(beside.contains("docks beside its place"), "{beside}");
+        assert!(slips.contains("a hand slips"), "{slips}");
+        assert_eq!(ended.held("left"), Some("socket"));
+        let figures = &ended.figures;
         assert!(figures.internal_n <= 15.0, "{figures:?}");
         assert_eq!(figures.dropped, 0, "{figures:?}");
     });
+}
+
+#[test]
+fn assembly_draws_jammed_peg_back_and_names_screw_askew() {
+    steady(|| {
+        let ended = run(&[Fault::Jams, Fault::StaysAskew]);
+        let error = ended.error();
+        assert!(error.contains("the screw is tight"), "{error}");
+        assert!(
+            error.contains("twice") && error.contains("hint:"),
+            "{error}"
+        );
+        let [jams, askew] = ended.notes[..] else {
+            panic!("{:?}", ended.notes);
+        };
+        assert!(jams.contains("the peg jams"), "{jams}");
+        assert!(askew.contains("the screw is tight"), "{askew}");
+        // The workpiece is whole but for its screw, which was turned back out of the thread.
+        assert_eq!(ended.held("left"), Some("socket"));
+        let figures = &ended.figures;
+        assert!(
+            figures.depth_mm > 29.0 && !figures.is_screwed,
+            "{figures:?}"
+        );
+        assert!(figures.insertion_n <= 25.0, "{figures:?}");
+        assert_eq!(figures.dropped, 0, "{figures:?}");
+    });
+}
+
+#[test]
+fn assembly_arm_without_network_leaves_box_in_both_hands() {
+    steady(|| {
+        let ended = run(&[Fault::ArmLost]);
+        let error = ended.error();
+        assert!(error.contains("right"), "{error}");
+        assert_box_held(&ended);
+    });
+}
+
+/// Both hands hold the first box in the air, at rest.
+fn assert_box_held(ended: &Ended) {
+    let first = ended.truth.body("box_1").unwrap();
+    assert_eq!(first.held_by.len(), 2, "{first:?}");
+    assert!(first.pose.translation.z > 0.16, "{first:?}");
+    assert!(first.twist.linear.norm() < 0.002, "{first:?}");
+    let figures = &ended.figures;
+    assert!(figures.internal_n <= 48.0, "{figures:?}");
+    assert_eq!(figures.dropped, 0, "{figures:?}");
 }

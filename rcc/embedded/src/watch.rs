@@ -7,6 +7,8 @@ use std::time::Duration;
 use takt_fri::lwr::emulator::KrcStatus;
 use takt_world::{EventKind, Truth, World};
 
+use crate::faults::carried;
+
 /// Between two samples of the truth.
 const EVERY: Duration = Duration::from_millis(20);
 /// Between two samples of the set-points.
@@ -15,18 +17,24 @@ const SET_POINT_EVERY: Duration = Duration::from_millis(2);
 const SPAN: usize = 3;
 /// An arm brakes below this part of its speed at contact.
 const BRAKES: f64 = 0.9;
+/// For as many samples.
+const BRAKING: usize = 4;
 /// Most samples of each kind; an assembly takes a third of that.
 const SAMPLES_MAX: usize = 100_000;
 /// A carried body is at rest below this speed, m/s.
 const RESTS: f64 = 0.002;
+/// A peg is at its hole this near to the axis, m.
+pub(crate) const AT_HOLE: f64 = 0.005;
 /// Height of the middle of a box above which it is in motion, m.
-const CARRIED: f64 = 0.16;
+pub(crate) const CARRIED: f64 = 0.16;
 
 /// A moment of an assembly.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Moment {
     /// On the clock of the world, s.
     pub at_s: f64,
+    /// Forces at the flanges of both arms, N.
+    pub flanges_n: [f64; 2],
     /// Internal force of the box that two hands hold, N.
     pub internal_n: f64,
     /// Deviation of the distance of the hands from that at their grasp, mm; NaN unless both hold one box.
@@ -63,7 +71,7 @@ pub struct Figures {
     pub detected_ms: Option<f64>,
     /// Largest force on the peg, N.
     pub insertion_n: f64,
-    /// Depth of the peg, mm.
+    /// Depth of the peg in its hole, mm.
     pub depth_mm: f64,
     /// Largest torque of the screw, Nm.
     pub torque_nm: f64,
@@ -121,7 +129,7 @@ impl Record {
         let Some(at) = truth.at.filter(|_| self.moments.len() < SAMPLES_MAX) else {
             return;
         };
-        let carried = truth.bodies.iter().find(|body| body.held_by.len() == 2);
+        let carried = carried(truth);
         let place = |hand: &str| {
             let hand = truth.hand(hand)?;
             Some(hand.flange?.translation.vector)
@@ -143,15 +151,19 @@ impl Record {
             self.moved = !rests;
         }
         let peg = truth.pegs.first();
+        let force = |hand: &str| truth.hand(hand).map(|hand| hand.wrench.force);
+        let at_right = force("right").zip(force("driver")).map(|(a, b)| a + b);
+        let forces = [force("left"), at_right];
         self.moments.push(Moment {
             at_s,
+            flanges_n: forces.map(|force| force.map_or(0.0, |force| force.norm())),
             internal_n: carried.map_or(0.0, |body| body.internal_force_n),
             grasp_mm: distance
                 .zip(first)
                 .map_or(f64::NAN, |(now, first)| (now - first) * 1e3),
             peg_n: peg.map_or(0.0, |peg| peg.force_n),
             depth_mm: peg.map_or(f64::NAN, |peg| {
-                if peg.depth_m > 0.0 {
+                if peg.depth_m > 0.0 && peg.offset_m < AT_HOLE {
                     peg.depth_m * 1e3
                 } else {
                     f64::NAN
@@ -177,7 +189,9 @@ impl Record {
             }),
             detected_ms: self.detected(truth),
             insertion_n: peg.map_or(0.0, |peg| peg.force_max_n),
-            depth_mm: peg.map_or(0.0, |peg| peg.depth_m * 1e3),
+            depth_mm: peg
+                .filter(|peg| peg.offset_m < AT_HOLE)
+                .map_or(0.0, |peg| peg.depth_m * 1e3),
             torque_nm: screw.map_or(0.0, |screw| screw.torque_max_nm),
             is_screwed: screw.is_some_and(|screw| screw.is_seated && !screw.is_cross_threaded),
             stops: self.stops.len(),
@@ -207,9 +221,11 @@ impl Record {
         });
         let speeds: Vec<_> = speeds.collect();
         let before = speeds.iter().rev().find(|(at, _)| *at < seated)?.1;
-        let brakes = speeds
-            .iter()
-            .find(|(at, speed)| *at >= seated && *speed < before * BRAKES)?;
-        Some((brakes.0 - seated) * 1e3)
+        // One slow sample is one of a watcher that was late.
+        let brakes = speeds.windows(BRAKING).find(|window| {
+            let slow = |(at, speed): &(f64, f64)| *at >= seated && *speed < before * BRAKES;
+            window.iter().all(slow)
+        })?;
+        Some((brakes.first()?.0 - seated) * 1e3)
     }
 }

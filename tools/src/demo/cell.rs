@@ -9,12 +9,13 @@ use takt_embedded::Machines;
 
 use super::motion;
 
-/// A cell to show: two KUKA LWRs, or these beside a Stäubli TX90 and a KUKA youBot, each on an EtherCAT segment, or a test
-/// station of three servomotors at EtherCAT terminals.
+/// A cell to show: two KUKA LWRs, or these beside a Stäubli TX90 and a KUKA youBot, each on an EtherCAT segment, or with grippers, a
+/// screwdriver and a youBot base in a world of bodies, or a test station of three servomotors at EtherCAT terminals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Kind {
     Pair,
     Factory,
+    Assembly,
     Lola,
 }
 
@@ -73,7 +74,8 @@ pub(super) const STATION: Arm = Arm {
 };
 
 impl Kind {
-    /// The nets that move all that can move, for a motion of that length; the machine that does so on the station.
+    /// The nets that move all that can move, for a motion of that length; the machine that does so on the station. A program makes those
+    /// of the assembly while it runs.
     pub(super) fn nets(self, duration: Duration) -> Vec<String> {
         if self == Self::Lola {
             return vec![MACHINE.to_owned()];
@@ -87,7 +89,7 @@ impl Kind {
         match self {
             Self::Pair => &[&[LEFT, RIGHT]],
             Self::Factory => &[&[LEFT, RIGHT], &[TX90], &[ARM], &[BASE]],
-            Self::Lola => &[],
+            Self::Assembly | Self::Lola => &[],
         }
     }
 
@@ -96,6 +98,7 @@ impl Kind {
         match self {
             Self::Pair => &[LEFT, RIGHT],
             Self::Factory => &[LEFT, RIGHT, TX90, ARM, BASE],
+            Self::Assembly => &[LEFT, RIGHT, BASE],
             Self::Lola => &[STATION],
         }
     }
@@ -105,6 +108,7 @@ impl Kind {
         match self {
             Self::Pair => "two_lwr",
             Self::Factory => "factory",
+            Self::Assembly => "assembly",
             Self::Lola => "lola",
         }
     }

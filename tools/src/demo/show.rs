@@ -31,7 +31,7 @@ const PAUSE: Duration = Duration::from_secs(1);
 /// How long an opener of addresses may take until its result counts as good: some stay until the browser ends.
 const OPENER: Duration = Duration::from_secs(2);
 /// Any free port of loopback.
-const ANY: std::net::SocketAddr =
+pub(super) const ANY: std::net::SocketAddr =
     std::net::SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 0);
 
 /// What a part of the cell does.
@@ -85,7 +85,9 @@ impl Demo {
         client.open_session("takt demo")?;
         let ended = match self.robots {
             Kind::Lola => self.repeat_machine(&controller, &machines, &mut client, &stop),
-            Kind::Pair | Kind::Factory => self.repeat(&controller, &mut client, &stop),
+            Kind::Pair | Kind::Factory | Kind::Assembly => {
+                self.repeat(&controller, &mut client, &stop)
+            }
         };
         drop(client);
         stop_server(server);
@@ -235,7 +237,7 @@ impl Part<'_> {
 }
 
 /// Opens an address in the user's browser; says so if that is not possible. The address is printed in any case.
-fn open(address: &str) {
+pub(super) fn open(address: &str) {
     let child = Command::new("xdg-open")
         .arg(address)
         .stdin(Stdio::null())

@@ -1,0 +1,45 @@
+//! Two arms assemble a workpiece: the program in `program.rs`, with and without blending. A table of its steps.
+//! `cargo run -p takt-api --features embedded --example assembly`
+
+#![expect(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "an example shows what it does"
+)]
+
+mod program;
+
+use std::time::Duration;
+
+use program::{Done, Progress};
+use takt_api::Cell;
+
+fn main() -> Done {
+    // Each in a cell of its own: the boxes are on the platform again.
+    let run = |is_blended| program::run(&Cell::emulated("assembly")?, is_blended, &print);
+    let (blended, stopping) = (run(true)?, run(false)?);
+    println!("step                   blended   stopping");
+    for (step, other) in blended.iter().zip(&stopping) {
+        let [with, without] = [step, other].map(|step| step.duration.as_secs_f64());
+        println!("{:20} {with:7.2} s  {without:7.2} s", step.name);
+    }
+    let [with, without] = [blended, stopping].map(|steps| {
+        let durations = steps.iter().map(|step| step.duration);
+        durations.sum::<Duration>().as_secs_f64()
+    });
+    println!(
+        "cycle {with:.1} s, {:.0} % of {without:.1} s without blending",
+        100.0 * with / without
+    );
+    Ok(())
+}
+
+fn print(progress: Progress<'_>) {
+    match progress {
+        Progress::Begins(name) => eprintln!("{name}"),
+        Progress::Ended(step) => {
+            eprintln!("{:20} {:5.1} s", step.name, step.duration.as_secs_f64())
+        }
+        Progress::Note(text) => eprintln!("note: {text}"),
+    }
+}

@@ -1,0 +1,305 @@
+//! `takt demo --cell assembly`: a program of the Robotics API assembles a workpiece with two arms, a base and a screwdriver. It is
+//! that of the example `assembly`, a client like any other; the figures are from the truth of the world, which it does not know.
+
+mod plot;
+#[path = "../../../rcc/api/examples/assembly/program.rs"]
+mod program;
+mod report;
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use takt_api::Cell;
+use takt_core::Controller;
+use takt_core::record::Recorder;
+use takt_core::stop_channel::StopSwitch;
+use takt_embedded::{CellWorld, EmulatedCell, Fault, Faults, Machines, watch};
+use takt_rt::host::{HostConfig, prepare};
+use takt_server::{LogBook, ServerThreads};
+
+use super::Demo;
+use super::show::{ANY, open};
+use crate::Verdict;
+use crate::output::{check_writable, complain, say};
+use crate::run::{Access, print_grants, start_server, stop_channel, stop_server};
+use crate::signal::Stop;
+use program::{Progress, Step};
+use report::{Ended, Report};
+
+/// Its picture and its recording, unless others are named.
+const SVG: &str = "assembly.svg";
+const RECORDING: &str = "assembly.mcap";
+/// How long the world is watched after the program has ended.
+const AFTER: Duration = Duration::from_secs(2);
+/// Within this time a datagram is the last one of a line that was cut.
+const CUT: Duration = Duration::from_millis(10);
+/// The arm whose set-points are watched, and that loses its network.
+const RIGHT: &str = "right";
+
+/// A step of the program in the picture, s on the clock of the world.
+#[derive(Debug)]
+struct Span {
+    name: &'static str,
+    from_s: f64,
+    to_s: f64,
+}
+
+/// What the program has reported.
+#[derive(Debug, Default)]
+struct Log {
+    spans: Vec<Span>,
+    notes: Vec<&'static str>,
+}
+
+impl Log {
+    /// Prints what the program reports, and keeps it.
+    fn take(&mut self, progress: Progress<'_>, is_quiet: bool) {
+        let now_s = takt_rt::monotonic().as_secs_f64();
+        match progress {
+            Progress::Begins(name) => self.spans.push(Span {
+                name,
+                from_s: now_s,
+                to_s: now_s,
+            }),
+            Progress::Ended(_) => self.end(now_s),
+            Progress::Note(text) => self.notes.push(text),
+        }
+        if !is_quiet {
+            print(progress);
+        }
+    }
+
+    /// The last step ends here.
+    fn end(&mut self, now_s: f64) {
+        if let Some(span) = self.spans.last_mut() {
+            span.to_s = now_s;
+        }
+    }
+}
+
+fn print(progress: Progress<'_>) {
+    match progress {
+        Progress::Begins(_) => {}
+        Progress::Ended(Step { name, duration }) => {
+            complain(&format!("{name:20} {:5.1} s", duration.as_secs_f64()));
+        }
+        Progress::Note(text) => complain(&format!("note: {text}")),
+    }
+}
+
+impl Demo {
+    /// Assembles a workpiece.
+    pub(super) fn assemble(&self) -> anyhow::Result<Verdict> {
+        if let Some(address) = &self.program {
+            return self.only_program(address);
+        }
+        let mut emulated = EmulatedCell::named(self.robots.cell())?;
+        let around = CellWorld::assembly(&emulated.config, self.seed)?;
+        let world = around.world.clone();
+        emulated.world = Some(around);
+        if self.open {
+            emulated.config.controller.websocket = Some(ANY);
+        }
+        let svg = self.svg_or(SVG);
+        let record = self.record.clone().unwrap_or_else(|| RECORDING.into());
+        check_writable(&svg)?;
+        let mut faults = Faults::new(&world, &self.fault);
+        let stop = Stop::listen()?;
+        let host = prepare(&HostConfig::default());
+        let switch = StopSwitch::default();
+        let channel = stop_channel(&emulated.config, None, &switch)?;
+        if self.guard {
+            takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
+        }
+        let recording = Some(Recorder::start(&record)?);
+        let controller = Controller::start_under(&emulated.config, recording, switch)?;
+        if !self.json {
+            print_grants(&host, &controller);
+        }
+        let (access, book) = (Access::default(), LogBook::default());
+        let server = start_server(&emulated.config, &controller, access, book, Some(&channel))?;
+        let machines = Machines::start(&controller, emulated, self.drop)?;
+        self.wait_until_ready(&controller, &machines, &stop)?;
+        if let Some(page) = server.http_address().filter(|_| self.open) {
+            let page = format!("http://{page}/#cell");
+            say(&format!("page       {page}"))?;
+            open(&page);
+        }
+        let address = server.tcp_address().context("the server does not listen")?;
+        // Until they are killed.
+        let alive = Mutex::new(Some((server, controller)));
+        let (log, child) = (Mutex::new(Log::default()), Mutex::new(None));
+        let work = || {
+            let ended = self.work(&address.to_string(), &log, &child, &stop);
+            lock(&log).end(takt_rt::monotonic().as_secs_f64());
+            std::thread::sleep(AFTER);
+            ended
+        };
+        let statuses = machines.krcs().iter();
+        let right = statuses.clone().find(|(name, _)| name == RIGHT);
+        let right = right.map(|(_, robot)| robot.status());
+        let (ended, seen) = watch(&world, right, work, |truth| match faults.poll(truth) {
+            Some(Fault::ArmLost) => cut(&machines, |name| name == RIGHT),
+            Some(Fault::ProgramKilled) => kill(&child),
+            Some(Fault::ControllerKilled) => {
+                cut(&machines, |_| true);
+                std::thread::sleep(CUT);
+                lock(&alive).take().into_iter().for_each(end);
+            }
+            _ => {}
+        });
+        let truth = world.truth();
+        let log = log.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let mut report = Report::new(self.seed, &self.fault, (ended, &log.notes), &seen, &truth);
+        let drawn = plot::draw(&svg, &seen, &log.spans);
+        let alive = alive.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let mut recorded = None;
+        if let Some((server, controller)) = alive {
+            report.take_controller(&controller);
+            match controller.finish_recording() {
+                Ok(cycles) => recorded = cycles,
+                Err(error) => report.fail(error.to_string()),
+            }
+            if self.open {
+                self.print_report(&report, drawn.is_ok().then_some(&svg), recorded, &record)?;
+                self.stay(&stop)?;
+            }
+            end((server, controller));
+        }
+        machines.stop()?;
+        if !self.open {
+            self.print_report(&report, drawn.is_ok().then_some(&svg), recorded, &record)?;
+        }
+        drawn?;
+        Ok(report.verdict())
+    }
+
+    /// Runs the program here, or as a process of its own that can be killed.
+    fn work(
+        &self,
+        address: &str,
+        log: &Mutex<Log>,
+        child: &Mutex<Option<Child>>,
+        stop: &Stop,
+    ) -> Ended {
+        if self.fault.contains(&Fault::ProgramKilled) {
+            return self
+                .run_process(address, child)
+                .map_err(|error| format!("{error:#}"));
+        }
+        let cell = Cell::connect(address).map_err(|error| error.to_string())?;
+        let report = |progress: Progress<'_>| lock(log).take(progress, self.json);
+        let ended = std::thread::scope(|scope| {
+            let work = scope.spawn(|| {
+                let ended = program::run(&cell, !self.stopping, &report);
+                ended.map_err(|error| error.to_string())
+            });
+            while !work.is_finished() {
+                if stop.is_requested() {
+                    // Everything brakes, and the program ends with an error.
+                    let _ = cell.stop();
+                }
+                std::thread::sleep(super::SAMPLE_EVERY);
+            }
+            let panicked = |_| Err("the program ended by a panic".to_owned());
+            work.join().unwrap_or_else(panicked)
+        });
+        ended.map(|steps| {
+            steps
+                .iter()
+                .map(|step| (step.name, step.duration))
+                .collect()
+        })
+    }
+
+    fn run_process(
+        &self,
+        address: &str,
+        child: &Mutex<Option<Child>>,
+    ) -> anyhow::Result<report::Steps> {
+        let mut command = Command::new(std::env::current_exe()?);
+        command.args(["demo", "--cell", "assembly", "--program", address]);
+        if self.json {
+            command.arg("--json");
+        }
+        *lock(child) = Some(command.spawn()?);
+        loop {
+            let ended = match &mut *lock(child) {
+                Some(child) => child.try_wait()?,
+                None => None,
+            };
+            if let Some(status) = ended {
+                anyhow::bail!("the program ended: {status}");
+            }
+            std::thread::sleep(super::SAMPLE_EVERY);
+        }
+    }
+
+    /// The program alone, for a controller that another process runs.
+    fn only_program(&self, address: &str) -> anyhow::Result<Verdict> {
+        let cell = Cell::connect(address)?;
+        let report = |progress: Progress<'_>| {
+            if !self.json {
+                print(progress);
+            }
+        };
+        let ended = program::run(&cell, !self.stopping, &report);
+        ended.map_err(|error| anyhow::anyhow!("{error}"))?;
+        Ok(Verdict::Good)
+    }
+
+    fn print_report(
+        &self,
+        report: &Report,
+        svg: Option<&PathBuf>,
+        recorded: Option<u64>,
+        record: &Path,
+    ) -> anyhow::Result<()> {
+        if self.json {
+            return say(&serde_json::to_string(report)?);
+        }
+        say(report.text().trim_end())?;
+        if let Some(svg) = svg {
+            say(&format!("plot       {}", svg.display()))?;
+        }
+        if let Some(cycles) = recorded {
+            say(&format!("recording  {}, {cycles} cycles", record.display()))?;
+        }
+        Ok(())
+    }
+
+    /// The page stays until a signal.
+    fn stay(&self, stop: &Stop) -> anyhow::Result<()> {
+        say("Ctrl-C ends the demo")?;
+        while !stop.is_requested() {
+            std::thread::sleep(super::SAMPLE_EVERY);
+        }
+        Ok(())
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Loses all datagrams of arms from now on.
+fn cut(machines: &Machines, which: impl Fn(&str) -> bool) {
+    let arms = machines.krcs().iter().filter(|(name, _)| which(name));
+    arms.for_each(|(_, robot)| robot.status().set_drop(1.0));
+}
+
+fn kill(child: &Mutex<Option<Child>>) {
+    if let Some(child) = &mut *lock(child) {
+        // Fails only if it has ended.
+        let _ = child.kill();
+    }
+}
+
+fn end((server, controller): (ServerThreads, Controller)) {
+    stop_server(server);
+    // Before its robots, so that their end is no fault.
+    drop(controller);
+}

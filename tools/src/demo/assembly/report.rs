@@ -1,0 +1,280 @@
+//! The report of an assembly: its steps, figures from the truth of the world, and the verdict.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use serde::Serialize;
+use takt_core::Controller;
+use takt_embedded::world::Truth;
+use takt_embedded::{Fault, Figures, Record};
+
+use crate::Verdict;
+
+/// Steps of the program, and how long each took.
+pub(super) type Steps = Vec<(&'static str, Duration)>;
+/// How the program ended: its steps, or why it did not come to its end.
+pub(super) type Ended = Result<Steps, String>;
+
+/// Largest internal force of a box, N; and where an arm or a process is lost while both arms carry it.
+const INTERNAL: f64 = 15.0;
+const INTERNAL_LOST: f64 = 48.0;
+/// Largest change of the distance of the hands, mm. Wanted are 0.2 mm; for 60 ms, where a box leaves the platform, it is more.
+const GRASP: f64 = 1.5;
+/// Largest force on the peg, N.
+const PEG: f64 = 25.0;
+/// Least torque of the screw, Nm.
+const TORQUE: f64 = 1.5;
+/// From contact to braking, ms.
+const BRAKES_WITHIN: f64 = 60.0;
+/// A held body is at rest below this speed, m/s.
+const RESTS: f64 = 0.002;
+
+/// The report.
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    ok: bool,
+    /// What speaks against it.
+    faults: Vec<String>,
+    seed: u64,
+    /// Faults that were switched on.
+    injected: Vec<String>,
+    /// Why the program did not come to its end.
+    error: Option<String>,
+    /// What went wrong, and what was done about it.
+    notes: Vec<&'static str>,
+    /// Names of the steps, and how long each took, s.
+    steps: Vec<(&'static str, f64)>,
+    cycle_s: f64,
+    internal_force_n_max: f64,
+    grasp_distance_mm_max: f64,
+    peg_force_n_max: f64,
+    peg_depth_mm: f64,
+    /// From contact of the peg with the bottom to braking of its arm.
+    contact_to_braking_ms: Option<f64>,
+    screw_torque_nm_max: f64,
+    screw_is_seated: bool,
+    /// Boxes that stood still in the air.
+    stops: usize,
+    dropped: usize,
+    /// Bodies in hands at the end.
+    held: Vec<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    controller: Option<Cycles>,
+}
+
+/// Figures of the controller.
+#[derive(Debug, Serialize)]
+struct Cycles {
+    cycles: u64,
+    overruns: u64,
+    rt_allocations: u64,
+    /// Longest time between handing the set-points of one cycle to the first and to the last arm.
+    sync_error_ns_max: i64,
+}
+
+impl Report {
+    pub(super) fn new(
+        seed: u64,
+        injected: &[Fault],
+        (ended, notes): (Ended, &[&'static str]),
+        seen: &Record,
+        truth: &Truth,
+    ) -> Self {
+        let figures = seen.figures(truth);
+        let (steps, error) = match ended {
+            Ok(steps) => (steps, None),
+            Err(error) => (Vec::new(), Some(error)),
+        };
+        let faults = judge(injected, error.as_deref(), notes, &figures, truth);
+        let held = truth.bodies.iter().filter(|body| !body.held_by.is_empty());
+        let seconds = |(name, duration): &(&'static str, Duration)| (*name, duration.as_secs_f64());
+        let steps: Vec<_> = steps.iter().map(seconds).collect();
+        Self {
+            ok: faults.is_empty(),
+            faults,
+            seed,
+            injected: injected.iter().map(ToString::to_string).collect(),
+            error,
+            notes: notes.to_vec(),
+            cycle_s: steps.iter().fold(0.0, |sum, (_, duration)| sum + duration),
+            steps,
+            internal_force_n_max: figures.internal_n,
+            grasp_distance_mm_max: figures.grasp_mm,
+            peg_force_n_max: figures.insertion_n,
+            peg_depth_mm: figures.depth_mm,
+            contact_to_braking_ms: figures.detected_ms,
+            screw_torque_nm_max: figures.torque_nm,
+            screw_is_seated: figures.is_screwed,
+            stops: figures.stops,
+            dropped: figures.dropped,
+            held: held.map(|body| body.name.clone()).collect(),
+            controller: None,
+        }
+    }
+
+    /// Adds the figures of a controller that is not killed.
+    pub(super) fn take_controller(&mut self, controller: &Controller) {
+        let stats = controller.stats();
+        let rt_allocations = takt_rt::alloc::real_time_allocations();
+        if rt_allocations > 0 {
+            self.fail(format!("{rt_allocations} allocations in real-time threads"));
+        }
+        self.controller = Some(Cycles {
+            cycles: stats.cycles,
+            overruns: stats.overruns,
+            rt_allocations,
+            sync_error_ns_max: controller.hand_over().max.0,
+        });
+    }
+
+    /// Adds what speaks against it.
+    pub(super) fn fail(&mut self, fault: String) {
+        self.faults.push(fault);
+        self.ok = false;
+    }
+
+    pub(super) const fn verdict(&self) -> Verdict {
+        if self.ok {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        }
+    }
+
+    /// For people.
+    pub(super) fn text(&self) -> String {
+        let mut text = String::new();
+        if let Some(error) = &self.error {
+            let error = error.replace('\n', "\n           ");
+            let _ = writeln!(text, "ended      {error}");
+        }
+        if !self.steps.is_empty() {
+            let _ = writeln!(text, "cycle time {:.1} s", self.cycle_s);
+        }
+        let _ = writeln!(
+            text,
+            "boxes      internal force at most {:.1} N, distance of the hands within {:.2} mm, {} stops in the air",
+            self.internal_force_n_max, self.grasp_distance_mm_max, self.stops
+        );
+        if self.peg_force_n_max > 0.0 {
+            let braking = self.contact_to_braking_ms;
+            let braking = braking.map_or_else(String::new, |ms| {
+                format!(", the arm brakes {ms:.0} ms after contact with the bottom")
+            });
+            let _ = writeln!(
+                text,
+                "peg        {:.1} mm deep, force at most {:.1} N{braking}",
+                self.peg_depth_mm, self.peg_force_n_max
+            );
+        }
+        if self.screw_torque_nm_max > 0.0 {
+            let seated = if self.screw_is_seated {
+                "seated"
+            } else {
+                "not seated"
+            };
+            let torque = self.screw_torque_nm_max;
+            let _ = writeln!(text, "screw      {seated}, torque at most {torque:.2} Nm");
+        }
+        let held = if self.held.is_empty() {
+            String::new()
+        } else {
+            format!("; the hands hold {}", self.held.join(", "))
+        };
+        let _ = writeln!(text, "parts      {} dropped{held}", self.dropped);
+        if let Some(controller) = &self.controller {
+            let _ = writeln!(
+                text,
+                "cycle      2 ms, {} cycles, {} overruns; both arms had each set-point within {}\nallocations in real-time \
+                 threads: {}",
+                controller.cycles,
+                controller.overruns,
+                crate::output::time(controller.sync_error_ns_max),
+                controller.rt_allocations
+            );
+        }
+        for fault in &self.faults {
+            let fault = fault.replace('\n', "\n           ");
+            let _ = writeln!(text, "FAULT      {fault}");
+        }
+        text + if self.ok { "OK\n" } else { "FAILED\n" }
+    }
+}
+
+/// What is not as it is to be.
+fn judge(
+    injected: &[Fault],
+    error: Option<&str>,
+    notes: &[&str],
+    figures: &Figures,
+    truth: &Truth,
+) -> Vec<String> {
+    let mut faults = Vec::new();
+    let mut check = |is_good: bool, text: String| {
+        if !is_good {
+            faults.push(text);
+        }
+    };
+    let ends_it = injected.iter().find(|fault| !fault.is_overcome());
+    let is_outside = injected.iter().any(|fault| fault.is_outside());
+    let most = if is_outside { INTERNAL_LOST } else { INTERNAL };
+    check(
+        figures.internal_n <= most,
+        format!(
+            "internal force of {:.1} N, more than {most} N",
+            figures.internal_n
+        ),
+    );
+    check(
+        figures.dropped == 0,
+        format!("{} parts dropped", figures.dropped),
+    );
+    if is_outside {
+        let mut boxes = truth.bodies.iter().filter(|body| body.held_by.len() == 2);
+        let rests = boxes.any(|body| body.twist.linear.norm() < RESTS);
+        check(rests, "no box is held at rest by both hands".to_owned());
+    }
+    if let Some(fault) = ends_it {
+        check(
+            error.is_some(),
+            format!("`{fault}` was switched on, and the program did not notice"),
+        );
+        return faults;
+    }
+    if let Some(error) = error {
+        check(false, error.to_owned());
+        return faults;
+    }
+    let fewer = injected.len().saturating_sub(notes.len());
+    check(
+        fewer == 0,
+        format!("{fewer} faults were switched on and not noticed"),
+    );
+    check(
+        figures.grasp_mm <= GRASP,
+        format!(
+            "the distance of the hands changed by {:.2} mm, more than {GRASP} mm",
+            figures.grasp_mm
+        ),
+    );
+    check(
+        figures.insertion_n <= PEG,
+        format!("{:.1} N on the peg, more than {PEG} N", figures.insertion_n),
+    );
+    check(
+        figures.detected_ms.is_some_and(|ms| ms <= BRAKES_WITHIN),
+        format!("the arm did not brake within {BRAKES_WITHIN} ms of contact"),
+    );
+    check(
+        figures.is_screwed && figures.torque_nm >= TORQUE,
+        format!(
+            "the screw is not seated with {TORQUE} Nm: {:.2} Nm",
+            figures.torque_nm
+        ),
+    );
+    check(
+        figures.stops == 0,
+        format!("boxes stood still in the air {} times", figures.stops),
+    );
+    faults
+}

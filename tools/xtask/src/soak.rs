@@ -1,0 +1,142 @@
+//! Runs a whole emulated application many times, with random seeds and faults, and prints a table. It judges nothing itself: each run
+//! reports its own verdict.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::Context as _;
+use clap::ValueEnum;
+use serde_json::Value;
+
+use crate::cargo::{Cargo, note, say, target_dir};
+
+/// What can be run.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Scene {
+    /// Two arms assemble a workpiece
+    Assembly,
+}
+
+/// Faults of the assembly, as `takt demo --fault` names them; as many runs have none.
+const FAULTS: [&str; 12] = [
+    "docks-beside",
+    "stays-beside",
+    "slips",
+    "stays-slippery",
+    "no-peg",
+    "jams",
+    "stays-jammed",
+    "cross-threads",
+    "stays-askew",
+    "arm-lost",
+    "program-killed",
+    "controller-killed",
+];
+/// Figures of the report in the table.
+const FIGURES: [&str; 5] = [
+    "cycle_s",
+    "internal_force_n_max",
+    "peg_force_n_max",
+    "contact_to_braking_ms",
+    "screw_torque_nm_max",
+];
+
+/// Runs of a scene; true if all were good.
+pub(crate) fn run(root: &Path, scene: Scene, runs: u32, seed: u64) -> anyhow::Result<bool> {
+    let Scene::Assembly = scene;
+    // As the tests are built, so that nothing is built twice.
+    if !Cargo::new("build --workspace --all-features --bin takt").succeeds(root)? {
+        return Ok(false);
+    }
+    let target = target_dir(root);
+    let folder = target.join("soak");
+    std::fs::create_dir_all(&folder).context("cannot make a folder for pictures")?;
+    say(
+        "run  seed        fault              verdict  cycle, s  internal, N  peg, N  braking, ms  screw, Nm",
+    );
+    let (mut state, mut failed) = (seed, 0);
+    for number in 1..=runs {
+        let seed = next(&mut state) >> 32;
+        let chosen = usize::try_from(next(&mut state) >> 33).unwrap_or(0) % (2 * FAULTS.len());
+        let fault = FAULTS.get(chosen).copied();
+        let report = one(&target.join("debug/takt"), &folder, seed, fault)?;
+        let is_good = report["ok"] == true;
+        failed += u32::from(!is_good);
+        say(&line(number, seed, fault, &report));
+        for key in ["error", "faults"] {
+            if !is_good && !report[key].is_null() {
+                say(&format!("     {key}: {}", report[key]));
+            }
+        }
+    }
+    say(&format!("{} of {runs} runs good", runs - failed));
+    Ok(failed == 0)
+}
+
+/// The report of a run.
+fn one(takt: &Path, folder: &Path, seed: u64, fault: Option<&str>) -> anyhow::Result<Value> {
+    let path = |name: &str| -> PathBuf { folder.join(name) };
+    let mut command = Command::new(takt);
+    command
+        .args(["demo", "--cell", "assembly", "--json", "--seed"])
+        .arg(seed.to_string())
+        .arg("--svg")
+        .arg(path("assembly.svg"))
+        .arg("--record")
+        .arg(path("assembly.mcap"));
+    if let Some(fault) = fault {
+        command.args(["--fault", fault]);
+    }
+    let output = command.output().context("cannot start takt")?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let report = text
+        .lines()
+        .find_map(|line| serde_json::from_str(line).ok());
+    Ok(report.unwrap_or_else(|| {
+        let error = String::from_utf8_lossy(&output.stderr);
+        note(&error);
+        serde_json::json!({ "ok": false, "error": error.lines().last() })
+    }))
+}
+
+fn line(number: u32, seed: u64, fault: Option<&str>, report: &Value) -> String {
+    let verdict = if report["ok"] == true { "ok" } else { "FAILED" };
+    let figure = |key: &str| match report[key].as_f64() {
+        Some(value) if value > 0.0 => format!("{value:.1}"),
+        _ => "-".to_owned(),
+    };
+    let [cycle, internal, peg, braking, screw] = FIGURES.map(figure);
+    format!(
+        "{number:3}  {seed:10}  {:17}  {verdict:7}  {cycle:>8}  {internal:>11}  {peg:>6}  {braking:>11}  {screw:>9}",
+        fault.unwrap_or("none")
+    )
+}
+
+/// The next number of a sequence (SplitMix64).
+const fn next(state: &mut u64) -> u64 {
+    *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+    let mixed = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    mixed ^ (mixed >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn soak_line_has_figures_and_verdict() {
+        let report = serde_json::json!({ "ok": true, "cycle_s": 71.25, "peg_force_n_max": 17.0 });
+        let expected = "  2           7  jams               ok           71.2            -    17.0            -          -";
+        assert_eq!(line(2, 7, Some("jams"), &report), expected);
+    }
+
+    #[test]
+    fn soak_faults_are_those_of_assembly() {
+        let root = crate::cargo::workspace_root().unwrap();
+        let text = std::fs::read_to_string(root.join("rcc/embedded/src/faults.rs")).unwrap();
+        for fault in FAULTS {
+            assert!(text.contains(&format!("\"{fault}\"")), "{fault}");
+        }
+    }
+}
