@@ -9,7 +9,7 @@ use std::task::{Context, Poll, Wake, Waker};
 use std::time::Duration;
 
 use robotics::{BENT, Bench};
-use takt_api::{ErrorKind, Outcome, Pose, together};
+use takt_api::{ErrorKind, JointTrajectory, Outcome, Pose, together};
 use takt_tests::steady;
 
 fn near(a: &[f64], b: &[f64], tolerance: f64) {
@@ -47,6 +47,83 @@ fn lin_moves_the_flange_to_its_pose() {
         let via = Pose::xyz(x + 0.03, y + 0.05, z);
         assert_eq!(left.circ(via, start).run(), Ok(Outcome::Completed));
         near(&left.pose().unwrap().position(), &start.position(), 1e-4);
+    });
+}
+
+/// Bent, turned about its base.
+fn turned(first: f64) -> [f64; 7] {
+    let mut joints = BENT;
+    joints[0] = first;
+    joints
+}
+
+#[test]
+fn trajectory_reaches_its_points_and_takes_over_in_motion() {
+    steady(|| {
+        let bench = Bench::start();
+        let (_cell, left, _) = bench.arms();
+        let there = JointTrajectory::new()
+            .point(0.5, turned(0.1))
+            .point(1.0, turned(0.2))
+            .goal_tolerance([0.01], 1.0);
+        assert_eq!(left.trajectory(there).run(), Ok(Outcome::Completed));
+        near(&left.commanded().unwrap(), &turned(0.2), 1e-9);
+        // At half of the speed it takes twice as long.
+        let back = JointTrajectory::new().point(0.5, turned(0.0));
+        let begin = std::time::Instant::now();
+        let slow = left.trajectory(back).speed(0.5);
+        assert_eq!(slow.run(), Ok(Outcome::Completed));
+        assert!(begin.elapsed() > Duration::from_millis(900));
+        // One that comes in motion begins with what is commanded then.
+        let far = JointTrajectory::new().point(2.0, turned(1.0));
+        let first = left.trajectory(far).begin().unwrap();
+        std::thread::sleep(Duration::from_millis(800));
+        let back = JointTrajectory::new().point(1.5, turned(0.0));
+        assert_eq!(left.trajectory(back).now().run(), Ok(Outcome::Completed));
+        assert_eq!(first.wait(), Ok(Outcome::TakenOver));
+        near(&left.commanded().unwrap(), &turned(0.0), 1e-9);
+    });
+}
+
+#[test]
+fn trajectory_beyond_limits_or_tolerance_is_an_error() {
+    steady(|| {
+        let bench = Bench::start();
+        let (_cell, left, _) = bench.arms();
+        let unplanned = |trajectory: JointTrajectory, text: &str| {
+            let error = left.trajectory(trajectory).run().unwrap_err();
+            assert!(matches!(error.kind, ErrorKind::Unplanned { .. }), "{error}");
+            assert!(error.to_string().contains(text), "{error}");
+        };
+        let fast = JointTrajectory::new().point(0.01, turned(1.0));
+        unplanned(fast, "joint 0 at ");
+        let elsewhere = JointTrajectory::new()
+            .point(0.0, turned(0.5))
+            .point(2.0, turned(0.0));
+        unplanned(elsewhere, "joint 0 is 0.500 rad from the first point");
+        let outside = left.trajectory(JointTrajectory::new().point(9.0, turned(9.0)));
+        let error = outside.run().unwrap_err();
+        assert!(matches!(error.kind, ErrorKind::Limit { .. }), "{error}");
+        near(&left.commanded().unwrap(), &BENT, 1e-9);
+        let strict = JointTrajectory::new()
+            .point(1.0, turned(0.5))
+            .path_tolerance([1e-7]);
+        let error = left.trajectory(strict).run().unwrap_err();
+        let ErrorKind::Deviation {
+            joint: 0,
+            place: "path",
+            deviation,
+            ..
+        } = error.kind
+        else {
+            panic!("{error}");
+        };
+        assert!(deviation > 1e-7, "{deviation}");
+        assert_eq!(
+            left.ptp(BENT).run(),
+            Ok(Outcome::Completed),
+            "it can be moved again"
+        );
     });
 }
 

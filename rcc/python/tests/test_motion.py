@@ -29,6 +29,21 @@ def test_ptp_array_reaches_goal(left: takt.Arm) -> None:
     np.testing.assert_allclose(commanded, goal(0.3), atol=1e-9)
 
 
+def test_trajectory_passes_points_and_names_what_is_wrong(left: takt.Arm) -> None:
+    positions = [goal(0.1), goal(0.2), BENT]
+    assert left.trajectory([0.5, 1.0, 2.0], positions, goal_tolerance=[0.01]).run() == Outcome.Completed
+    np.testing.assert_allclose(left.commanded(), BENT, atol=1e-9)
+    with pytest.raises(takt.Invalid, match="2 times, but 1 rows of positions"):
+        left.trajectory([0.5, 1.0], [BENT])
+    with pytest.raises(takt.Unplanned, match="joint 0 at "):
+        left.trajectory([0.01], [goal(1.0)]).run()
+    with pytest.raises(takt.Deviation) as caught:
+        left.trajectory([1.0], [goal(0.5)], path_tolerance=[1e-7]).run()
+    error = caught.value
+    assert (error.device, error.place, error.joint) == ("left", "path", 0) and error.deviation > 1e-7
+    assert left.ptp(BENT).run() == Outcome.Completed
+
+
 def test_home_moves_joints_to_zero(left: takt.Arm) -> None:
     assert left.home(speed=0.8).run() == Outcome.Completed
     np.testing.assert_allclose(left.commanded(), np.zeros(7), atol=1e-9)
