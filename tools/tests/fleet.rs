@@ -107,69 +107,9 @@ fn fleet_lists_reads_commands_and_watches_two_cells() {
     let text = String::from_utf8(top.stdout).unwrap();
     assert!(text.contains("\ncell-b"), "{text}");
 
-    // A resource of a cell behind the router, one that does not exist, and the key of the stop channel, which is not shown.
-    let text = expect_status(&fleet(&endpoint, &["call", "cell-b", "get", "devices"]), 0);
-    assert_eq!(json(&text)["device"][0]["name"], "left");
-    let none = fleet(&endpoint, &["call", "cell-b", "get", "nonsense"]);
-    expect_status(&none, 1);
-    assert!(
-        complaint(&none).contains("Resources: "),
-        "{}",
-        complaint(&none)
-    );
-    let stop = expect_status(&fleet(&endpoint, &["call", "cell-a", "get", "stop"]), 0);
-    assert_eq!(json(&stop)["stopped"], false);
-    assert!(json(&stop)["key"].is_null(), "{stop}");
-
-    // Watched before the command, from another process.
-    let watch = [
-        "fleet",
-        "watch",
-        "*/net/*/state",
-        "--json",
-        "--connect",
-        &endpoint,
-    ];
-    let mut watch = Process::start(&watch);
-    let body = format!("\"{ENDLESS}\",\"s0\",\"of the fleet\"");
-    let load = ["call", "cell-a", "run", "nene", &body];
-    let refused = fleet(&endpoint, &load);
-    expect_status(&refused, 2);
-    assert!(
-        complaint(&refused).contains("--yes"),
-        "{}",
-        complaint(&refused)
-    );
-    let text = expect_status(&fleet(&endpoint, &[&load[..], &["--yes"]].concat()), 0);
-    assert_eq!(text.trim(), "f=ok(\"rpinet0\")");
-    let start = ["call", "cell-a", "run", "nest", "\"rpinet0\"", "--yes"];
-    expect_status(&fleet(&endpoint, &start), 0);
-    let seen = watch.wait_until("a net that runs", |line| line.contains("\"RUNNING\""));
-    assert_eq!(json(&seen)["key"], "takt/cell-a/net/rpinet0/state");
-    let wrong = ["call", "cell-a", "run", "nest", "\"rpinet7\"", "--yes"];
-    let text = expect_status(&fleet(&endpoint, &wrong), 1);
-    assert!(text.starts_with("f=err("), "{text}");
-
-    // Joints of a cell behind the router, in batches: time, measured and commanded positions.
-    let watch = [
-        "watch",
-        "cell-b/device/left/joints",
-        "--count",
-        "2",
-        "--json",
-    ];
-    let text = expect_status(&fleet(&endpoint, &watch), 0);
-    let batch = json(text.lines().last().unwrap());
-    let rows = batch["value"]["rows"].as_array().unwrap();
-    assert!(rows.len() > 1, "{text}");
-    let positions = rows[0][1].as_array().unwrap();
-    assert!(positions.len() == 7 && positions[0].is_f64(), "{text}");
-    let of = |row: usize| rows[row][0].as_f64().unwrap();
-    assert!(
-        (of(1) - of(0) - 0.002).abs() < 1e-6,
-        "500 Hz of 1 kHz: {text}"
-    );
-
+    resources_are_read(&endpoint);
+    command_is_executed_and_watched(&endpoint);
+    joints_come_in_batches(&endpoint);
     // The right to command is the cell's own to give.
     let denied = run(&[
         "fleet",
@@ -205,6 +145,75 @@ fn fleet_lists_reads_commands_and_watches_two_cells() {
     assert_eq!(list(&endpoint, 1)[0]["cell"], "cell-a");
 }
 
+fn resources_are_read(endpoint: &str) {
+    // A resource of a cell behind the router, one that does not exist, and the key of the stop channel, which is not shown.
+    let text = expect_status(&fleet(endpoint, &["call", "cell-b", "get", "devices"]), 0);
+    assert_eq!(json(&text)["device"][0]["name"], "left");
+    let none = fleet(endpoint, &["call", "cell-b", "get", "nonsense"]);
+    expect_status(&none, 1);
+    assert!(
+        complaint(&none).contains("Resources: "),
+        "{}",
+        complaint(&none)
+    );
+    let stop = expect_status(&fleet(endpoint, &["call", "cell-a", "get", "stop"]), 0);
+    assert_eq!(json(&stop)["stopped"], false);
+    assert!(json(&stop)["key"].is_null(), "{stop}");
+}
+
+fn command_is_executed_and_watched(endpoint: &str) {
+    // Watched before the command, from another process.
+    let watch = [
+        "fleet",
+        "watch",
+        "*/net/*/state",
+        "--json",
+        "--connect",
+        endpoint,
+    ];
+    let mut watch = Process::start(&watch);
+    let body = format!("\"{ENDLESS}\",\"s0\",\"of the fleet\"");
+    let load = ["call", "cell-a", "run", "nene", &body];
+    let refused = fleet(endpoint, &load);
+    expect_status(&refused, 2);
+    assert!(
+        complaint(&refused).contains("--yes"),
+        "{}",
+        complaint(&refused)
+    );
+    let text = expect_status(&fleet(endpoint, &[&load[..], &["--yes"]].concat()), 0);
+    assert_eq!(text.trim(), "f=ok(\"rpinet0\")");
+    let start = ["call", "cell-a", "run", "nest", "\"rpinet0\"", "--yes"];
+    expect_status(&fleet(endpoint, &start), 0);
+    let seen = watch.wait_until("a net that runs", |line| line.contains("\"RUNNING\""));
+    assert_eq!(json(&seen)["key"], "takt/cell-a/net/rpinet0/state");
+    let wrong = ["call", "cell-a", "run", "nest", "\"rpinet7\"", "--yes"];
+    let text = expect_status(&fleet(endpoint, &wrong), 1);
+    assert!(text.starts_with("f=err("), "{text}");
+}
+
+fn joints_come_in_batches(endpoint: &str) {
+    // Joints of a cell behind the router, in batches: time, measured and commanded positions.
+    let watch = [
+        "watch",
+        "cell-b/device/left/joints",
+        "--count",
+        "2",
+        "--json",
+    ];
+    let text = expect_status(&fleet(endpoint, &watch), 0);
+    let batch = json(text.lines().last().unwrap());
+    let rows = batch["value"]["rows"].as_array().unwrap();
+    assert!(rows.len() > 1, "{text}");
+    let positions = rows[0][1].as_array().unwrap();
+    assert!(positions.len() == 7 && positions[0].is_f64(), "{text}");
+    let of = |row: usize| rows[row][0].as_f64().unwrap();
+    assert!(
+        (of(1) - of(0) - 0.002).abs() < 1e-6,
+        "500 Hz of 1 kHz: {text}"
+    );
+}
+
 #[test]
 fn fleet_doctor_judges_links_clocks_and_names() {
     let _alone = alone();
@@ -216,12 +225,12 @@ fn fleet_doctor_judges_links_clocks_and_names() {
     assert!(text.contains("reachable, linked in "), "{text}");
     assert!(text.contains("ok    cell-a: answers in "), "{text}");
     assert!(text.contains("cell-a: clock "), "{text}");
-    let nobody = free_endpoint();
-    let failed = fleet(&nobody, &["doctor", "--json"]);
+    let unused = free_endpoint();
+    let failed = fleet(&unused, &["doctor", "--json"]);
     let rows = json(&expect_status(&failed, 1));
     assert_eq!(rows["rows"][0]["grade"], "FAIL");
-    assert_eq!(rows["rows"][0]["subject"], nobody.as_str());
-    let output = fleet(&nobody, &["list"]);
+    assert_eq!(rows["rows"][0]["subject"], unused.as_str());
+    let output = fleet(&unused, &["list"]);
     expect_status(&output, 2);
     assert!(complaint(&output).contains("hint: start the controller with [fleet]"));
 }

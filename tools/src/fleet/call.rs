@@ -11,7 +11,7 @@ use takt_fleet::command::LossPolicy;
 use takt_fleet::keys::CellName;
 use takt_fleet::session::remote::Remote;
 
-use super::Link;
+use super::link::Link;
 use crate::Verdict;
 use crate::output::{complain, positive_span, say};
 
@@ -152,9 +152,8 @@ impl Call {
             Some("-") => {
                 let mut text = String::new();
                 let bound = u64::try_from(MESSAGE_BYTES_MAX).unwrap_or(u64::MAX);
-                let input = std::io::stdin().take(bound);
-                let mut input = input;
-                input
+                std::io::stdin()
+                    .take(bound)
                     .read_to_string(&mut text)
                     .context("cannot read standard input")?;
                 text.trim_end().to_owned()

@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde_json::json;
 use takt_fleet::session::observer;
 
-use super::Link;
+use super::link::Link;
 use super::reading::{Cell, read};
 use crate::Verdict;
 use crate::output::{say, time, wrapped};

@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use super::Link;
+use super::link::Link;
 use super::reading::{Cell, read, table};
 use crate::Verdict;
 use crate::output::say;

@@ -10,7 +10,7 @@ use ratatui::style::{Color, Style, Stylize as _};
 use ratatui::text::Line;
 use takt_fleet::session::observer::Fleet;
 
-use super::Link;
+use super::link::Link;
 use super::reading::{Cell, read, table};
 use crate::Verdict;
 use crate::output::{chain, say, span_of_ms, time};

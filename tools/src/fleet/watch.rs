@@ -8,7 +8,7 @@ use takt_fleet::config::is_cell_name;
 use takt_fleet::keys::ROOT;
 use takt_fleet::session::observer::Seen;
 
-use super::Link;
+use super::link::Link;
 use crate::Verdict;
 use crate::output::{complain, positive_span, say};
 use crate::signal::Stop;

@@ -7,7 +7,6 @@
 //! command that takes long delays neither the keep-alive of its session nor other sessions.
 
 mod commands;
-mod joints;
 mod publish;
 mod reach;
 
@@ -214,7 +213,7 @@ impl Member {
         })?;
         member.spawn("fleet-pub", |shared| publish::publish(&shared))?;
         if settings.joints_hz > 0 {
-            member.spawn("fleet-joints", |shared| joints::publish(&shared))?;
+            member.spawn("fleet-joints", |shared| publish::publish_joints(&shared))?;
         }
         // At last: who sees it can query.
         let token = shared.session.liveliness().declare_token(keys.alive());

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -252,10 +252,7 @@ impl Watch {
     /// The next that is seen; `None` after the timeout.
     #[must_use]
     pub fn next(&self, timeout: Duration) -> Option<Seen> {
-        match self.seen.recv_timeout(timeout) {
-            Ok(seen) => Some(seen),
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => None,
-        }
+        self.seen.recv_timeout(timeout).ok()
     }
 
     /// Number of samples that were sent and did not arrive, or came faster than they were taken.

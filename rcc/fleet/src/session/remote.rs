@@ -115,13 +115,14 @@ impl Remote {
                 }
             })
         };
-        let (boot, life_ns) = match ask(&SessionRequest::Hello {})? {
-            Reply::Hello {
-                boot,
-                nonce_life_ns,
-                ..
-            } => (boot, nonce_life_ns),
-            other => return Err(refused(cell, other)),
+        let hello = ask(&SessionRequest::Hello {})?;
+        let Reply::Hello {
+            boot,
+            nonce_life_ns: life_ns,
+            ..
+        } = hello
+        else {
+            return Err(refused(cell, hello));
         };
         let open = SessionRequest::Open {
             boot,
@@ -129,15 +130,17 @@ impl Remote {
             client: client.to_owned(),
             on_loss,
         };
-        let (number, granted) = match ask(&open)? {
-            Reply::Granted {
-                session,
-                nonce,
-                expires_ns,
-                ..
-            } => (session, Granted { nonce, expires_ns }),
-            other => return Err(refused(cell, other)),
+        let reply = ask(&open)?;
+        let Reply::Granted {
+            session: number,
+            nonce,
+            expires_ns,
+            ..
+        } = reply
+        else {
+            return Err(refused(cell, reply));
         };
+        let granted = Granted { nonce, expires_ns };
         let link = Arc::new(Link {
             session,
             keys,
@@ -270,12 +273,12 @@ impl Link {
 
 fn refused(cell: &CellName, reply: Reply) -> RemoteError {
     let cell = cell.to_string();
-    match reply {
-        Reply::Refused { reason, text, .. } => RemoteError::Refused { cell, reason, text },
-        other => RemoteError::Answer {
-            cell,
-            text: format!("an answer to another request: {}", to_json(&other)),
-        },
+    if let Reply::Refused { reason, text, .. } = reply {
+        return RemoteError::Refused { cell, reason, text };
+    }
+    RemoteError::Answer {
+        cell,
+        text: format!("an answer to another request: {}", to_json(&reply)),
     }
 }
 

@@ -2,6 +2,7 @@
 //! subscribers nothing is sampled.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
@@ -84,10 +85,10 @@ impl Joints {
         self.scopes
             .retain(|name, _| wanted.iter().any(|arm| arm.name == *name));
         for arm in wanted {
-            if !self.scopes.contains_key(&arm.name) {
+            if let Entry::Vacant(free) = self.scopes.entry(arm.name.clone()) {
                 match controller.scope(&arm.request()) {
                     Ok(scope) => {
-                        self.scopes.insert(arm.name.clone(), scope);
+                        free.insert(scope);
                     }
                     // Too many scopes, or the device has just gone: tried again with the next batch.
                     Err(why) => tracing::debug!("no joints of {} for the fleet: {why}", arm.name),

@@ -1,12 +1,15 @@
 //! The threads that publish telemetry and answer questions. They change nothing.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
 use zenoh::query::Query;
 use zenoh_ext::{
     AdvancedPublisher, AdvancedPublisherBuilderExt as _, CacheConfig, MissDetectionConfig,
@@ -19,6 +22,9 @@ use crate::session::SessionError;
 
 /// How often the number of the newest line of the log is sent, so that a subscriber misses the last one no longer than this.
 const LOG_HEARTBEAT: Duration = Duration::from_millis(500);
+
+/// Time from one batch to the next.
+const BATCH_PERIOD: Duration = Duration::from_millis(50);
 
 /// Answers queries of information and resources.
 pub(super) fn answer(shared: &Shared, queue: &Receiver<Query>) {
@@ -197,10 +203,10 @@ fn declare(
 
 /// Reports at its onset that the network takes nothing, and once that it does again.
 #[derive(Debug, Default)]
-pub(super) struct Failure(bool);
+struct Failure(bool);
 
 impl Failure {
-    pub(super) fn note(&mut self, error: Option<SessionError>) {
+    fn note(&mut self, error: Option<SessionError>) {
         let did = std::mem::replace(&mut self.0, error.is_some());
         match error {
             Some(why) if !did => {
@@ -225,6 +231,49 @@ fn look_for_clash(shared: &Shared) -> Result<(), SessionError> {
         ),
         (true, false) => tracing::info!("no other controller has the name `{name}` any more"),
         _ => {}
+    }
+    Ok(())
+}
+
+/// Publishes joints of devices until the member leaves, in batches, and only while a subscriber is there. Batches carry no number and are
+/// dropped if the link is slow: a subscriber sees lost samples by their times.
+pub(super) fn publish_joints(shared: &Shared) {
+    let mut topics = BTreeMap::new();
+    let mut failure = Failure::default();
+    while !shared.ends() {
+        failure.note(update_joints(shared, &mut topics).err());
+        std::thread::park_timeout(BATCH_PERIOD);
+    }
+}
+
+fn update_joints<'a>(
+    shared: &'a Shared,
+    topics: &mut BTreeMap<String, Publisher<'a>>,
+) -> Result<(), SessionError> {
+    let mut arms = shared.cell.arms();
+    arms.truncate(TOPICS_MAX);
+    topics.retain(|name, _| arms.contains(name));
+    for name in arms {
+        if let Entry::Vacant(free) = topics.entry(name) {
+            let key = shared.keys.device_joints(free.key());
+            let topic = shared.session.declare_publisher(key);
+            let topic = topic.congestion_control(CongestionControl::Drop).wait();
+            free.insert(topic.map_err(SessionError::of("cannot declare joints"))?);
+        }
+    }
+    let mut wanted = Vec::new();
+    for (name, topic) in &*topics {
+        let matching = topic.matching_status().wait();
+        let matching = matching.map_err(SessionError::of("cannot look for subscribers"))?;
+        if matching.matching() {
+            wanted.push(name.clone());
+        }
+    }
+    for (name, batch) in shared.cell.joints(&wanted) {
+        if let Some(topic) = topics.get(&name) {
+            let put = topic.put(batch.to_string()).wait();
+            put.map_err(SessionError::of("cannot publish joints"))?;
+        }
     }
     Ok(())
 }
