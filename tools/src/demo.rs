@@ -92,26 +92,8 @@ pub(crate) struct Demo {
 impl Demo {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         let nets = self.robots.nets(self.duration);
-        if self.print_net {
-            anyhow::ensure!(
-                self.robots != Kind::Assembly,
-                "the program of `assembly` makes its nets while it runs\nhint: `takt record info assembly.mcap` lists those of a run"
-            );
-            nets.iter().try_for_each(|net| say(net.trim_end()))?;
-            return Ok(Verdict::Good);
-        }
-        if let Some(recording) = &self.from {
-            return replay(recording);
-        }
-        if self.robots == Kind::Assembly {
-            return self.assemble();
-        }
-        anyhow::ensure!(
-            self.fault.is_empty() && !self.stopping && self.program.is_none(),
-            "only `assembly` has faults to switch on and blending to switch off\nhint: add --cell assembly"
-        );
-        if self.open {
-            return self.show();
+        if let Some(verdict) = self.run_without_nets(&nets)? {
+            return Ok(verdict);
         }
         let emulated = EmulatedCell::named(self.robots.cell())?;
         let cell = emulated.config.clone();
@@ -174,6 +156,32 @@ impl Demo {
         let verdict = self.print(&report, cycles, drawn.is_ok().then_some(&svg))?;
         drawn?;
         failed.map_or(Ok(verdict), |error| Err(error.into()))
+    }
+
+    /// All that a demo does but to run nets to their end once: prints them, replays, assembles, or shows the page.
+    fn run_without_nets(&self, nets: &[String]) -> anyhow::Result<Option<Verdict>> {
+        if self.print_net {
+            anyhow::ensure!(
+                self.robots != Kind::Assembly,
+                "the program of `assembly` makes its nets while it runs\nhint: `takt record info assembly.mcap` lists those of a run"
+            );
+            nets.iter().try_for_each(|net| say(net.trim_end()))?;
+            return Ok(Some(Verdict::Good));
+        }
+        if let Some(recording) = &self.from {
+            return replay(recording).map(Some);
+        }
+        if self.robots == Kind::Assembly {
+            return self.assemble().map(Some);
+        }
+        anyhow::ensure!(
+            self.fault.is_empty() && !self.stopping && self.program.is_none(),
+            "only `assembly` has faults to switch on and blending to switch off\nhint: add --cell assembly"
+        );
+        if self.open {
+            return self.show().map(Some);
+        }
+        Ok(None)
     }
 
     fn svg_or(&self, default: &str) -> PathBuf {

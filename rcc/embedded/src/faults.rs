@@ -163,7 +163,16 @@ impl Faults {
                 Fault::CrossThreads if has_bitten(truth) => {
                     self.world.turn_knobs(|knobs| knobs.cross_threads = false);
                 }
-                _ => {}
+                Fault::StaysBeside
+                | Fault::Slips
+                | Fault::StaysSlippery
+                | Fault::NoPeg
+                | Fault::StaysJammed
+                | Fault::CrossThreads
+                | Fault::StaysAskew
+                | Fault::ArmLost
+                | Fault::ProgramKilled
+                | Fault::ControllerKilled => {}
             }
         }
         let outside = self.faults.iter().find(|fault| fault.is_outside());

@@ -92,6 +92,10 @@ fn print(progress: Progress<'_>) {
 
 impl Demo {
     /// Assembles a workpiece.
+    #[expect(
+        clippy::too_many_lines,
+        reason = "the order in which a cell starts and ends, in one place"
+    )]
     pub(super) fn assemble(&self) -> anyhow::Result<Verdict> {
         if let Some(address) = &self.program {
             return self.only_program(address);

@@ -38,7 +38,7 @@ fn print(progress: Progress<'_>) {
     match progress {
         Progress::Begins(name) => eprintln!("{name}"),
         Progress::Ended(step) => {
-            eprintln!("{:20} {:5.1} s", step.name, step.duration.as_secs_f64())
+            eprintln!("{:20} {:5.1} s", step.name, step.duration.as_secs_f64());
         }
         Progress::Note(text) => eprintln!("note: {text}"),
     }
