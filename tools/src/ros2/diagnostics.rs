@@ -74,10 +74,17 @@ fn of_devices(address: &str, devices: &Value) -> Vec<Status> {
 }
 
 fn of_device(device: &Value) -> Status {
-    let text = |key: &str| match &device[key] {
-        Value::String(text) => text.clone(),
-        Value::Null => String::new(),
-        other => other.to_string(),
+    let text = |key: &str| {
+        let value = &device[key];
+        let text = value.as_str().map(str::to_owned);
+        let other = || {
+            if value.is_null() {
+                String::new()
+            } else {
+                value.to_string()
+            }
+        };
+        text.unwrap_or_else(other)
     };
     let (name, state) = (text("name"), text("state"));
     let (level, message) = match state.as_str() {

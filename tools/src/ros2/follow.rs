@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use takt_api::{Handle, JointTrajectory, Outcome, Waypoint, together};
+use takt_api::{ErrorKind, Handle, JointTrajectory, Waypoint, together};
 use takt_fleet::ros::goal::{Allowed, Checked, check, check_trajectory, code, seconds};
 use takt_fleet::ros::messages::{self, Feedback, FollowGoal, GoalId, Nanos, Point, Trajectory};
 use takt_fleet::ros::node::{Node, now};
@@ -133,15 +133,18 @@ impl Performer for Follow {
     }
 
     fn result(&self, status: u8, end: &End) -> Vec<u8> {
-        use takt_api::ErrorKind;
         let code = match end {
-            End::Ended(Ok(Outcome::Completed | Outcome::Maintaining)) => code::SUCCESSFUL,
-            End::Ended(Err(error)) => match &error.kind {
-                ErrorKind::Deviation { place: "path", .. } => code::PATH_TOLERANCE_VIOLATED,
-                ErrorKind::Deviation { .. } => code::GOAL_TOLERANCE_VIOLATED,
-                _ => code::INVALID_GOAL,
-            },
             End::Ended(Ok(_)) => code::SUCCESSFUL,
+            End::Ended(Err(error)) => {
+                if let ErrorKind::Deviation { place, .. } = &error.kind {
+                    match *place {
+                        "path" => code::PATH_TOLERANCE_VIOLATED,
+                        _ => code::GOAL_TOLERANCE_VIOLATED,
+                    }
+                } else {
+                    code::INVALID_GOAL
+                }
+            }
             End::NotBegun(_) | End::NoGoal => code::INVALID_GOAL,
         };
         let mut text = end.text();

@@ -12,7 +12,7 @@ use takt_fleet::ros::action::{GoalStatus, Goals, Requested, UNKNOWN};
 use takt_fleet::ros::keys::Qos;
 use takt_fleet::ros::messages::{self, GoalId, Nanos};
 use takt_fleet::ros::node::{Node, NodeError, Publisher, Request, now};
-use takt_fleet::ros::types::{ActionType, CANCEL_GOAL, GOAL_STATUS_ARRAY};
+use takt_fleet::ros::types::{ActionType, CANCEL_GOAL, GOAL_STATUS_ARRAY, Type};
 
 use crate::output::{chain, complain};
 use crate::signal::Stop;
@@ -203,7 +203,7 @@ pub(super) struct Server<P: Performer> {
 pub(super) fn offer<P: Performer>(
     node: &Node,
     name: &str,
-    (ty, feedbacks): (&ActionType, &[takt_fleet::ros::types::Type]),
+    (ty, feedbacks): (&ActionType, &[Type]),
     performer: P,
     (refusals, stop): (&Refusals, &Stop),
 ) -> Result<(Server<P>, Queue), NodeError> {
@@ -215,15 +215,13 @@ pub(super) fn offer<P: Performer>(
         refusals: refusals.clone(),
     };
     let part = |part: &str| format!("{name}/_action/{part}");
-    let kinds: [(&str, _, fn(Request) -> Event); 3] = [
-        ("send_goal", &ty.send_goal, Event::SendGoal),
-        ("get_result", &ty.get_result, Event::GetResult),
-        ("cancel_goal", &CANCEL_GOAL, Event::Cancel),
-    ];
-    for (service, ty, event) in kinds {
+    let service = |service: &str, ty: &Type, event: fn(Request) -> Event| {
         let queue = queue.clone();
-        node.service(&part(service), ty, move |request| queue.put(event(request)))?;
-    }
+        node.service(&part(service), ty, move |request| queue.put(event(request)))
+    };
+    service("send_goal", &ty.send_goal, Event::SendGoal)?;
+    service("get_result", &ty.get_result, Event::GetResult)?;
+    service("cancel_goal", &CANCEL_GOAL, Event::Cancel)?;
     let publisher = |ty| node.publisher(&part("feedback"), ty, Qos::TOPIC);
     let feedback = feedbacks.iter().map(publisher);
     let server = Server {

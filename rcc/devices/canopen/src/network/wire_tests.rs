@@ -130,7 +130,7 @@ impl Bench {
                 link: Box::new(near.clone()),
                 network,
                 arms: vec![(arm, Vec::from(axes))],
-                events: events,
+                events,
                 cycle: CYCLE,
                 started: false,
                 shared: Arc::default(),
