@@ -86,7 +86,7 @@ fn trajectory_reaches_its_points_and_takes_over_in_motion() {
 }
 
 #[test]
-fn trajectory_beyond_limits_or_tolerance_is_an_error() {
+fn trajectory_beyond_limits_or_elsewhere_is_an_error() {
     steady(|| {
         let bench = Bench::start();
         let (_cell, left, _) = bench.arms();
@@ -105,25 +105,6 @@ fn trajectory_beyond_limits_or_tolerance_is_an_error() {
         let error = outside.run().unwrap_err();
         assert!(matches!(error.kind, ErrorKind::Limit { .. }), "{error}");
         near(&left.commanded().unwrap(), &BENT, 1e-9);
-        let strict = JointTrajectory::new()
-            .point(1.0, turned(0.5))
-            .path_tolerance([1e-7]);
-        let error = left.trajectory(strict).run().unwrap_err();
-        let ErrorKind::Deviation {
-            joint: 0,
-            place: "path",
-            deviation,
-            ..
-        } = error.kind
-        else {
-            panic!("{error}");
-        };
-        assert!(deviation > 1e-7, "{deviation}");
-        assert_eq!(
-            left.ptp(BENT).run(),
-            Ok(Outcome::Completed),
-            "it can be moved again"
-        );
     });
 }
 

@@ -149,6 +149,7 @@ fn assembly_docks_again_grasps_harder_and_names_missing_peg() {
 }
 
 #[test]
+#[ignore = "takes 90 s beside the others; `cargo xtask soak assembly` tries the same faults"]
 fn assembly_draws_jammed_peg_back_and_names_screw_askew() {
     steady(|| {
         let ended = run(&[Fault::Jams, Fault::StaysAskew]);

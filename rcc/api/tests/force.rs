@@ -8,7 +8,8 @@
 use std::time::Duration;
 
 use takt_api::{
-    Arm, CartesianLimits, Cell, Control, Direction, ErrorKind, ForceLimits, Handle, Outcome, Pose,
+    Arm, CartesianLimits, Cell, Control, Direction, ErrorKind, ForceLimits, Handle,
+    JointTrajectory, Outcome, Pose,
 };
 use takt_tests::steady;
 
@@ -267,5 +268,32 @@ fn impedance_unsupported_by_robot_is_typed_error() {
         let error = arm.switch_to(wrong).run().unwrap_err().kind;
         assert!(matches!(error, ErrorKind::Invalid(_)), "{error}");
         cell.close().unwrap();
+    });
+}
+
+#[test]
+fn trajectory_beyond_its_tolerance_names_joint_and_deviation() {
+    steady(|| {
+        let (_cell, arm) = above_table();
+        let mut up = arm.commanded().unwrap();
+        let start = up.clone();
+        up[5] += 0.5;
+        // The emulated robot follows its set-points some cycles later.
+        let trajectory = JointTrajectory::new()
+            .point(1.0, up)
+            .point(2.0, start)
+            .path_tolerance([1e-5]);
+        let error = arm.trajectory(trajectory).run().unwrap_err();
+        let ErrorKind::Deviation {
+            joint: 5,
+            place: "path",
+            deviation,
+            ..
+        } = error.kind
+        else {
+            panic!("{error}");
+        };
+        assert!((1e-5..0.1).contains(&deviation), "{deviation}");
+        assert_eq!(arm.ptp(ABOVE).run(), Ok(Outcome::Completed));
     });
 }

@@ -188,7 +188,8 @@ fn cell_reference_lists_every_key() {
     let reference = include_str!("../../../docs/cell.md");
     let headings: Vec<_> = reference
         .lines()
-        .filter(|line| line.starts_with("## "))
+        // The keys of a fleet are those of takt-fleet, which compares them.
+        .filter(|line| line.starts_with("## ") && *line != "## `[fleet]`")
         .collect();
     assert_eq!(headings.len(), SECTIONS.len());
     for (section, cell) in SECTIONS {

@@ -55,7 +55,7 @@ for name, text in {
 }.items():
     STORE.register(get_types_from_msg(text, name))
 
-SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+SUCCEEDED, CANCELED = 4, 5
 
 
 def make(name: str, *values: Any) -> Any:
@@ -131,13 +131,12 @@ class Client:
         assert (answered[:8], answered[16:]) == (attachment[:8], attachment[16:])
         return bytes(sample.payload)
 
-    def goal(self, arm: str, wanted: Any, path: float = 0.0, goal_id: bytes | None = None) -> tuple[bool, bytes]:
+    def goal(self, arm: str, wanted: Any) -> tuple[bool, bytes]:
         """Sends a goal; whether it is accepted, and its identifier."""
-        goal_id = goal_id or uuid.uuid4().bytes
+        goal_id = uuid.uuid4().bytes
         identifier = make("unique_identifier_msgs/msg/UUID", numpy.frombuffer(goal_id, dtype=numpy.uint8))
         none = make("trajectory_msgs/msg/MultiDOFJointTrajectory", make("std_msgs/msg/Header", span("Time", 0.0), ""), [], [])
-        tolerances = [make("control_msgs/msg/JointTolerance", name, path, 0.0, 0.0) for name in wanted.joint_names] if path else []
-        request = make("control_msgs/msg/SendGoal", identifier, wanted, none, tolerances, [], [], [], span("Duration", 0.0))
+        request = make("control_msgs/msg/SendGoal", identifier, wanted, none, [], [], [], [], span("Duration", 0.0))
         answer = self.call(f"{arm}/follow_joint_trajectory/_action/send_goal", SEND_GOAL, encode(request))
         return bool(decode(answer, "control_msgs/msg/Accepted").accepted), goal_id
 
@@ -340,18 +339,6 @@ def test_ros2_wrong_goals_are_rejected_and_said(bridge: Bridge) -> None:
     assert bridge.positions("left") == pytest.approx(before, abs=1e-6), "nothing moved"
     unknown = bridge.client.result("left", uuid.uuid4().bytes)
     assert unknown.status == 0 and "no such goal" in unknown.error_string
-
-
-def test_ros2_path_tolerance_names_the_joint(bridge: Bridge) -> None:
-    move(bridge, "left", BENT)
-    there = [*BENT[:5], BENT[5] + 0.8, BENT[6]]
-    accepted, goal_id = bridge.client.goal("left", trajectory(joints("left"), [(1.0, there)]), path=1e-7)
-    assert accepted, bridge.complaints()
-    result = bridge.client.result("left", goal_id)
-    assert (result.status, result.error_code) == (ABORTED, -4), result.error_string
-    assert result.error_string.startswith("left.joint_6: "), result.error_string
-    # The arm can be moved again.
-    move(bridge, "left", BENT)
 
 
 def test_ros2_one_goal_moves_both_arms(bridge: Bridge) -> None:

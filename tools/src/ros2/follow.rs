@@ -201,3 +201,40 @@ impl Follow {
         arm.joints.get(joint).map(String::as_str)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::panic::Location;
+
+    use takt_api::{Error, Outcome};
+
+    use super::*;
+
+    #[test]
+    fn end_of_goal_has_its_code() {
+        let follow = Follow::new(Vec::new(), [0.0, 0.0], Latest::default());
+        let error = |kind| {
+            End::Ended(Err(Error {
+                kind,
+                place: Location::caller(),
+            }))
+        };
+        let deviation = |place| ErrorKind::Deviation {
+            device: "left".to_owned(),
+            place,
+            joint: 2,
+            deviation: 0.02,
+        };
+        for (end, code) in [
+            (End::Ended(Ok(Outcome::Completed)), 0),
+            (End::Ended(Ok(Outcome::TakenOver)), 0),
+            (error(deviation("path")), -4),
+            (error(deviation("goal")), -5),
+            (error(ErrorKind::Invalid("no".to_owned())), -1),
+            (End::NotBegun("too late".to_owned()), -1),
+        ] {
+            let expected = messages::follow_result(4, code, &end.text());
+            assert_eq!(follow.result(4, &end), expected, "{end:?}");
+        }
+    }
+}

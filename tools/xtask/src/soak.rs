@@ -44,8 +44,9 @@ const FIGURES: [&str; 5] = [
 /// Runs of a scene; true if all were good.
 pub(crate) fn run(root: &Path, scene: Scene, runs: u32, seed: u64) -> anyhow::Result<bool> {
     let Scene::Assembly = scene;
-    // As the tests are built, so that nothing is built twice.
-    if !Cargo::new("build --workspace --all-features --bin takt").succeeds(root)? {
+    // With an example, features are those of the tests: nothing is built twice.
+    let build = "build --workspace --all-features --bin takt --example begin";
+    if !Cargo::new(build).succeeds(root)? {
         return Ok(false);
     }
     let target = target_dir(root);

@@ -223,9 +223,15 @@ impl Registry {
             let table = self.keep_last_values(running).table();
             let written = self.flights.as_ref().map(|flights| {
                 let cause = format!("net {id} ended: {why}");
-                flights
-                    .trigger(Trigger::Fault, &id.to_string(), &cause)
-                    .line()
+                // The net may be the first to notice that its device has failed.
+                let device = match end {
+                    End::DeviceFault(number) => self.devices.table.get(number),
+                    End::Runaway | End::Aborted | End::Terminated | End::Halted | End::Stopped => {
+                        None
+                    }
+                };
+                let subject = device.map_or_else(|| id.to_string(), |it| it.name.clone());
+                flights.trigger(Trigger::Fault, &subject, &cause).line()
             });
             let written = written.unwrap_or_default();
             tracing::warn!(net = %id, "net ended: {why}{written}\nlast values, all at /nets/{id}/last:\n{table}");
