@@ -104,7 +104,7 @@ def test_foxglove_peer_decodes_every_topic(peer: pathlib.Path, addresses: Simple
     states = topics["/left/joint_states"]["last"]["value"]
     assert states["name"] == [f"left.joint_{number}" for number in range(1, 8)]
     for _ in range(100):
-        if http(addresses, f"/nets/{net}/")["state"] == "TERMINATED":
+        if http(addresses, f"/nets/{net}/")["status"] == "TERMINATED":
             break
         time.sleep(0.1)
     # At rest, every decoded joint is that of the controller.

@@ -182,7 +182,7 @@ impl States {
             .enumerate()
             .map(|(at, name)| (name.as_str(), at + 1))
             .collect();
-        let rows: Vec<&[f64]> = frame.values.chunks_exact(frame.columns.max(1)).collect();
+        let rows = rows(frame);
         if let Some(time) = rows.last().and_then(|row| row.first()) {
             let offset = now() - nanos(*time);
             let is_new = self
@@ -249,6 +249,11 @@ impl States {
     }
 }
 
+/// The rows of a frame: the time and each column.
+fn rows(frame: &Frame) -> Vec<&[f64]> {
+    frame.values.chunks_exact(frame.columns + 1).collect()
+}
+
 fn names(group: &Group) -> Vec<String> {
     group
         .probes
@@ -276,6 +281,16 @@ mod tests {
         for (cycles, wanted) in [(10.0, 10), (0.5, 1), (3.4, 3), (f64::INFINITY, 1_000_000)] {
             assert_eq!(every(cycles), wanted);
         }
+    }
+
+    #[test]
+    fn rows_of_a_frame_begin_with_the_time() {
+        let frame = Frame {
+            columns: 2,
+            values: vec![0.1, 1.0, 2.0, 0.2, 3.0, 4.0],
+            ..Frame::default()
+        };
+        assert_eq!(rows(&frame), [[0.1, 1.0, 2.0], [0.2, 3.0, 4.0]]);
     }
 
     #[test]
