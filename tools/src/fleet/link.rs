@@ -12,7 +12,7 @@ use crate::output::span_of_ms;
 /// How the fleet is reached.
 #[derive(Clone, Debug, Args)]
 pub(super) struct Link {
-    /// Where a cell or router listens, `listen` under [fleet] of its cell file; given several times, a link to each.
+    /// Where a cell or router listens, `listen` under `[fleet]` of its cell file; given several times, a link to each.
     #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
     pub(super) connect: Vec<String>,
     /// Certificate of the authority of all members, PEM, for tls/… endpoints.
