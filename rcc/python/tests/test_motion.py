@@ -30,7 +30,7 @@ def test_ptp_array_reaches_goal(left: takt.Arm) -> None:
 
 
 def test_trajectory_passes_points_and_names_what_is_wrong(left: takt.Arm) -> None:
-    positions = [goal(0.1), goal(0.2), BENT]
+    positions = [goal(0.1), goal(0.2), np.array(BENT)]
     assert left.trajectory([0.5, 1.0, 2.0], positions, goal_tolerance=[0.01]).run() == Outcome.Completed
     np.testing.assert_allclose(left.commanded(), BENT, atol=1e-9)
     with pytest.raises(takt.Invalid, match="2 times, but 1 rows of positions"):

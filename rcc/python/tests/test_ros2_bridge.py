@@ -3,6 +3,7 @@ No ROS runs here; its nodes would send and receive the same bytes."""
 
 from __future__ import annotations
 
+import importlib
 import pathlib
 import socket
 import struct
@@ -14,9 +15,11 @@ from typing import Any
 
 import numpy
 import pytest
-import zenoh
 from conftest import BENT, program, tool
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+zenoh: Any = importlib.import_module("zenoh")
+"""Its types are incomplete."""
 
 DOMAIN = 7
 SEND_GOAL = "control_msgs::action::dds_::FollowJointTrajectory_SendGoal_/RIHS01_b13789dddc325a7a962825c45e28c77d37237ec129dd0c34dc5994562938c57f"
@@ -26,7 +29,6 @@ CANCEL = "action_msgs::srv::dds_::CancelGoal_/RIHS01_573d8b0a534451d7bc2ac8c5ffd
 JOINT_STATE = "sensor_msgs::msg::dds_::JointState_/RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
 TRAJECTORY = "trajectory_msgs::msg::dds_::JointTrajectory_/RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e"
 DIAGNOSTICS = "diagnostic_msgs::msg::dds_::DiagnosticArray_/RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
-SET_BOOL = "std_srvs::srv::dds_::SetBool_/RIHS01_abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a"
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for name, text in {
@@ -51,7 +53,6 @@ for name, text in {
         "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error"
     ),
     "control_msgs/msg/Cancelling": "int8 return_code\naction_msgs/GoalInfo[] goals_canceling",
-    "control_msgs/msg/Done": "bool success\nstring message",
 }.items():
     STORE.register(get_types_from_msg(text, name))
 
@@ -104,6 +105,15 @@ class Client:
         config.insert_json5("scouting/multicast/enabled", "false")
         self.session = zenoh.open(config)
         self.sequence = 0
+
+    def subscribe(self, key: str) -> tuple[list[bytes], Any]:
+        """The messages of a topic as they come, and their subscriber."""
+        found: list[bytes] = []
+
+        def take(sample: Any) -> None:
+            found.append(bytes(sample.payload))
+
+        return found, self.session.declare_subscriber(f"{DOMAIN}/{key}", take)
 
     def attachment(self) -> bytes:
         """Number, time and identifier of a message: 33 bytes."""
@@ -175,10 +185,7 @@ class Bridge:
 
     def states(self, seconds: float) -> list[Any]:
         """Joint states that come in a time."""
-        found: list[Any] = []
-        subscriber = self.client.session.declare_subscriber(
-            f"{DOMAIN}/joint_states/{JOINT_STATE}", lambda sample: found.append(bytes(sample.payload))
-        )
+        found, subscriber = self.client.subscribe(f"joint_states/{JOINT_STATE}")
         time.sleep(seconds)
         subscriber.undeclare()
         return [decode(data, "sensor_msgs/msg/JointState") for data in found]
@@ -247,9 +254,7 @@ def test_ros2_graph_has_node_actions_and_topics(bridge: Bridge) -> None:
 
 
 def test_ros2_goal_is_followed_with_feedback_and_result(bridge: Bridge) -> None:
-    found: list[Any] = []
-    key = f"{DOMAIN}/left/follow_joint_trajectory/_action/feedback/{FEEDBACK}"
-    subscriber = bridge.client.session.declare_subscriber(key, lambda sample: found.append(bytes(sample.payload)))
+    found, subscriber = bridge.client.subscribe(f"left/follow_joint_trajectory/_action/feedback/{FEEDBACK}")
     middle = [q + 0.1 for q in BENT]
     accepted, goal_id = bridge.client.goal("left", trajectory(joints("left"), [(1.0, middle), (2.0, BENT)]))
     assert accepted, bridge.complaints()
@@ -270,10 +275,7 @@ def test_ros2_goal_is_followed_with_feedback_and_result(bridge: Bridge) -> None:
 
 def test_ros2_goal_in_motion_takes_over_without_jump(bridge: Bridge) -> None:
     move(bridge, "left", BENT)
-    states: list[Any] = []
-    subscriber = bridge.client.session.declare_subscriber(
-        f"{DOMAIN}/joint_states/{JOINT_STATE}", lambda sample: states.append(bytes(sample.payload))
-    )
+    states, subscriber = bridge.client.subscribe(f"joint_states/{JOINT_STATE}")
     there = [BENT[0] + 0.8, *BENT[1:]]
     back = [BENT[0] - 0.2, *BENT[1:]]
     accepted, first = bridge.client.goal("left", trajectory(joints("left"), [(2.0, there)]))
@@ -367,8 +369,7 @@ def test_ros2_trajectory_of_topic_is_followed(bridge: Bridge) -> None:
 
 
 def test_ros2_diagnostics_name_each_device(bridge: Bridge) -> None:
-    found: list[Any] = []
-    subscriber = bridge.client.session.declare_subscriber(f"{DOMAIN}/diagnostics/{DIAGNOSTICS}", lambda sample: found.append(bytes(sample.payload)))
+    found, subscriber = bridge.client.subscribe(f"diagnostics/{DIAGNOSTICS}")
     for _ in range(100):
         if found:
             break
