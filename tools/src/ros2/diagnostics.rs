@@ -22,13 +22,13 @@ pub(super) fn start(node: &Node, http: &Http, stop: &Stop) -> Result<(), NodeErr
     let (http, stop) = (http.clone(), stop.clone());
     std::thread::spawn(move || {
         let mut is_lost = false;
-        let mut last = Instant::now() - PERIOD;
+        let mut last: Option<Instant> = None;
         while !stop.is_requested() {
-            if last.elapsed() < PERIOD {
+            if last.is_some_and(|at| at.elapsed() < PERIOD) {
                 std::thread::sleep(TICK);
                 continue;
             }
-            last = Instant::now();
+            last = Some(Instant::now());
             let statuses = match http.get("/devices/") {
                 Ok(devices) => {
                     is_lost = false;

@@ -207,7 +207,8 @@ impl Remote {
                     ..
                 }) => std::thread::sleep(BUSY_PAUSE.min(left)),
                 Some(other) => return Err(refused(cell, other)),
-                None => {}
+                // A cell that is away has no answer at once.
+                None => std::thread::sleep(BUSY_PAUSE.min(left)),
             }
         }
     }
