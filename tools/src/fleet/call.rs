@@ -13,7 +13,7 @@ use takt_fleet::session::remote::Remote;
 
 use super::link::Link;
 use crate::Verdict;
-use crate::output::{complain, positive_span, say};
+use crate::output::{complain, say, span_of_ms};
 
 /// Commands that only read.
 const READING: [&str; 14] = [
@@ -79,7 +79,7 @@ pub(crate) struct Call {
     #[arg(long, value_enum, default_value = "cancel")]
     on_loss: OnLoss,
     /// How long the command may take.
-    #[arg(long, value_name = "TIME", default_value = "30s", value_parser = positive_span)]
+    #[arg(long, value_name = "TIME", default_value = "30s", value_parser = span_of_ms(1..=3_600_000))]
     command_timeout: Duration,
     #[command(flatten)]
     link: Link,
