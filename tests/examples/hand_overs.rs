@@ -103,19 +103,20 @@ fn program(
     let cell = bench.cell();
     let arm = cell.arm(&format!("arm{number}"))?;
     arm.ptp(corner(0)).run()?;
+    // Its set-points end some cycles before the arm rests: those are no rest between motions.
+    while !watched.is_resting() {
+        std::thread::sleep(SAMPLE);
+    }
+    let rests = watched.rests();
     let (mut missed, mut before) = (0, None);
-    let mut rests = 0;
     for activity in 1..=activities {
         let handle = arm.ptp(corner(activity)).blend(BLEND).begin()?;
         begun.fetch_add(1, Ordering::Relaxed);
-        if activity == 1 {
-            rests = watched.rests();
-        }
         if let Some(before) = before.replace(handle) {
             missed += usize::from(before.wait()? != Outcome::TakenOver);
         }
     }
-    // Before the last motion rests too.
+    // Before the last motion ends, after which it rests.
     let rests = watched.rests() - rests;
     arm.finish()?;
     Ok((missed, rests))

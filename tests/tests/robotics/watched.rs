@@ -33,6 +33,9 @@ const LIMITS: JointLimits = JointLimits {
 
 /// A joint slower than this is at rest, rad/s.
 const RESTING: f64 = 1e-6;
+/// An arm with a joint faster than this moves, rad/s: more than the first set-point of a motion, a few nanoradians away, which is
+/// held until its time.
+const MOVING: f64 = 1e-3;
 
 /// The arms of all cells of this process, by the names of their drivers.
 static ALL: Mutex<BTreeMap<String, Arc<[Watched]>>> = Mutex::new(BTreeMap::new());
@@ -46,7 +49,7 @@ pub(crate) struct Watched {
     velocity: AtomicU64,
     acceleration: AtomicU64,
     cycles: AtomicU64,
-    /// How often it came to rest.
+    /// How often it came to rest after it had moved.
     rests: AtomicU64,
 }
 
@@ -57,7 +60,7 @@ impl Watched {
     }
 
     pub(crate) fn is_resting(&self) -> bool {
-        self.is_resting.load(Ordering::Relaxed)
+        self.is_resting.load(Ordering::Acquire)
     }
 
     /// The largest shares of the limits of velocity and acceleration in what it received so far.
@@ -66,7 +69,7 @@ impl Watched {
             .map(|share| share.load(Ordering::Relaxed) as f64 * 1e-6)
     }
 
-    /// How often it came to rest.
+    /// How often it came to rest after it had moved.
     pub(crate) fn rests(&self) -> u64 {
         self.rests.load(Ordering::Relaxed)
     }
@@ -99,6 +102,8 @@ struct Arm {
     end: Endpoint,
     joints: [Joint; JOINTS],
     before: [[f64; 2]; JOINTS],
+    /// Since its last rest.
+    has_moved: bool,
 }
 
 impl Arm {
@@ -134,15 +139,18 @@ impl Arm {
             let acceleration = (velocity - before[1]) / cycle_s;
             *before = [*position, velocity];
             is_resting &= velocity.abs() < RESTING;
+            self.has_moved |= velocity.abs() > MOVING;
             raise(&watched.velocity, velocity / LIMITS.velocity_max);
             raise(
                 &watched.acceleration,
                 acceleration / LIMITS.acceleration_max,
             );
         }
-        if !watched.is_resting.swap(is_resting, Ordering::Relaxed) && is_resting {
+        // Who sees it at rest sees that rest counted.
+        if is_resting && std::mem::take(&mut self.has_moved) {
             watched.rests.fetch_add(1, Ordering::Relaxed);
         }
+        watched.is_resting.store(is_resting, Ordering::Release);
         watched.cycles.fetch_add(1, Ordering::Relaxed);
     }
 }
@@ -187,6 +195,7 @@ impl DriverConfig for Config {
             end: Endpoint::new(end, &[], JOINTS),
             joints: [Joint::new(LIMITS); JOINTS],
             before: [[0.0; 2]; JOINTS],
+            has_moved: false,
         };
         let mut arms: Vec<_> = ends.devices.into_iter().map(arm).collect();
         let clock = ends.clock;
