@@ -3,6 +3,7 @@
 
 mod diagnostics;
 mod follow;
+mod frames;
 mod grip;
 mod names;
 mod outputs;
@@ -18,13 +19,15 @@ use clap::Args;
 use takt_api::Cell;
 use takt_fleet::ros::keys::Qos;
 use takt_fleet::ros::messages;
-use takt_fleet::ros::node::{Node, NodeConfig, ROUTER, Router};
-use takt_fleet::ros::types::STRING;
+use takt_fleet::ros::node::{Node, NodeConfig, Publisher, ROUTER, Router, now};
+use takt_fleet::ros::types::{STRING, TF_MESSAGE};
+use takt_motion::urdf::Urdf;
 
 use crate::Verdict;
 use crate::http::Site;
 use crate::output::{complain, say};
 use crate::signal::Stop;
+use frames::Frames;
 use names::{Chain, RosArm};
 use server::Refusals;
 
@@ -33,12 +36,12 @@ const TIMEOUT: Duration = Duration::from_secs(5);
 /// How often the end of the command is looked for.
 const TICK: Duration = Duration::from_millis(100);
 
-/// Offer the robots of a running controller to ROS 2: joint states, wrenches, diagnostics, FollowJointTrajectory, grippers, outputs.
+/// Offer the robots of a running controller to ROS 2: joint states, frames, wrenches, diagnostics, FollowJointTrajectory, grippers, outputs.
 ///
 /// Nodes of ROS must use rmw_zenoh (RMW_IMPLEMENTATION=rmw_zenoh_cpp, 0.2.4 or later) and reach the same router. For arm `left`:
 /// /joint_states, /left/wrench, the action /left/follow_joint_trajectory, the topic /left/joint_trajectory; for several arms at once
 /// the action /arms/follow_joint_trajectory; for gripper `hand` /hand/gripper_cmd and /hand/parallel_gripper_cmd; for outputs of
-/// `plant` the services /plant/output_0 and so on; /diagnostics, /robot_description. A goal that comes while an arm moves takes over
+/// `plant` the services /plant/output_0 and so on; /tf, /tf_static, /diagnostics, /robot_description. A goal that comes while an arm moves takes over
 /// without a jump. An arm brakes when this command ends.
 ///
 /// Exit status: 0 ended by a signal; 2 no controller or no session.
@@ -72,6 +75,9 @@ pub(crate) struct Ros2 {
     /// First and last link of an arm in the description; not needed if it has one arm only.
     #[arg(long = "chain", value_name = "ARM=BASE:TIP", requires = "description")]
     chains: Vec<Chain>,
+    /// Publish no /tf and /tf_static, since robot_state_publisher does.
+    #[arg(long)]
+    no_tf: bool,
     /// Largest deviation from a trajectory on its way where a goal names none, rad; 0 for any.
     #[arg(long, value_name = "RAD", default_value_t = 0.0)]
     path_tolerance: f64,
@@ -99,6 +105,11 @@ impl Ros2 {
             text.with_context(|| format!("cannot read {}", path.display()))
         });
         let text = text.transpose()?;
+        let urdf = text.as_deref().map(Urdf::parse).transpose();
+        let urdf = urdf.with_context(|| {
+            let path = self.description.clone().unwrap_or_default();
+            format!("cannot use {}", path.display())
+        })?;
         let arms = names::arms(&cell, self.description.as_deref(), &self.chains)?;
         let router = self.open_router()?;
         let node = Node::open(&NodeConfig {
@@ -108,15 +119,20 @@ impl Ros2 {
             router: self.router.clone(),
         })?;
         let node = Arc::new(node);
-        let latched = match &text {
-            Some(text) => {
-                let publisher = node.publisher("robot_description", &STRING, Qos::LATCHED)?;
-                publisher.publish(messages::string(text))?;
-                Some(publisher)
-            }
-            None => None,
-        };
-        let states = states::start(&node, &http, &arms, self.rate)?;
+        let mut latched = Vec::new();
+        if let Some(text) = &text {
+            let publisher = node.publisher("robot_description", &STRING, Qos::LATCHED)?;
+            publisher.publish(messages::string(text))?;
+            latched.push(publisher);
+        }
+        let mut frames = Frames::read(&cell, &arms, urdf.as_ref())?;
+        if self.no_tf {
+            frames.of_arms.clear();
+            frames.bases.clear();
+        } else {
+            latched.push(publish_fixed(&node, &frames)?);
+        }
+        let states = states::start(&node, &http, &arms, &frames, self.rate)?;
         diagnostics::start(&node, &http, &stop)?;
         let servers = if self.read_only {
             Vec::new()
@@ -213,4 +229,17 @@ impl Ros2 {
             if self.read_only { ", read only" } else { "" }
         ))
     }
+}
+
+/// Frames that do not move, for all that come later too.
+fn publish_fixed(node: &Node, frames: &Frames) -> anyhow::Result<Publisher> {
+    if !frames.unmoved.is_empty() {
+        complain(&format!(
+            "takt: no arm has the joints {} of the description: links behind them have no place in /tf",
+            frames.unmoved.join(", ")
+        ));
+    }
+    let publisher = node.publisher("/tf_static", &TF_MESSAGE, Qos::LATCHED)?;
+    publisher.publish(messages::transforms(now(), &frames.fixed))?;
+    Ok(publisher)
 }

@@ -27,7 +27,7 @@ pub(crate) use picture::Picture;
 pub(crate) use source::Source;
 use trigger::Trigger;
 #[cfg(feature = "fleet")]
-pub(crate) use wire::{Event, Frame, Group};
+pub(crate) use wire::{Event, Frame, Group, Rejected};
 pub(crate) use wire::{Mode, Request};
 
 /// How long the controller may take to answer.

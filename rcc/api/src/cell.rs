@@ -152,6 +152,16 @@ impl Cell {
         Ok(World::read(&self.session, &devices)?.frame(name)?)
     }
 
+    /// All frames of the cell, by their names.
+    ///
+    /// # Errors
+    /// If the connection is lost.
+    #[track_caller]
+    pub fn frames(&self) -> Result<Vec<Frame>, Error> {
+        let devices = Descriptions::read(&self.session)?;
+        Ok(World::read(&self.session, &devices)?.frames()?)
+    }
+
     /// All arms.
     ///
     /// # Errors

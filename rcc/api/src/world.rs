@@ -200,6 +200,11 @@ impl World {
         Self(all)
     }
 
+    /// All frames.
+    pub(crate) fn frames(&self) -> Result<Vec<Frame>, ErrorKind> {
+        self.0.keys().map(|name| self.frame(name)).collect()
+    }
+
     /// A frame by its name.
     pub(crate) fn frame(&self, name: &str) -> Result<Frame, ErrorKind> {
         if !self.0.contains_key(name) {
@@ -286,6 +291,16 @@ mod tests {
         ] {
             assert!(text.contains(part), "{text}");
         }
+    }
+
+    #[test]
+    fn all_frames_have_their_roots() {
+        let frames = world().frames().unwrap();
+        let roots: Vec<_> = frames.iter().map(|it| (it.name(), it.root())).collect();
+        assert_eq!(roots.len(), 7);
+        assert!(roots.contains(&("camera", "left.flange")));
+        assert!(roots.contains(&("part", "world")));
+        assert!(roots.contains(&("left.flange", "left.flange")));
     }
 
     #[test]

@@ -116,6 +116,14 @@ impl Cell {
             .map_err(|error| error::raise_here(py, &error))
     }
 
+    /// All frames of the cell, by their names.
+    fn frames(&self, py: Python<'_>) -> PyResult<Vec<Frame>> {
+        let cell = self.open(py)?;
+        let frames = py.detach(|| cell.frames());
+        let frames = frames.map_err(|error| error::raise_here(py, &error))?;
+        Ok(frames.into_iter().map(Frame).collect())
+    }
+
     /// All arms.
     fn arms(&self, py: Python<'_>) -> PyResult<Vec<Arm>> {
         let cell = self.open(py)?;

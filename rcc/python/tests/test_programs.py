@@ -226,6 +226,7 @@ def test_goal_in_frame_is_that_in_base(tmp_path: pathlib.Path) -> None:
     with takt.embed(path) as cell:
         left, table = cell.arm("left"), cell.frame("table")
         assert (table.name, table.root) == ("table", "world") and left.base_frame == cell.frame("left.base")
+        assert {"world", "table", "left.base", "left.flange"} <= {frame.name for frame in cell.frames()}
         in_base = table.within(left.base_frame)
         np.testing.assert_allclose(in_base.position, [-0.5, 0, 0], atol=1e-12)
         pose = Pose.xyz(1.0, 0.1, 0.5).abc(0.1, 0.2, 0.3)

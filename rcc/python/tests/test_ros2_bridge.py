@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 import pathlib
+import queue
 import socket
 import struct
 import subprocess
@@ -12,11 +13,14 @@ import time
 import uuid
 from collections.abc import Iterator
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy
 import pytest
-from conftest import BENT, program, tool
+from conftest import BENT, ROOT, program, tool
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+import takt
 
 zenoh: Any = importlib.import_module("zenoh")
 """Its types are incomplete."""
@@ -28,6 +32,14 @@ FEEDBACK = "control_msgs::action::dds_::FollowJointTrajectory_FeedbackMessage_/R
 CANCEL = "action_msgs::srv::dds_::CancelGoal_/RIHS01_573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a"
 JOINT_STATE = "sensor_msgs::msg::dds_::JointState_/RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
 TRAJECTORY = "trajectory_msgs::msg::dds_::JointTrajectory_/RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e"
+GRIP_GOAL = "control_msgs::action::dds_::GripperCommand_SendGoal_/RIHS01_6bf8cc4ce80cd499e7dd3258c03c50c3fa6672b469ff8355339ef1df77fcd212"
+GRIP_RESULT = "control_msgs::action::dds_::GripperCommand_GetResult_/RIHS01_7e60a7606063d4a2728d21badac099e68b734a196ac3ab42d1d4c668eb0bb3cd"
+PARALLEL_GOAL = "control_msgs::action::dds_::ParallelGripperCommand_SendGoal_/RIHS01_567c37373fed1260adbe047415688c73e4f3e94b2e3982761ecc71fd63d710a7"
+PARALLEL_RESULT = "control_msgs::action::dds_::ParallelGripperCommand_GetResult_/RIHS01_e4c7f0e8a831ce5625ed20abcd13796406d945f92ebc7ad5972e0b0d29b381bd"
+SET_BOOL = "std_srvs::srv::dds_::SetBool_/RIHS01_abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a"
+TF = "tf2_msgs::msg::dds_::TFMessage_/RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
+WRENCH = "geometry_msgs::msg::dds_::WrenchStamped_/RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77"
+STRING = "std_msgs::msg::dds_::String_/RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 DIAGNOSTICS = "diagnostic_msgs::msg::dds_::DiagnosticArray_/RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -52,6 +64,12 @@ for name, text in {
         "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual\n"
         "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error"
     ),
+    "control_msgs/msg/Grip": "unique_identifier_msgs/UUID goal_id\nfloat64 position\nfloat64 max_effort",
+    "control_msgs/msg/Gripped": "int8 status\nfloat64 position\nfloat64 effort\nbool stalled\nbool reached_goal",
+    "control_msgs/msg/GripParallel": "unique_identifier_msgs/UUID goal_id\nsensor_msgs/JointState command",
+    "control_msgs/msg/GrippedParallel": "int8 status\nsensor_msgs/JointState state\nbool stalled\nbool reached_goal",
+    "std_srvs/msg/Switch": "bool data",
+    "std_srvs/msg/Switched": "bool success\nstring message",
     "control_msgs/msg/Cancelling": "int8 return_code\naction_msgs/GoalInfo[] goals_canceling",
 }.items():
     STORE.register(get_types_from_msg(text, name))
@@ -141,6 +159,19 @@ class Client:
         assert (answered[:8], answered[16:]) == (attachment[:8], attachment[16:])
         return bytes(sample.payload)
 
+    def latched(self, key: str, timeout: float = 30.0) -> bytes:
+        """The last message of a topic that keeps it for those that come late."""
+        found: queue.Queue[bytes] = queue.Queue()
+
+        def take(sample: Any) -> None:
+            found.put(bytes(sample.payload))
+
+        history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+        subscriber = zenoh.ext.declare_advanced_subscriber(self.session, f"{DOMAIN}/{key}", take, history=history)
+        data = found.get(timeout=timeout)
+        subscriber.undeclare()
+        return data
+
     def goal(self, arm: str, wanted: Any) -> tuple[bool, bytes]:
         """Sends a goal; whether it is accepted, and its identifier."""
         goal_id = uuid.uuid4().bytes
@@ -157,19 +188,21 @@ class Client:
         return decode(answer, "control_msgs/msg/Result")
 
 
-class Bridge:
-    """A controller with two simulated arms, and `takt ros2` beside it."""
+def free_address() -> str:
+    """An address of this host that nobody listens at."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{free.getsockname()[1]}"
 
-    def __init__(self, folder: pathlib.Path) -> None:
-        self.controller = subprocess.Popen([program("controller")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        assert self.controller.stdout is not None
-        lines, http, _ = (self.controller.stdout.readline().strip() for _ in range(3))
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
-        self.router = f"tcp/127.0.0.1:{port}"
+
+class Bridge:
+    """`takt ros2` beside a controller."""
+
+    def __init__(self, folder: pathlib.Path, lines: str, http: str, *options: str) -> None:
+        self.lines = lines
+        self.router = f"tcp/{free_address()}"
         command = [tool(), "ros2", "--program", lines, "--connect", http, "--router", self.router, "--with-router"]
-        command += ["--domain", str(DOMAIN), "--rate", "500"]
+        command += ["--domain", str(DOMAIN), "--rate", "500", *options]
         self.log = folder / "stderr"
         with self.log.open("w") as log:
             self.bridge = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
@@ -198,21 +231,102 @@ class Bridge:
                 return list(last[-1].position)
         raise AssertionError(f"no joint states of {arm}")
 
+    def frames(self, key: str, count: int) -> dict[str, tuple[str, Any]]:
+        """Parent and matrix of each frame in so many messages of a topic, by name."""
+        found, subscriber = self.client.subscribe(key)
+        until = time.monotonic() + 30.0
+        while len(found) < count and time.monotonic() < until:
+            time.sleep(0.05)
+        subscriber.undeclare()
+        assert len(found) >= count, self.complaints()
+        return placed(found)
+
     def stop(self) -> None:
-        """Ends both as an operator does."""
+        """Ends it as an operator does."""
         self.client.session.close()
         self.bridge.terminate()
         assert self.bridge.wait(timeout=30.0) == 0, self.complaints()
-        assert self.controller.stdin is not None
-        self.controller.stdin.close()
-        self.controller.wait(timeout=60.0)
+
+
+def placed(messages: list[bytes]) -> dict[str, tuple[str, Any]]:
+    """Parent and matrix of each frame, by name."""
+    frames: dict[str, tuple[str, Any]] = {}
+    for data in messages:
+        for frame in decode(data, "tf2_msgs/msg/TFMessage").transforms:
+            place, turn = frame.transform.translation, frame.transform.rotation
+            matrix = numpy.eye(4)
+            x, y, z, w = turn.x, turn.y, turn.z, turn.w
+            assert x * x + y * y + z * z + w * w == pytest.approx(1.0, abs=1e-9)
+            matrix[:3, :3] = [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+            matrix[:3, 3] = [place.x, place.y, place.z]
+            parent = frame.header.frame_id
+            assert frames.get(frame.child_frame_id, (parent,))[0] == parent, "a frame has one parent"
+            frames[frame.child_frame_id] = (parent, matrix)
+    return frames
+
+
+def within(frames: dict[str, tuple[str, Any]], name: str, root: str) -> Any:
+    """Where a frame is in another one before it."""
+    matrix = numpy.eye(4)
+    for _ in range(len(frames)):
+        if name == root:
+            return matrix
+        name, own = frames[name]
+        matrix = own @ matrix
+    raise AssertionError(f"{root} is not reached, but {name}")
 
 
 @pytest.fixture(scope="module")
 def bridge(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bridge]:
-    bridge = Bridge(tmp_path_factory.mktemp("ros2"))
+    """Beside a controller with two simulated arms, grippers, a mobile base and outputs."""
+    controller = subprocess.Popen([program("controller")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert controller.stdin is not None and controller.stdout is not None
+    lines, http, _ = (controller.stdout.readline().strip() for _ in range(3))
+    bridge = Bridge(tmp_path_factory.mktemp("ros2"), lines, http)
     yield bridge
     bridge.stop()
+    controller.stdin.close()
+    controller.wait(timeout=60.0)
+
+
+PANDA = ROOT / "examples" / "cells" / "panda.urdf"
+
+
+@pytest.fixture(scope="module")
+def described(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bridge]:
+    """With a description, beside a controller with the arm in it and an emulated KUKA LWR, which has a force sensor."""
+    folder = tmp_path_factory.mktemp("described")
+    lines, http, robot = free_address(), free_address(), free_address()
+    config = folder / "cell.toml"
+    config.write_text(
+        f"[controller]\nwebsocket = '{http}'\ntcp = '{lines}'\nsocket = ''\nflight_recorder = ''\n"
+        f"stop_socket = '{folder}/stop.sock'\n"
+        f"[[device]]\nname = 'left'\ntype = 'kuka_lwr_fri'\nlisten = '{robot}'\n"
+        f"[[device]]\nname = 'right'\ntype = 'arm_sim'\nmodel = 'urdf:{PANDA}'\nbase_link = 'panda_link0'\ntip_link = 'tool0'\n"
+        "start = [10, -45, 20, -135, 30, 90, 45]\n[[base]]\ndevice = 'right'\nposition = [0.5, -0.8, 0.1]\n"
+    )
+    with (folder / "log").open("w") as log:
+        controller = subprocess.Popen([tool(), "run", "--config", str(config)], stdout=log, stderr=log)
+        arm = subprocess.Popen([tool(), "emulate", "lwr", "--connect", robot], stdout=log, stderr=log)
+    until = time.monotonic() + 60.0
+    while True:
+        try:
+            with takt.connect(lines) as cell:
+                cell.arm("left").positions()
+            break
+        except takt.Error:
+            assert time.monotonic() < until, (folder / "log").read_text()
+            time.sleep(0.2)
+    bridge = Bridge(folder, lines, http, "--description", str(PANDA), "--chain", "right=panda_link0:tool0")
+    yield bridge
+    bridge.stop()
+    for process in (controller, arm):
+        process.terminate()
+        process.wait(timeout=60.0)
 
 
 def joints(arm: str) -> list[str]:
@@ -378,3 +492,110 @@ def test_ros2_diagnostics_name_each_device(bridge: Bridge) -> None:
     array = decode(found[-1], "diagnostic_msgs/msg/DiagnosticArray")
     levels = {status.name: int(status.level) if not isinstance(status.level, bytes) else status.level[0] for status in array.status}
     assert levels["takt: left"] == 0 and levels["takt: right"] == 0, levels
+
+
+def test_ros2_frames_have_flanges_bases_and_cell(bridge: Bridge) -> None:
+    frames = bridge.frames(f"tf/{TF}", 100)
+    with takt.connect(bridge.lines) as cell:
+        pose = cell.arm("left").pose()
+    parent, flange = frames["left.flange"]
+    assert parent == "left.base"
+    assert list(flange[:3, 3]) == pytest.approx(list(pose.position), abs=1e-6)
+    assert frames["right.flange"][0] == "right.base"
+    assert frames["platform.base"][0] == "platform.odometry"
+    fixed = placed([bridge.client.latched(f"tf_static/{TF}")])
+    assert fixed.keys().isdisjoint(frames.keys())
+
+
+def test_ros2_frames_of_description_are_those_of_its_joints(described: Bridge) -> None:
+    frames = placed([described.client.latched(f"tf_static/{TF}")]) | described.frames(f"tf/{TF}", 50)
+    positions: dict[str, float] = {}
+    for state in described.states(0.5):
+        positions |= dict(zip(state.name, state.position, strict=True))
+    # The same chain, multiplied here.
+    wanted = numpy.eye(4)
+    for joint in ElementTree.parse(PANDA).getroot().iter("joint"):
+        origin = joint.find("origin")
+        assert origin is not None
+        roll, pitch, yaw = (float(angle) for angle in origin.get("rpy", "0 0 0").split())
+        step = turned(2, yaw) @ turned(1, pitch) @ turned(0, roll)
+        step[:3, 3] = [float(part) for part in origin.get("xyz", "0 0 0").split()]
+        name = joint.get("name", "")
+        wanted = wanted @ step @ turned(2, positions.get(name, 0.0))
+    assert within(frames, "tool0", "panda_link0") == pytest.approx(wanted, abs=1e-6)
+    assert within(frames, "right.flange", "right.base") == pytest.approx(wanted, abs=1e-6)
+    assert list(within(frames, "panda_link0", "world")[:3, 3]) == pytest.approx([0.5, -0.8, 0.1])
+    assert frames["left.flange"][0] == "left.base"
+    text = decode(described.client.latched(f"robot_description/{STRING}"), "std_msgs/msg/String")
+    assert text.data == PANDA.read_text()
+
+
+def turned(axis: int, angle: float) -> Any:
+    """A turn about a coordinate axis."""
+    matrix = numpy.eye(4)
+    first, second = [(1, 2), (2, 0), (0, 1)][axis]
+    matrix[first, first] = matrix[second, second] = numpy.cos(angle)
+    matrix[second, first] = numpy.sin(angle)
+    matrix[first, second] = -matrix[second, first]
+    return matrix
+
+
+def test_ros2_wrench_comes_from_flange_of_arm_with_sensor(described: Bridge) -> None:
+    found, subscriber = described.client.subscribe(f"left/wrench/{WRENCH}")
+    until = time.monotonic() + 30.0
+    while len(found) < 50 and time.monotonic() < until:
+        time.sleep(0.05)
+    subscriber.undeclare()
+    assert len(found) >= 50, described.complaints()
+    for message in (decode(data, "geometry_msgs/msg/WrenchStamped") for data in found):
+        assert message.header.frame_id == "left.flange"
+        force = message.wrench.force
+        assert all(abs(part) < 1000.0 for part in (force.x, force.y, force.z)), force
+    assert "force" not in described.complaints()
+
+
+def identifier() -> tuple[bytes, Any]:
+    """An identifier of a goal, as bytes and as message."""
+    goal_id = uuid.uuid4().bytes
+    return goal_id, make("unique_identifier_msgs/msg/UUID", numpy.frombuffer(goal_id, dtype=numpy.uint8))
+
+
+def test_ros2_gripper_moves_and_grips(bridge: Bridge) -> None:
+    def perform(position: float, effort: float) -> Any:
+        goal_id, message = identifier()
+        request = encode(make("control_msgs/msg/Grip", message, position, effort))
+        answer = bridge.client.call("gripper/gripper_cmd/_action/send_goal", GRIP_GOAL, request)
+        assert decode(answer, "control_msgs/msg/Accepted").accepted, bridge.complaints()
+        answer = bridge.client.call("gripper/gripper_cmd/_action/get_result", GRIP_RESULT, b"\x00\x01\x00\x00" + goal_id)
+        return decode(answer, "control_msgs/msg/Gripped")
+
+    with takt.connect(bridge.lines) as cell:
+        cell.gripper("gripper").open().run()
+    moved = perform(0.09, 0.0)
+    assert (moved.status, moved.reached_goal, moved.stalled) == (SUCCEEDED, True, False)
+    assert moved.position == pytest.approx(0.09, abs=0.002)
+    gripped = perform(0.05, 20.0)
+    assert (gripped.status, gripped.reached_goal, gripped.stalled) == (SUCCEEDED, False, True)
+    assert gripped.position == pytest.approx(0.05, abs=0.002)
+    goal_id, message = identifier()
+    command = make("sensor_msgs/msg/JointState", make("std_msgs/msg/Header", span("Time", 0.0), ""), ["gripper"], numbers([0.08]), numbers([]), numbers([]))
+    request = encode(make("control_msgs/msg/GripParallel", message, command))
+    answer = bridge.client.call("gripper/parallel_gripper_cmd/_action/send_goal", PARALLEL_GOAL, request)
+    assert decode(answer, "control_msgs/msg/Accepted").accepted, bridge.complaints()
+    answer = bridge.client.call("gripper/parallel_gripper_cmd/_action/get_result", PARALLEL_RESULT, b"\x00\x01\x00\x00" + goal_id)
+    result = decode(answer, "control_msgs/msg/GrippedParallel")
+    assert (result.status, result.reached_goal) == (SUCCEEDED, True)
+    assert list(result.state.name) == ["gripper"]
+    assert result.state.position[0] == pytest.approx(0.08, abs=0.002)
+
+
+def test_ros2_outputs_are_set_by_services(bridge: Bridge) -> None:
+    with takt.connect(bridge.lines) as cell:
+        plant = cell.io("plant")
+        for wanted in (True, False):
+            request = encode(make("std_srvs/msg/Switch", wanted))
+            answer = decode(bridge.client.call("plant/output_1", SET_BOOL, request), "std_srvs/msg/Switched")
+            assert (answer.success, answer.message) == (True, ""), bridge.complaints()
+            assert plant.state().digital_outputs[1] == wanted
+    answer = decode(bridge.client.call("plant/output_1", SET_BOOL, b"\x00\x01\x00\x00"), "std_srvs/msg/Switched")
+    assert not answer.success and "malformed" in answer.message

@@ -13,6 +13,8 @@ pub(super) struct RosArm {
     pub(super) name: String,
     /// Names of its joints, from the base.
     pub(super) joints: Vec<String>,
+    /// Its first and last link in the description.
+    pub(super) links: Option<[String; 2]>,
     pub(super) arm: Arm,
 }
 
@@ -77,7 +79,7 @@ pub(super) fn arms(
         let chain = chains.iter().find(|chain| chain.arm == device);
         let links = chain.map(|chain| (Some(chain.base.as_str()), Some(chain.tip.as_str())));
         let links = links.or_else(|| is_one.then_some((None, None)));
-        let joints = match description.zip(links) {
+        let (joints, links) = match description.zip(links) {
             Some((path, (base, tip))) => {
                 let model = read_arm(path, base, tip)
                     .with_context(|| format!("{}: no arm for `{device}`", path.display()))?;
@@ -89,13 +91,17 @@ pub(super) fn arms(
                     names.len(),
                     names.join(", ")
                 );
-                names
+                (names, Some([model.base, model.tip]))
             }
-            None => (1..=count).map(|n| format!("{device}.joint_{n}")).collect(),
+            None => {
+                let names = (1..=count).map(|n| format!("{device}.joint_{n}"));
+                (names.collect(), None)
+            }
         };
         Ok(RosArm {
             name: ros_name(&device),
             joints,
+            links,
             arm,
         })
     };

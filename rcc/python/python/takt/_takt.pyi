@@ -124,6 +124,8 @@ class Cell:
 
         Of a mobile base also `DEVICE.odometry`, where it started. Raises `NoDevice`, which lists all frames.
         """
+    def frames(self) -> list[Frame]:
+        """All frames of the cell, by their names. Raises `Lost` if the connection is lost."""
     def arms(self) -> list[Arm]:
         """All arms. Raises `Lost` if the connection is lost."""
     def ios(self) -> list[Io]:

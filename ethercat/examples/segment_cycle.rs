@@ -10,8 +10,8 @@
 //! show the effect.
 //!
 //! ```console
-//! # cargo build --release -p takt-ethercat --example cycle
-//! # unshare --net taskset -c 1 chrt -f 80 target/release/examples/cycle AXES CYCLE_US SECONDS [SEGMENT_CPU] [sleepy]
+//! # cargo build --release -p takt-ethercat --example segment_cycle
+//! # unshare --net taskset -c 1 chrt -f 80 target/release/examples/segment_cycle AXES CYCLE_US SECONDS [SEGMENT_CPU] [sleepy]
 //! ```
 #![expect(
     clippy::print_stdout,
