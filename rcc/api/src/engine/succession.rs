@@ -484,7 +484,7 @@ impl Engine {
                 GroupLife::Scheduled | GroupLife::Fired => {
                     group.when == When::Now || is_open || is_triggered || by_rule
                 }
-                // It was cancelled, and its rule fired before the controller heard of it.
+                // It was cancelled, and its rule fired before the controller received that.
                 GroupLife::Dead => by_rule,
                 GroupLife::Reserve | GroupLife::Loading => false,
             };
