@@ -95,7 +95,7 @@ pub(super) fn start(
         let mut places = Places::new(node, rate)?;
         let probes = POSE.iter().map(|part| format!("{base}.base.pose.{part}"));
         let source = sampled(http, probes.collect(), 1, rate.min(TF_HZ));
-        let feed = Feed::new(format!("the pose of {base}"));
+        let feed = Feed::new(format!("poses of {base}"));
         let device = base.clone();
         let row = move |stamp: Nanos, of: &Of<'_>| {
             let parts = POSE.map(|part| of(&format!("{device}.base.pose.{part}")));
