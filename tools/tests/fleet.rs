@@ -283,7 +283,7 @@ fn fleet_second_cell_of_a_name_and_lost_router_are_logged_once() {
             "cell = \"{cell}\"\nmode = \"router\"\nlisten = [\"{endpoint}\"]\n{allow}"
         ))
     };
-    let mut first = router("cell-c");
+    let first = router("cell-c");
     twin.process.wait_for("the fleet is reachable again");
     // A net of the cell runs on while its router is replaced.
     let cells = list(&endpoint, 2);
