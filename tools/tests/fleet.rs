@@ -444,8 +444,7 @@ fn certificates(folder: &Folder, authority: &str, names: &[&str]) -> bool {
 /// The same, for a host of that name or address.
 fn certificates_of(folder: &Folder, host: &str, authority: &str, names: &[&str]) -> bool {
     let key = "-newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes";
-    let extensions =
-        format!("subjectAltName={host}\nextendedKeyUsage=serverAuth,clientAuth\n");
+    let extensions = format!("subjectAltName={host}\nextendedKeyUsage=serverAuth,clientAuth\n");
     folder.write("ext", &extensions);
     let is_there = openssl(
         folder,
@@ -541,7 +540,11 @@ impl Far {
             std::thread::yield_now();
         }
         assert!(network::ip(&format!("link set far netns {}", far.0.id())));
-        for line in ["link set lo up", "addr add 192.0.2.2/24 dev far", "link set far up"] {
+        for line in [
+            "link set lo up",
+            "addr add 192.0.2.2/24 dev far",
+            "link set far up",
+        ] {
             far.ip(line);
         }
         far
@@ -573,7 +576,10 @@ const CABLE: [&str; 4] = [
 ];
 
 /// Lets the cable lose everything for 40 ms in 200 until it is dropped.
-struct Loss(std::sync::Arc<std::sync::atomic::AtomicBool>, Option<std::thread::JoinHandle<()>>);
+struct Loss(
+    std::sync::Arc<std::sync::atomic::AtomicBool>,
+    Option<std::thread::JoinHandle<()>>,
+);
 
 impl Loss {
     fn begin() -> Self {
@@ -621,7 +627,11 @@ fn fleet_start_over_lossy_and_split_network() {
     let endpoint = "tls/192.0.2.1:7447";
     let file = |name: &str| folder.file(name);
     let tls = |name: &str| {
-        let (ca, certificate, key) = (file("line.pem"), file(&format!("{name}.pem")), file(&format!("{name}.key")));
+        let (ca, certificate, key) = (
+            file("line.pem"),
+            file(&format!("{name}.pem")),
+            file(&format!("{name}.key")),
+        );
         format!("ca = \"{ca}\"\ncertificate = \"{certificate}\"\nkey = \"{key}\"\n")
     };
     let allow = |names: &str| {
@@ -646,10 +656,23 @@ fn fleet_start_over_lossy_and_split_network() {
     while !String::from_utf8_lossy(&by_panel(&["list"]).stdout).contains("glue1") {}
 
     // While packets are lost, a start is together or not at all.
-    let (swing, hold) = (folder.write("swing.net", SWING), folder.write("hold.net", HOLD));
+    let (swing, hold) = (
+        folder.write("swing.net", SWING),
+        folder.write("hold.net", HOLD),
+    );
     let (a, b) = (format!("weld3={swing}"), format!("glue1={swing}"));
     let loss = Loss::begin();
-    let args = ["start", &a, &b, "--lead", "2s", "--on-loss", "continue", "--yes", "--json"];
+    let args = [
+        "start",
+        &a,
+        &b,
+        "--lead",
+        "2s",
+        "--on-loss",
+        "continue",
+        "--yes",
+        "--json",
+    ];
     let report = (0..20).find_map(|_| {
         let output = by_panel(&args);
         if output.status.success() {
@@ -661,11 +684,24 @@ fn fleet_start_over_lossy_and_split_network() {
     });
     drop(loss);
     let report = report.expect("each start on a lossy network was refused");
-    assert!(report["spread_ns"].as_i64().unwrap() <= 1_000_000, "{report}");
+    assert!(
+        report["spread_ns"].as_i64().unwrap() <= 1_000_000,
+        "{report}"
+    );
 
     // Split in motion: both sides end their nets by the policy, and nothing begins again when the network is back.
     let (a, b) = (format!("weld3={hold}"), format!("glue1={hold}"));
-    let args = ["fleet", "start", &a, &b, "--lead", "1s", "--yes", "--connect", endpoint];
+    let args = [
+        "fleet",
+        "start",
+        &a,
+        &b,
+        "--lead",
+        "1s",
+        "--yes",
+        "--connect",
+        endpoint,
+    ];
     let begun = (0..20).find_map(|_| {
         let mut started = Process::start(&[&args[..], &files, &TIMEOUT].concat());
         let line = started.wait_until("how it went", |line| {

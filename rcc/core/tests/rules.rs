@@ -398,17 +398,19 @@ fn prepared_start_past_stopped_or_released_never_begins() {
     assert_eq!(bench.state(net), NetState::Scheduled);
     late.begin_at(takt_core::monotonic() - takt_core::Nanos::from_millis(10));
     assert!(why(&late).contains("the host stalled"), "{}", why(&late));
-    bench.wait_state(net, NetState::Ready);
+    // The net is free for another start.
+    bench.0.start_net(net).unwrap();
     // One that was released in time, though an instant was given.
     let (net, released) = prepared();
     released.begin_at(soon());
     assert!(released.release());
     assert!(why(&released).contains("released"), "{}", why(&released));
-    bench.wait_state(net, NetState::Ready);
+    let is_free = |net| bench.0.prepare_start(&[net], "again").is_ok();
+    bench.wait("the net is free", || is_free(net));
     // Dropped: its holder is gone.
     let (net, dropped) = prepared();
     drop(dropped);
-    bench.wait_state(net, NetState::Ready);
+    bench.wait("the net is free", || is_free(net));
     // A stop in between, even if it is over before the instant.
     let (net, stopped) = prepared();
     let switch = bench.0.stop_switch();
@@ -445,5 +447,5 @@ fn prepared_start_without_common_period_is_refused() {
     let start = bench.0.prepare_start(&[slow], "").unwrap();
     assert_eq!(start.period(), Duration::from_millis(4));
     let twice = bench.0.prepare_start(&[slow], "").unwrap_err().to_string();
-    assert!(twice.contains("rpinet"), "{twice}");
+    assert!(twice.contains("waits for another start already"), "{twice}");
 }

@@ -1,6 +1,7 @@
 //! Starts that are prepared now and begin at an instant that is known later: a rule whose gate is opened by its holder. What a rule
 //! promises holds: resources and cycle time are kept, and a fault, a position jump or a stop of the controller in between ends it.
 
+use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,6 +14,7 @@ use crate::executor::rules::{Begun, Gate, RuleState};
 use crate::ids::{NetId, NetState};
 
 const ONE_PERIOD: &str = "nets that begin at one instant have one period and one net thread; give them the same period, or prepare each by itself";
+const WAITS: &str = "it waits for another start already; end that one first";
 
 /// How far a prepared start is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,13 +28,22 @@ pub enum PreparedState {
 }
 
 /// Nets that wait for the instant of their start. Dropping it before they have begun releases them.
-#[derive(Debug)]
 pub struct PreparedStart {
     controller: Controller,
     nets: Vec<NetId>,
     rule: RuleId,
     period: Duration,
     gate: Arc<Gate>,
+}
+
+impl fmt::Debug for PreparedStart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("PreparedStart")
+            .field("nets", &self.nets)
+            .field("rule", &self.rule)
+            .field("gate", &self.gate)
+            .finish_non_exhaustive()
+    }
 }
 
 impl Controller {
@@ -76,6 +87,9 @@ impl super::Shared {
                 hint,
             };
             let period = period.ok_or_else(|| wrong("only a net that is READY can be started"))?;
+            if net.is_away() {
+                return Err(wrong(WAITS));
+            }
             if *common.get_or_insert((thread, period)) != (thread, period) {
                 return Err(wrong(ONE_PERIOD));
             }

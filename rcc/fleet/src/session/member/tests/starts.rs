@@ -106,7 +106,6 @@ impl Part {
 struct Line {
     cells: [Arc<Bench>; 2],
     members: Vec<Member>,
-    endpoint: String,
     fleet: Fleet,
 }
 
@@ -142,7 +141,7 @@ fn line(of_host: [&str; 2], is_locked: bool) -> Line {
         joined("cell-b", &second, &cells[1]).unwrap(),
     ];
     let observer = Observer {
-        connect: vec![endpoint.clone()],
+        connect: vec![endpoint],
         tls: None,
     };
     let fleet = Fleet::connect(&observer).unwrap();
@@ -152,7 +151,6 @@ fn line(of_host: [&str; 2], is_locked: bool) -> Line {
     Line {
         cells,
         members,
-        endpoint,
         fleet,
     }
 }
