@@ -1,6 +1,6 @@
-//! A cell as a member of a fleet: its liveliness tokens, its telemetry, its resources and its commands, in four threads of its own and
-//! one for each session of commands. It knows no controller: what it publishes and executes comes from a [`Cell`]. It starts nothing on
-//! several cells at one instant.
+//! A cell as a member of a fleet: its liveliness tokens, its telemetry, its resources, its commands and its part in coordinated starts, in
+//! five threads of its own, one for each session of commands and one for each start while it is prepared. It knows no controller: what it
+//! publishes and executes comes from a [`Cell`].
 //!
 //! Callbacks of zenoh only pass queries to bounded queues, since zenoh reads the link in the thread that calls back. A full queue refuses
 //! the query at once. The instant of a command is that at which it leaves the queue, so that one that waited too long is refused. A
@@ -9,21 +9,23 @@
 mod commands;
 mod publish;
 mod reach;
+mod starts;
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use serde_json::Value;
 use takt_core::Nanos;
+use takt_core::tai::Tai;
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 
 use super::{SessionError, open};
-use crate::command::{Boot, Limits, LossPolicy, Lost, random};
+use crate::command::{Admission, Boot, Limits, LossPolicy, Lost, random};
 use crate::config::{FleetSettings, of_cell};
 use crate::keys::{CellKeys, CellName};
 use commands::Event;
@@ -82,6 +84,54 @@ pub trait Cell: Send + Sync + 'static {
     fn closed(&self, session: u32);
     /// A session was lost: its nets end as it demands.
     fn lost(&self, lost: Lost);
+    /// What the cells of one host have in common, as they share its clock; empty if that is not known.
+    fn clock_id(&self) -> String {
+        String::new()
+    }
+    /// TAI of the host.
+    fn tai(&self) -> Tai {
+        Tai::default()
+    }
+    /// Keeps what these nets need until they begin, in a thread of its own.
+    ///
+    /// # Errors
+    /// Why they cannot be prepared, for people.
+    fn prepare_start(&self, nets: &[String]) -> Result<Box<dyn Held>, String> {
+        let _ = nets;
+        Err("this cell takes part in no coordinated start".to_owned())
+    }
+}
+
+/// How far nets are that were prepared for a start.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum HeldState {
+    /// Their resources are kept.
+    Waiting,
+    /// They began in this cycle; instants are those of the controller's `CLOCK_MONOTONIC`.
+    Running {
+        /// Number of the cycle in its thread.
+        cycle: u64,
+        /// Its nominal begin.
+        begin: Nanos,
+        /// When the thread woke for it.
+        woken: Nanos,
+        /// How they ended: by themselves, or why not; `None` while they run.
+        end: Option<Result<(), String>>,
+    },
+    /// They do not begin.
+    Failed(String),
+}
+
+/// Nets whose resources a cell keeps for a start. Dropping it before they begin releases them; its functions return soon.
+pub trait Held: Send {
+    /// Period of the nets.
+    fn period(&self) -> Nanos;
+    /// Lets them begin in the cycle nearest to this instant of `CLOCK_MONOTONIC`.
+    fn begin_at(&mut self, at: Nanos);
+    /// How far they are.
+    fn state(&mut self) -> HeldState;
+    /// A partner of the start is lost while they run.
+    fn lose_partner(&mut self, policy: LossPolicy);
 }
 
 /// Why a cell does not join.
@@ -106,6 +156,7 @@ struct Shared {
     keys: CellKeys,
     boot: Boot,
     cell: Arc<dyn Cell>,
+    admission: Mutex<Admission>,
     session: zenoh::Session,
     /// Endpoints to which it connects.
     connect: Vec<String>,
@@ -118,10 +169,17 @@ impl Shared {
         self.ends.load(Ordering::Acquire)
     }
 
+    fn admission(&self) -> MutexGuard<'_, Admission> {
+        self.admission
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn info(&self) -> String {
         let mut info = self.cell.info();
         info.insert("cell".to_owned(), self.keys.cell().as_str().into());
         info.insert("boot".to_owned(), self.boot.to_string().into());
+        info.insert("clock".to_owned(), self.cell.clock_id().into());
         Value::Object(info).to_string()
     }
 
@@ -177,9 +235,12 @@ impl Member {
         cell: Arc<dyn Cell>,
     ) -> Result<Self, JoinError> {
         let session = open(&of_cell(name, settings))?;
+        let (keys, boot) = (CellKeys::new(name.clone()), Boot(random()()));
+        let command_keys = (keys.cmd_session(), keys.cmd_directio());
         let shared = Arc::new(Shared {
-            keys: CellKeys::new(name.clone()),
-            boot: Boot(random()()),
+            keys,
+            boot,
+            admission: Mutex::new(Admission::new(command_keys, boot, limits, random())),
             cell,
             session,
             connect: settings.connect.clone(),
@@ -209,8 +270,10 @@ impl Member {
             publish::answer(&shared, &from_reads);
         })?;
         member.spawn("fleet-cmd", move |shared| {
-            commands::serve(&shared, (commands, from_commands), limits);
+            commands::serve(&shared, (commands, from_commands));
         })?;
+        let starts = starts::listen(&shared)?;
+        member.spawn("fleet-start", move |shared| starts::serve(&shared, starts))?;
         member.spawn("fleet-pub", |shared| publish::publish(&shared))?;
         if settings.joints_hz > 0 {
             member.spawn("fleet-joints", |shared| publish::publish_joints(&shared))?;
@@ -303,7 +366,7 @@ fn refuse(query: &Query, why: &str) {
 
 /// Sends a reply.
 fn reply(query: &Query, key: &str, text: String) {
-    if let Err(error) = query.reply(key, text).wait() {
+    if let Err(error) = query.reply(key, text).express(true).wait() {
         tracing::debug!("no client takes a reply any more: {error}");
     }
 }

@@ -21,9 +21,13 @@ const ARRIVES: Duration = Duration::from_secs(20);
 /// For replies that must not arrive.
 const DENIED: Duration = Duration::from_millis(500);
 
+mod starts;
+
 #[derive(Default)]
 struct Bench {
     now: AtomicI64,
+    /// Its part in coordinated starts.
+    starts: starts::Part,
     /// Commands `wait` end when this is set.
     is_released: AtomicBool,
     /// The clock runs by itself.
@@ -92,6 +96,18 @@ impl Cell for Bench {
 
     fn lost(&self, lost: Lost) {
         self.lost.lock().unwrap().push(lost.session);
+    }
+
+    fn clock_id(&self) -> String {
+        self.starts.clock.clone()
+    }
+
+    fn tai(&self) -> Tai {
+        self.starts.tai()
+    }
+
+    fn prepare_start(&self, nets: &[String]) -> Result<Box<dyn Held>, String> {
+        self.starts.prepare(nets)
     }
 }
 
