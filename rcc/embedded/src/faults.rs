@@ -42,7 +42,7 @@ pub enum Fault {
     CrossThreads,
     /// The screw bites askew each time.
     StaysAskew,
-    /// The right arm loses its network while both arms carry the first box.
+    /// The right arm loses its network while both arms carry a box: the first one, or after a hand has slipped at that, the second.
     ArmLost,
     /// The program is killed then.
     ProgramKilled,
@@ -176,7 +176,9 @@ impl Faults {
             }
         }
         let outside = self.faults.iter().find(|fault| fault.is_outside());
-        let outside = outside.filter(|_| !self.has_begun && is_carried(truth));
+        let is_first = !self.faults.contains(&Fault::Slips);
+        let is_due = (is_first || is_unloaded(truth)) && is_carried(truth);
+        let outside = outside.filter(|_| !self.has_begun && is_due);
         self.has_begun |= outside.is_some();
         outside.copied()
     }
