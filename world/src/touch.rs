@@ -318,7 +318,13 @@ impl Scene {
 fn in_wall(at: &Vector3<f64>, half: &Vector3<f64>, wall: f64) -> Option<(Vector3<f64>, f64)> {
     let outer = inside(at, half);
     // How far it is from the inner faces, into what is around them.
-    let across = |axis: usize| (at[axis].abs() - (half[axis] - wall), axis, -at[axis].signum());
+    let across = |axis: usize| {
+        (
+            at[axis].abs() - (half[axis] - wall),
+            axis,
+            -at[axis].signum(),
+        )
+    };
     let below = (wall - half.z - at.z, 2, 1.0);
     let beyond = [across(0), across(1), below];
     // Deepest in the part in which it is; nowhere inside of any, it is in the open.

@@ -12,8 +12,8 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 use std::time::Duration;
 use takt_world::{
-    BodyConfig, Builder, EventKind, GraspConfig, Pose, SurfaceConfig, Truth, Twist, World, assembly,
-    assembly_unloaded,
+    BodyConfig, Builder, EventKind, GraspConfig, Pose, SurfaceConfig, Truth, Twist, World,
+    assembly, assembly_unloaded,
 };
 
 const G: f64 = 9.81;
@@ -312,7 +312,8 @@ fn world_unloaded_boxes_stand_on_bench() {
 #[test]
 fn world_open_box_lets_hands_in() {
     let force = |is_open: bool, x: f64, z: f64| {
-        let solid = BodyConfig::new("box", 1.0, [0.1, 0.1, 0.1]).at(at(0.0, 0.0, 0.05), Some("table"));
+        let solid =
+            BodyConfig::new("box", 1.0, [0.1, 0.1, 0.1]).at(at(0.0, 0.0, 0.05), Some("table"));
         let body = if is_open { solid.open(0.01) } else { solid };
         let world = table().body(body).probe("hand", at(0.0, 0.0, 0.16));
         let mut bench = Bench::new(world.build().unwrap(), &[("hand", down(x, 0.0, z))]);
@@ -323,8 +324,14 @@ fn world_open_box_lets_hands_in() {
         assert!(force(true, 0.0, z).abs() < 1e-9, "{z} m above the table");
     }
     assert!((force(true, 0.045, 0.099) - 20.0).abs() < 1.0, "on its rim");
-    assert!((force(true, 0.0, 0.009) - 20.0).abs() < 1.0, "on its bottom");
-    assert!((force(false, 0.0, 0.085) - 300.0).abs() < 5.0, "a solid one");
+    assert!(
+        (force(true, 0.0, 0.009) - 20.0).abs() < 1.0,
+        "on its bottom"
+    );
+    assert!(
+        (force(false, 0.0, 0.085) - 300.0).abs() < 5.0,
+        "a solid one"
+    );
 }
 
 /// A heavy block falls on its edge on the stiffest surface.

@@ -130,7 +130,10 @@ fn assembly_overcomes_burrs_and_screw_askew() {
         // The workpiece stands in the second box.
         let socket = ended.truth.body("socket").unwrap();
         assert!(socket.held_by.is_empty(), "{socket:?}");
-        assert!((socket.pose.translation.x - 0.53).abs() < 0.005, "{socket:?}");
+        assert!(
+            (socket.pose.translation.x - 0.53).abs() < 0.005,
+            "{socket:?}"
+        );
     });
 }
 

@@ -81,6 +81,22 @@ impl Fault {
         )
     }
 
+    /// Words of the error by which it ends the assembly; of one that is overcome, none.
+    #[must_use]
+    pub const fn named_by(self) -> &'static str {
+        match self {
+            Self::DocksBeside | Self::Slips | Self::Jams | Self::CrossThreads => "",
+            Self::StaysBeside => "the base docks beside its place twice",
+            Self::StaysSlippery => "a hand slips at its largest force",
+            Self::NoPeg => "box 1 has no peg",
+            Self::StaysJammed => "the peg jams",
+            Self::StaysAskew => "the screw is tight",
+            Self::ArmLost => "right",
+            Self::ProgramKilled => "signal: 9",
+            Self::ControllerKilled => "connection",
+        }
+    }
+
     /// Whether it is none of the world: see [`Faults::poll`].
     #[must_use]
     pub const fn is_outside(self) -> bool {
@@ -232,6 +248,18 @@ fn has_bitten(truth: &Truth) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What the program says, and by what its faults are recognized, do not drift apart.
+    #[test]
+    fn fault_words_are_those_of_program() {
+        let program = include_str!("../../api/examples/assembly/program.rs");
+        let by_program = Fault::all().filter(|fault| !fault.is_outside());
+        for fault in by_program {
+            let words = fault.named_by();
+            assert!(program.contains(words), "{fault}: {words}");
+            assert_eq!(words.is_empty(), fault.is_overcome(), "{fault}");
+        }
+    }
 
     #[test]
     fn fault_name_reads_back_and_unknown_lists_all() {

@@ -135,7 +135,10 @@ impl Record {
             let room = SAMPLES_MAX.saturating_sub(self.set_points.len());
             let rows = frame.iter().filter_map(|(at, joints)| {
                 let joints: [f64; JOINTS] = joints.try_into().ok()?;
-                joints.iter().all(|it| it.is_finite()).then_some((epoch + at, joints))
+                joints
+                    .iter()
+                    .all(|it| it.is_finite())
+                    .then_some((epoch + at, joints))
             });
             self.set_points.extend(rows.take(room));
         }

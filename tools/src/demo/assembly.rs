@@ -162,7 +162,13 @@ impl Demo {
         });
         let truth = world.truth();
         let log = log.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let mut report = Report::new(self.seed, &self.fault, (ended, &log.notes), &seen, &truth);
+        let mut report = Report::new(
+            (self.seed, self.stopping),
+            &self.fault,
+            (ended, &log.notes),
+            &seen,
+            &truth,
+        );
         let drawn = plot::draw(&svg, &seen, &log.spans);
         let alive = alive.into_inner().unwrap_or_else(PoisonError::into_inner);
         let mut recorded = None;
@@ -213,9 +219,7 @@ impl Demo {
         };
         let report = |progress: Progress<'_>| lock(log).take(progress, self.json);
         std::thread::scope(|scope| {
-            let work = scope.spawn(|| {
-                supervisor::run(&cell, address, self.order(), &report)
-            });
+            let work = scope.spawn(|| supervisor::run(&cell, address, self.order(), &report));
             while !work.is_finished() {
                 if stop.is_requested() {
                     // Everything brakes, and the program ends with an error.
@@ -264,7 +268,9 @@ impl Demo {
             }
         };
         let ended = supervisor::run(&cell, address, self.order(), &report);
-        ended.error.map_or(Ok(Verdict::Good), |error| anyhow::bail!("{error}"))
+        ended
+            .error
+            .map_or(Ok(Verdict::Good), |error| anyhow::bail!("{error}"))
     }
 
     fn print_report(

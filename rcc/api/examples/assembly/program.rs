@@ -147,7 +147,11 @@ impl<'r> Station<'r> {
 
     /// All others.
     pub(crate) fn work(&mut self) -> Done {
-        let boxes = if self.order.is_unloaded { &[][..] } else { &BOXES };
+        let boxes = if self.order.is_unloaded {
+            &[][..]
+        } else {
+            &BOXES
+        };
         for &[from, to] in boxes {
             self.step("unload a box", |it| it.unload(from, to))?;
         }
@@ -216,7 +220,12 @@ impl<'r> Station<'r> {
         let [left, right] = &self.arms;
         let [a, b] = &self.hands;
         let dock = |x| self.base.go_to(Pose::xyz(x, 0.0, 0.0));
-        let here = [left.ptp(ready(1.0)), right.ptp(ready(-1.0)), a.open(), b.open()];
+        let here = [
+            left.ptp(ready(1.0)),
+            right.ptp(ready(-1.0)),
+            a.open(),
+            b.open(),
+        ];
         if self.order.is_unloaded {
             return perform("start", together(here));
         }
@@ -394,7 +403,11 @@ impl<'r> Station<'r> {
             let ended = match ended {
                 Some(ended) => {
                     let ended = ended?;
-                    expect("drive the screw", &ended, &Outcome::Stopped("tight".to_owned()))?;
+                    expect(
+                        "drive the screw",
+                        &ended,
+                        &Outcome::Stopped("tight".to_owned()),
+                    )?;
                     ended
                 }
                 None => self.stop_pressing(&press, attempt)?,
@@ -482,7 +495,11 @@ fn settle(arm: &Arm) -> Done {
             return Ok(());
         }
         if Instant::now() > until {
-            return Err(format!("{} does not come to rest\nhint: does anything push it?", arm.description().name).into());
+            return Err(format!(
+                "{} does not come to rest\nhint: does anything push it?",
+                arm.description().name
+            )
+            .into());
         }
         last = now;
     }

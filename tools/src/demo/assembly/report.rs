@@ -1,7 +1,7 @@
 //! The report of an assembly: its steps, figures from the truth of the world, and the verdict.
 
-use std::fmt::Write as _;
 use serde::Serialize;
+use std::fmt::Write as _;
 use takt_core::Controller;
 use takt_embedded::world::Truth;
 use takt_embedded::{Fault, Figures, Record};
@@ -13,8 +13,8 @@ use crate::Verdict;
 /// Largest internal force of a box, N; and where an arm or a process is lost while both arms carry it.
 const INTERNAL: f64 = 15.0;
 const INTERNAL_LOST: f64 = 48.0;
-/// Largest change of the distance of the hands, mm. Wanted are 0.2 mm; for 60 ms, where a box leaves the platform, it is more.
-const GRASP: f64 = 1.5;
+/// Largest change of the distance of the hands, mm.
+const GRASP: f64 = 0.2;
 /// Largest force on the peg, N.
 const PEG: f64 = 25.0;
 /// Largest force at the flange of an arm, N: more than a box, a screw and their acceleration take.
@@ -74,7 +74,7 @@ struct Cycles {
 
 impl Report {
     pub(super) fn new(
-        seed: u64,
+        (seed, is_stopping): (u64, bool),
         injected: &[Fault],
         (ended, notes): (Supervised, &[&'static str]),
         seen: &Record,
@@ -86,7 +86,12 @@ impl Report {
             states,
             error,
         } = ended;
-        let faults = judge(injected, error.as_deref(), notes, &figures, truth);
+        let mut faults = judge(injected, error.as_deref(), notes, &figures, truth);
+        // Without blending, boxes stop in the air; so they do where a fault ends the assembly.
+        if !is_stopping && error.is_none() && figures.stops > 0 {
+            let stops = figures.stops;
+            faults.push(format!("boxes stood still in the air {stops} times"));
+        }
         let held = truth.bodies.iter().filter(|body| !body.held_by.is_empty());
         let seconds = |step: &Step| (step.name, step.duration.as_secs_f64());
         let steps: Vec<_> = steps.iter().map(seconds).collect();
@@ -256,9 +261,11 @@ fn judge(
         check(rests, "no box is held at rest by both hands".to_owned());
     }
     if let Some(fault) = ends_it {
+        let is_named = error.is_some_and(|error| error.contains(fault.named_by()));
+        let ended = error.map_or("it ended well", |error| error);
         check(
-            error.is_some(),
-            format!("`{fault}` was switched on, and the program did not notice"),
+            is_named,
+            format!("`{fault}` was switched on, and the program did not name it: {ended}"),
         );
         return faults;
     }
@@ -292,10 +299,6 @@ fn judge(
             "the screw is not seated with {TORQUE} Nm: {:.2} Nm",
             figures.torque_nm
         ),
-    );
-    check(
-        figures.stops == 0,
-        format!("boxes stood still in the air {} times", figures.stops),
     );
     faults
 }
