@@ -354,7 +354,7 @@ impl<'r> Station<'r> {
             }
             perform("draw the peg back", at(&slow, place, SEATED - 0.04))?;
             if left > ON_FACE {
-                if place == [0.0; 2] {
+                if others.len() == AROUND.len() {
                     self.note("the peg meets the face beside the hole: it is tried around it");
                 }
                 let text = "the peg does not find the hole; both hands keep their parts\nhint: put peg and socket into their places";

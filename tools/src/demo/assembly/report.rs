@@ -220,22 +220,8 @@ impl Report {
     }
 }
 
-/// What is not as it is to be.
-fn judge(
-    injected: &[Fault],
-    error: Option<&str>,
-    notes: &[&str],
-    figures: &Figures,
-    truth: &Truth,
-) -> Vec<String> {
-    let mut faults = Vec::new();
-    let mut check = |is_good: bool, text: String| {
-        if !is_good {
-            faults.push(text);
-        }
-    };
-    let ends_it = injected.iter().find(|fault| !fault.is_overcome());
-    let is_outside = injected.iter().any(|fault| fault.is_outside());
+/// Forces and losses, which no fault excuses.
+fn judge_handling(is_outside: bool, figures: &Figures, check: &mut impl FnMut(bool, String)) {
     let most = if is_outside { INTERNAL_LOST } else { INTERNAL };
     check(
         figures.internal_n <= most,
@@ -255,6 +241,25 @@ fn judge(
         figures.dropped == 0,
         format!("{} parts dropped", figures.dropped),
     );
+}
+
+/// What is not as it is to be.
+fn judge(
+    injected: &[Fault],
+    error: Option<&str>,
+    notes: &[&str],
+    figures: &Figures,
+    truth: &Truth,
+) -> Vec<String> {
+    let mut faults = Vec::new();
+    let mut check = |is_good: bool, text: String| {
+        if !is_good {
+            faults.push(text);
+        }
+    };
+    let ends_it = injected.iter().find(|fault| !fault.is_overcome());
+    let is_outside = injected.iter().any(|fault| fault.is_outside());
+    judge_handling(is_outside, figures, &mut check);
     if is_outside {
         let mut boxes = truth.bodies.iter().filter(|body| body.held_by.len() == 2);
         let rests = boxes.any(|body| body.twist.linear.norm() < RESTS);

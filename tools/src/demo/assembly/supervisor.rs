@@ -50,7 +50,7 @@ pub(super) fn run(
     let mut ended = Supervised::default();
     if let Err(error) = follow(cell, address, order, report, &mut ended) {
         // A connection that was lost ends the program first.
-        ended.error.get_or_insert(format!("{error:#}"));
+        ended.error.get_or_insert_with(|| format!("{error:#}"));
     }
     ended
 }
@@ -86,7 +86,7 @@ fn follow(
             let event = match result {
                 Ok(()) => event,
                 Err(error) => {
-                    ended.error.get_or_insert(error.to_string());
+                    ended.error.get_or_insert_with(|| error.to_string());
                     "failed"
                 }
             };
