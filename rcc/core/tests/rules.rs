@@ -389,9 +389,11 @@ fn prepared_start_past_stopped_or_released_never_begins() {
         (net, bench.0.prepare_start(&[net], "").unwrap())
     };
     let soon = || takt_core::monotonic() + takt_core::Nanos::from_millis(40);
-    let why = |start: &PreparedStart| match decided(start) {
-        PreparedState::Failed(why) => why,
-        state => panic!("{state:?}"),
+    let why = |start: &PreparedStart| {
+        let PreparedState::Failed(why) = decided(start) else {
+            panic!("it began");
+        };
+        why
     };
     // An instant that was missed, by whatever was late.
     let (net, late) = prepared();

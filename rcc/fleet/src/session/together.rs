@@ -12,7 +12,7 @@ use super::observer::{Fleet, FleetError};
 use super::remote::Remote;
 use crate::command::{Boot, Txn, random, to_json};
 use crate::keys::{CellKeys, CellName};
-use crate::start::{Abort, Goal, Initiator, Member, Outcome, Refusal, StartReply, Status};
+use crate::start::{Abort, Goal, Initiator, Member, Outcome, Ready, Refusal, StartReply, Status};
 
 /// How long a reply may take; the initiator gives up long before.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
@@ -120,20 +120,10 @@ pub fn start(
         let now = takt_core::monotonic;
         match said.recv_timeout(TICK) {
             Ok(Said::Prepared(at, reply)) => {
-                let reply = reply_of(keys[at].cell(), reply);
-                let ready = reply.and_then(|reply| match reply {
-                    StartReply::Ready(ready) => Ok(ready),
-                    other => Err(unexpected(keys[at].cell(), &other)),
-                });
-                initiator.handle_ready(at, ready, now());
+                initiator.handle_ready(at, ready_of(keys[at].cell(), reply), now());
             }
             Ok(Said::Committed(at, reply)) => {
-                let reply = reply_of(keys[at].cell(), reply);
-                let armed = reply.and_then(|reply| match reply {
-                    StartReply::Armed(_) => Ok(()),
-                    other => Err(unexpected(keys[at].cell(), &other)),
-                });
-                initiator.handle_armed(at, armed);
+                initiator.handle_armed(at, armed_of(keys[at].cell(), reply));
             }
             Err(_) => {}
         }
@@ -210,6 +200,26 @@ fn reply_of(cell: &CellName, reply: Result<StartReply, String>) -> Result<StartR
             cell: cell.to_string(),
             why,
         }),
+    }
+}
+
+fn ready_of(cell: &CellName, reply: Result<StartReply, String>) -> Result<Ready, Refusal> {
+    match reply_of(cell, reply)? {
+        StartReply::Ready(ready) => Ok(ready),
+        other @ (StartReply::Armed(_)
+        | StartReply::Aborted { .. }
+        | StartReply::Status { .. }
+        | StartReply::Refused { .. }) => Err(unexpected(cell, &other)),
+    }
+}
+
+fn armed_of(cell: &CellName, reply: Result<StartReply, String>) -> Result<(), Refusal> {
+    match reply_of(cell, reply)? {
+        StartReply::Armed(_) => Ok(()),
+        other @ (StartReply::Ready(_)
+        | StartReply::Aborted { .. }
+        | StartReply::Status { .. }
+        | StartReply::Refused { .. }) => Err(unexpected(cell, &other)),
     }
 }
 

@@ -13,7 +13,7 @@ use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Query as Sent;
 
-use super::{Shared, refuse, reply};
+use super::shared::{Shared, refuse, reply};
 use crate::command::{Answer, LossPolicy, Lost, Query, Reply, to_json};
 
 /// Longest wait for a query, after which losses of sessions are looked for.

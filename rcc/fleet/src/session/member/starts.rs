@@ -19,7 +19,7 @@ use zenoh::query::Query;
 use zenoh::sample::{Locality, Sample};
 
 use super::commands::Refusals;
-use super::{Held, HeldState, QUEUE, Shared, answer, refuse, reply};
+use super::shared::{Held, HeldState, QUEUE, Shared, answer, refuse, reply};
 use crate::command::{self, LossPolicy, Txn, check_key, random, to_json};
 use crate::keys::parts;
 use crate::session::SessionError;
@@ -215,12 +215,12 @@ impl Starts<'_> {
             )
         };
         let cell = self.name();
-        let until = permission.map_err(|why| match why {
-            command::Refusal::OtherBoot => Refusal::OtherBoot,
-            why => Refusal::Session {
-                cell: cell.clone(),
-                why,
-            },
+        let until = permission.map_err(|why| {
+            if why == command::Refusal::OtherBoot {
+                return Refusal::OtherBoot;
+            }
+            let cell = cell.clone();
+            Refusal::Session { cell, why }
         })?;
         if !(1..=NETS_MAX).contains(&request.nets.len()) {
             let why = format!("a start has 1 to {NETS_MAX} nets of a cell");

@@ -3,13 +3,16 @@
 use std::net::TcpListener;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicI64;
+use std::time::Duration;
 
-use serde_json::json;
+use serde_json::{Value, json};
+use takt_core::Nanos;
+use takt_core::tai::Tai;
 use zenoh_ext::{AdvancedSubscriberBuilderExt as _, HistoryConfig};
 
 use super::*;
 use crate::command::{
-    CommandRequest, LossPolicy, Nonce, OpenId, Refusal, Reply, SessionRequest, to_json,
+    CommandRequest, LossPolicy, Lost, Nonce, OpenId, Refusal, Reply, SessionRequest, to_json,
 };
 use crate::config::{FleetMode, FleetRight, FleetRule, Observer, of_observer};
 use crate::keys::{ALL_ALIVE, cell_of_alive};

@@ -293,10 +293,10 @@ fn said(from: &Session, step: &str, message: &str) -> StartReply {
 }
 
 fn why(reply: StartReply) -> Why {
-    match reply {
-        StartReply::Refused { reason, .. } => reason,
-        reply => panic!("{reply:?}"),
-    }
+    let StartReply::Refused { reason, .. } = reply else {
+        panic!("{reply:?}");
+    };
+    reason
 }
 
 /// Prepares at the first cell alone, with a partner that is never asked.
@@ -311,10 +311,11 @@ fn prepared(line: &Line, remote: &Remote, txn: Txn) -> (Prepare, Ready) {
         nets: vec!["rpinet0".to_owned()],
         clock: Some("host".to_owned()),
     };
-    match said(line.fleet.session(), "prepare", &to_json(&prepare)) {
-        StartReply::Ready(ready) => (prepare, ready),
-        reply => panic!("{reply:?}"),
-    }
+    let reply = said(line.fleet.session(), "prepare", &to_json(&prepare));
+    let StartReply::Ready(ready) = reply else {
+        panic!("{reply:?}");
+    };
+    (prepare, ready)
 }
 
 #[test]
