@@ -155,7 +155,8 @@ fn assembly_docks_again_grasps_harder_and_keeps_box_of_lost_arm() {
         let [least, most] = first.grasp_distance_m.unwrap();
         assert!(most - least <= 0.000_2, "{first:?}");
         assert!(first.is_resting, "{first:?}");
-        assert!((first.pose.translation.x - 0.22).abs() < 0.005, "{first:?}");
+        // It has slid in the oiled fingers.
+        assert!((first.pose.translation.x - 0.22).abs() < 0.01, "{first:?}");
         // Both hands hold the other one in the air, at rest.
         let second = ended.truth.body("box_2").unwrap();
         assert_eq!(second.held_by.len(), 2, "{second:?}");

@@ -28,6 +28,7 @@ use crate::Verdict;
 use crate::output::{check_writable, complain, say};
 use crate::run::{Access, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
+use plot::Span;
 use program::{Order, Progress, Step};
 use report::Report;
 use supervisor::Supervised;
@@ -41,14 +42,6 @@ const AFTER: Duration = Duration::from_secs(2);
 const CUT: Duration = Duration::from_millis(10);
 /// The arm whose set-points are watched, and that loses its network.
 const RIGHT: &str = "right";
-
-/// A step of the program in the picture, s on the clock of the world.
-#[derive(Debug)]
-struct Span {
-    name: &'static str,
-    from_s: f64,
-    to_s: f64,
-}
 
 /// What the program has reported.
 #[derive(Debug, Default)]
