@@ -28,7 +28,7 @@ const GRACE: Duration = Duration::from_secs(5);
 /// Start nets on several cells at one instant: all begin in the cycle nearest to it, or none does.
 ///
 /// Each NET is a file with a net, which is loaded in a session that ends with this command, or a net that is ready, such as rpinet0. The
-/// cells keep what their nets need, then all are told the instant; one that refuses, or does not answer, ends it for all. Cells on several
+/// cells keep what their nets need, then all get the instant; one that refuses, or does not answer, ends it for all. Cells on several
 /// hosts need clocks that are synchronised to a quarter of a period (PTP); cells on one host share its clock. Each cell needs the rights `command` and `start` for this link and
 /// for the links of its partners ([[fleet.allow]]). It runs until all nets have ended; Ctrl-C cancels them. Exit status: 0 all began and ended by
 /// themselves; 1 the start was refused, or a net failed; 2 a cell did not answer.

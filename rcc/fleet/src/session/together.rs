@@ -1,4 +1,4 @@
-//! Whoever wants nets of several cells to begin at one instant: it binds [`Initiator`] to the network, and reads afterwards how it went. The
+//! A program that wants nets of several cells to begin at one instant: this binds [`Initiator`] to the network, and reads afterwards how it went. The
 //! nets were loaded by sessions of commands, whose permission and policy count.
 
 use std::sync::mpsc::{Sender, channel};

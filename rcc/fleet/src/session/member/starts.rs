@@ -248,7 +248,7 @@ impl Starts<'_> {
         let thread = std::thread::Builder::new().name("fleet-prepare".to_owned());
         let started = thread.spawn(move || {
             let result = shared.cell.prepare_start(&request.nets);
-            // If nobody takes it any more, dropping it releases the nets.
+            // If this thread has ended, dropping it releases the nets.
             let _ = queue.send(Event::Prepared(Prepared {
                 query,
                 request,

@@ -420,7 +420,7 @@ fn start_by_link_without_right_gets_no_answer_and_arms_nothing() {
     // What it may not publish reaches no other link either.
     let other = self::observer(&endpoint);
     let arms = other.declare_subscriber("takt/*/start/**").wait().unwrap();
-    let news = other.declare_subscriber("takt/*/log").wait().unwrap();
+    let lines = other.declare_subscriber("takt/*/log").wait().unwrap();
     observer
         .put("takt/cell-b/start/1/armed", "{}")
         .wait()
@@ -429,7 +429,7 @@ fn start_by_link_without_right_gets_no_answer_and_arms_nothing() {
     // What it may publish comes after it on the same link.
     loop {
         observer.put("takt/cell-b/log", "\"later\"").wait().unwrap();
-        let sample = news.recv_timeout(Duration::from_millis(50)).unwrap();
+        let sample = lines.recv_timeout(Duration::from_millis(50)).unwrap();
         if sample.is_some_and(|it| it.key_expr().as_str() == "takt/cell-b/log") {
             break;
         }
