@@ -458,7 +458,7 @@ fn net_unloaded_while_starting_ends() {
     cell.controller.period = slow;
     let bench = Bench(Controller::start(&cell).unwrap());
     bench.arm("left", "100ms");
-    for unload in [true, false] {
+    let end_while_starting = |unload: bool| {
         let net = bench.load(&swing(&["left"]), None);
         std::thread::scope(|scope| {
             // Whether it still has an answer is a matter of luck.
@@ -471,7 +471,21 @@ fn net_unloaded_while_starting_ends() {
             }
         });
         let state = bench.0.net(net).map(|net| net.state());
-        assert_eq!(state, (!unload).then_some(NetState::Terminated));
+        if state == Some(NetState::Running) {
+            bench.0.abort(net).unwrap();
+        }
+        state
+    };
+    for unload in [true, false] {
+        // A cycle may begin within these 10 ms: the net then runs, which unloading does not affect.
+        let states = std::iter::repeat_with(|| end_while_starting(unload));
+        let mut ended = states
+            .take(10)
+            .skip_while(|state| *state == Some(NetState::Running));
+        assert_eq!(
+            ended.next(),
+            Some((!unload).then_some(NetState::Terminated))
+        );
         // Nothing holds the arm any more.
         let next = bench.load(&swing(&["left"]), None);
         bench.0.start_net(next).unwrap();

@@ -7,6 +7,9 @@ use super::activity::{Action, ActivityId, Group, GroupId, GroupLife, State, When
 use crate::error::ErrorKind;
 use crate::outcome::Outcome;
 
+/// Why a net ended whose place another one took, in the words of the controller.
+const STOPPED_BY_RULE: &str = "stopped by a rule";
+
 impl Engine {
     /// Schedules each group whose nets and predecessors are ready.
     pub(super) fn bind_all(&mut self) {
@@ -470,15 +473,22 @@ impl Engine {
         let is_open = ["blend", "maintaining"]
             .iter()
             .any(|key| activity.values.contains(*key));
+        let by_rule = reason == STOPPED_BY_RULE;
         let follows = |group: &Group| {
-            let begins = matches!(group.life, GroupLife::Scheduled | GroupLife::Fired);
             let mut keys = group.trigger.iter().filter(|(trigger, _)| *trigger == id);
             let is_triggered = keys.any(|(_, keys)| {
                 let mut keys = keys.iter();
                 keys.any(|key| activity.values.contains(key))
             });
-            let is_mine = group.predecessors().any(|other| other == id);
-            begins && is_mine && (group.when == When::Now || is_open || is_triggered)
+            let begins = match group.life {
+                GroupLife::Scheduled | GroupLife::Fired => {
+                    group.when == When::Now || is_open || is_triggered || by_rule
+                }
+                // It was cancelled, and its rule fired before the controller heard of it.
+                GroupLife::Dead => by_rule,
+                GroupLife::Reserve | GroupLife::Loading => false,
+            };
+            begins && group.predecessors().any(|other| other == id)
         };
         activity.outcome(reason, self.groups.values().any(follows))
     }

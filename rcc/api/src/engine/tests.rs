@@ -330,6 +330,32 @@ fn cancelled_successor_leaves_its_predecessor_alone() {
 }
 
 #[test]
+fn cancelled_successor_that_begins_all_the_same_takes_over() {
+    let mut engine = Engine::default();
+    let first = running(&mut engine, "left");
+    let second = begin(&mut engine, "left");
+    serve(&mut engine);
+    engine.cancel(second);
+    // Its rule fires before the controller unloads its net; the results of the first one may come later.
+    engine.net_state(&net(first), "TERMINATED", "stopped by a rule");
+    assert_eq!(outcome(&engine, first), Ok(Outcome::TakenOver));
+    engine.net_state(&net(second), "RUNNING", "");
+    let actions = serve(&mut engine);
+    assert!(
+        actions.contains(&Action::Cancel(net(second))),
+        "{actions:?}"
+    );
+}
+
+#[test]
+fn activity_stopped_by_rule_of_another_program_has_not_been_taken_over() {
+    let mut engine = Engine::default();
+    let id = running(&mut engine, "left");
+    engine.net_state(&net(id), "TERMINATED", "stopped by a rule");
+    assert!(matches!(outcome(&engine, id), Err(ErrorKind::Ended { .. })));
+}
+
+#[test]
 fn activity_cancelled_while_it_loads_is_unloaded() {
     let mut engine = Engine::default();
     let id = begin(&mut engine, "left");
