@@ -84,6 +84,9 @@ pub(crate) struct Demo {
     /// Assemble without blending: each motion ends at rest.
     #[arg(long)]
     stopping: bool,
+    /// Begin the assembly with both boxes on the bench.
+    #[arg(long)]
+    unloaded: bool,
     /// Only the program of `assembly`, at the controller of another demo.
     #[arg(long, value_name = "ADDRESS", hide = true)]
     program: Option<String>,
@@ -175,7 +178,7 @@ impl Demo {
             return self.assemble().map(Some);
         }
         anyhow::ensure!(
-            self.fault.is_empty() && !self.stopping && self.program.is_none(),
+            self.fault.is_empty() && !self.stopping && !self.unloaded && self.program.is_none(),
             "only `assembly` has faults to switch on and blending to switch off\nhint: add --cell assembly"
         );
         if self.open {

@@ -6,6 +6,7 @@ mod doctor;
 mod link;
 mod list;
 mod reading;
+mod start;
 mod top;
 mod watch;
 
@@ -20,6 +21,7 @@ pub(crate) enum Fleet {
     Top(top::Top),
     Call(call::Call),
     Watch(watch::Watch),
+    Start(start::Start),
     Doctor(doctor::Doctor),
 }
 
@@ -30,6 +32,7 @@ impl Fleet {
             Self::Top(top) => top.run(),
             Self::Call(call) => call.run(),
             Self::Watch(watch) => watch.run(),
+            Self::Start(start) => start.run(),
             Self::Doctor(doctor) => doctor.run(),
         }
     }

@@ -378,14 +378,36 @@ fn picture_of_a_net_shows_every_primitive() {
     expect_status(&broken, 1);
 }
 
-/// The program is a process of its own then.
-#[test]
-fn demo_assembly_program_killed_leaves_box_in_both_hands() {
-    let _alone = alone();
+/// The report of an assembly with a fault.
+fn assembly(fault: &[&str]) -> Value {
     let folder = Folder::new();
     let recording = folder.file("assembly.mcap");
-    let args = ["--cell", "assembly", "--fault", "program-killed"];
-    let report = good_demo(&[&args[..], &["--record", &recording]].concat());
+    let args = ["--cell", "assembly", "--record", &recording, "--fault"];
+    good_demo(&[&args[..], fault].concat())
+}
+
+/// The program is a process of its own where it is killed. Two cells, beside each other.
+#[test]
+fn demo_assembly_program_killed_and_peg_missing_end_contained() {
+    let _alone = alone();
+    std::thread::scope(|scope| {
+        let killed = scope.spawn(|| assembly(&["program-killed"]));
+        let missing = assembly(&["no-peg", "--unloaded"]);
+        let error = missing["error"].as_str().unwrap();
+        assert!(error.contains("box 1 has no peg"), "{missing}");
+        assert!(error.contains("hint:"), "{missing}");
+        assert_eq!(missing["held"], serde_json::json!(["socket"]), "{missing}");
+        assert_eq!(missing["dropped"], 0);
+        // The first state is too short to be seen.
+        let states = missing["states"].as_array().unwrap().iter();
+        let states = states.map(|state| state[0].as_str().unwrap());
+        let states: Vec<_> = states.filter(|state| *state != "Start").collect();
+        assert_eq!(states, ["Home", "Work", "Fault", "Recover", "Stop"]);
+        expect_box_in_both_hands(&killed.join().unwrap());
+    });
+}
+
+fn expect_box_in_both_hands(report: &Value) {
     let error = report["error"].as_str().unwrap();
     assert!(error.contains("signal: 9"), "{report}");
     assert_eq!(report["held"], serde_json::json!(["box_1"]), "{report}");

@@ -25,6 +25,8 @@ pub struct BodyConfig {
     pub is_notched: bool,
     /// Its peg, if it has one.
     pub peg: Option<PegConfig>,
+    /// Thickness of its walls and bottom, m, if it is open at its top, z: hands reach into it. `None` for a solid one.
+    pub wall_m: Option<f64>,
 }
 
 impl BodyConfig {
@@ -40,6 +42,7 @@ impl BodyConfig {
             grips: Vec::new(),
             is_notched: false,
             peg: None,
+            wall_m: None,
         }
     }
 
@@ -65,6 +68,15 @@ impl BodyConfig {
     pub fn notched(self) -> Self {
         Self {
             is_notched: true,
+            ..self
+        }
+    }
+
+    /// Opens its top; walls and bottom are that thick.
+    #[must_use]
+    pub fn open(self, wall_m: f64) -> Self {
+        Self {
+            wall_m: Some(wall_m),
             ..self
         }
     }

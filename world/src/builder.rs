@@ -296,6 +296,11 @@ impl Builder {
                     "0.1 mm to 1 m",
                 )?;
             }
+            if let Some(wall) = it.wall_m {
+                let most = it.size_m.min() / 2.0;
+                let range = "0.1 mm to half of the least length";
+                within(&it.name, "wall", wall, [1e-4, most], range)?;
+            }
             if let Some(peg) = &it.peg {
                 check_pose(&it.name, &peg.tip)?;
                 within(

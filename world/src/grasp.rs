@@ -73,10 +73,16 @@ pub(crate) struct Hold {
 
 /// Whether a grip in the world is between fingers at `tcp`.
 pub(crate) fn is_within(config: &GraspConfig, tcp: &Pose, grip: &Pose) -> bool {
+    let [.., z] = config.reach_m;
+    is_over(config, tcp, grip) && local(grip, &origin(tcp)).z >= -z
+}
+
+/// Whether fingers at `tcp` are around a grip, or before it on the way along its z.
+pub(crate) fn is_over(config: &GraspConfig, tcp: &Pose, grip: &Pose) -> bool {
     let off = local(grip, &origin(tcp));
     let [x, y, z] = config.reach_m;
     let closing = (tcp.rotation * Vector3::y()).dot(&(grip.rotation * Vector3::y()));
-    off.x.abs() <= x && off.y.abs() <= y && off.z.abs() <= z && closing.abs() > ALIGNED
+    off.x.abs() <= x && off.y.abs() <= y && off.z <= z && closing.abs() > ALIGNED
 }
 
 /// Where a body rests between fingers that closed on it: centred, pads flat on its sides.

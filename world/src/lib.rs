@@ -29,6 +29,6 @@ pub use handle::{Base, Fingers, Hand, Screwdriver, Stopped, World};
 pub use hole::{HoleConfig, PegConfig};
 pub use scene::Knobs;
 pub use screw::{ScrewConfig, ThreadConfig};
-pub use station::assembly;
+pub use station::{assembly, assembly_unloaded};
 pub use surface::SurfaceConfig;
 pub use truth::{BodyTruth, HandTruth, PegTruth, ScrewTruth, Truth};

@@ -90,6 +90,8 @@ pub(crate) struct HandState {
     /// Flange and tool centre point as of this step, with the twist of the flange.
     pub(crate) now: Option<(Pose, Pose, Twist)>,
     pub(crate) wrench: Wrench,
+    /// Largest force so far, N.
+    pub(crate) force_max: f64,
     pub(crate) tip: Anchor,
     /// Touches this one: surfaces count from 0, bodies follow.
     pub(crate) touches: Option<usize>,
@@ -107,6 +109,7 @@ impl HandState {
                 force: Vector3::new(0.0, 0.0, 0.0),
                 torque: Vector3::new(0.0, 0.0, 0.0),
             },
+            force_max: 0.0,
             tip: Anchor(None),
             touches: None,
         }

@@ -19,6 +19,11 @@ const PLACED: f64 = 0.000_3;
 const DOCKED: [f64; 2] = [0.002, 0.003];
 /// Tolerances of the switch at the dock, m and rad.
 const DOCK: [f64; 2] = [0.004, 0.01];
+/// Where the boxes stand on the deck, and where on the bench, from the middle of each, x, m.
+const DECK_X: [f64; 2] = [-0.13, 0.12];
+const BENCH_X: [f64; 2] = [-0.18, 0.13];
+/// Walls and bottom of a box, m.
+const WALL: f64 = 0.01;
 
 fn at(x: f64, y: f64, z: f64) -> Pose {
     Pose::translation(x, y, z)
@@ -38,7 +43,7 @@ fn down(x: f64, y: f64, z: f64) -> Pose {
 /// | surface `floor` | z -0.75 |
 /// | base `base` | at x 2.0 at first. Its surface `deck`: x -0.25 to 0.25, y -0.3 to 0.3, z 0.05 |
 /// | dock `dock` | at x 0.95, y 0, for `base`: guides from 60 mm on, its switch is closed within 4 mm and 10 mrad |
-/// | body `box_1`, `box_2` | on the deck at x -0.13 and 0.12, 0.2 x 0.36 x 0.1, 1.2 kg; grips on the walls at y = +-0.175, 40 mm above its centre, 10 mm wide, closed along y, with notches |
+/// | body `box_1`, `box_2` | on the deck at x -0.13 and 0.12, 0.2 x 0.36 x 0.1, 1.2 kg, open at the top; grips on the walls at y = +-0.175, 40 mm above its centre, 10 mm wide, closed along y, with notches |
 /// | body `peg` | in `box_1`, 0.2 kg, 30 x 30 x 80 mm, radius of the peg 10 mm; grip 20 mm above its centre |
 /// | body `socket` | in `box_2`, 0.6 kg, 60 x 60 x 50 mm; grip 10 mm above its centre, 60 mm wide |
 /// | hole `bore` | in the bottom of `socket`: 0.1 mm clearance, 30 mm deep, chamfer 1.5 mm |
@@ -51,15 +56,29 @@ fn down(x: f64, y: f64, z: f64) -> Pose {
 ///
 /// # Errors
 /// None that a seed could cause.
-#[expect(clippy::too_many_lines, reason = "a table of what stands where")]
 pub fn assembly(seed: u64) -> Result<World, BuildError> {
+    station(seed, DECK_X, "deck")
+}
+
+/// The same scene later: both boxes stand on the bench, at x 0.22 and 0.53, and the deck is empty.
+///
+/// # Errors
+/// None that a seed could cause.
+pub fn assembly_unloaded(seed: u64) -> Result<World, BuildError> {
+    station(seed, BENCH_X, "bench")
+}
+
+/// The scene with its boxes at these places of a surface, x, m.
+#[expect(clippy::too_many_lines, reason = "a table of what stands where")]
+fn station(seed: u64, boxes: [f64; 2], on: &str) -> Result<World, BuildError> {
     let mut random = Random::new(seed);
     let mut near =
         |x: f64, y: f64, z: f64| at(x + random.within(PLACED), y + random.within(PLACED), z);
     let supply = |name: &str, x: f64| {
         let walls = [0.175, -0.175];
-        let supply =
-            BodyConfig::new(name, 1.2, [0.2, 0.36, 0.1]).at(at(x, 0.0, 0.05), Some("deck"));
+        let supply = BodyConfig::new(name, 1.2, [0.2, 0.36, 0.1])
+            .at(at(x, 0.0, 0.05), Some(on))
+            .open(WALL);
         let grips = walls.into_iter();
         grips
             .fold(supply, |it, y| it.grip(down(0.0, y, 0.04), 0.01))
@@ -91,8 +110,8 @@ pub fn assembly(seed: u64) -> Result<World, BuildError> {
             [10.0, 10.0],
         ))
         .surface(deck)
-        .body(supply("box_1", -0.13))
-        .body(supply("box_2", 0.12))
+        .body(supply("box_1", boxes[0]))
+        .body(supply("box_2", boxes[1]))
         .body(
             BodyConfig::new("peg", 0.2, [0.03, 0.03, 0.08])
                 .at(near(0.0, 0.0, 0.03), Some("box_1"))

@@ -4,7 +4,7 @@
 use crate::body::Carrier;
 use crate::event::EventKind;
 use crate::geometry::{Pose, Wrench, local, origin};
-use crate::grasp::is_within;
+use crate::grasp::is_over;
 use crate::scene::{Frame, HandState, Scene, Tool};
 use crate::screw::{BIT_DAMPING, BIT_STIFFNESS, Place, RECESS_STIFFNESS, has_left};
 use crate::surface::{Anchor, Touch};
@@ -146,7 +146,13 @@ impl Scene {
         let palm = self.palm(hand, tcp, index);
         let (normal, depth) = match palm {
             Some(palm) => palm?,
-            None => inside(&at, &body.half).map(|(n, depth)| (body.pose.rotation * n, depth))?,
+            None => {
+                let found = body.config.wall_m.map_or_else(
+                    || inside(&at, &body.half),
+                    |wall| in_wall(&at, &body.half, wall),
+                );
+                found.map(|(normal, depth)| (body.pose.rotation * normal, depth))?
+            }
         };
         Some(Found {
             what: self.surfaces_all().len() + index,
@@ -163,7 +169,8 @@ impl Scene {
         })
     }
 
-    /// A gripper over a grip touches with its palm alone; the outer `None` for all others.
+    /// A gripper whose open fingers are around a grip, or on their way there, touches with its palm alone; the outer `None` for all
+    /// others.
     #[expect(clippy::option_option, reason = "no grip and no contact differ")]
     fn palm(
         &self,
@@ -175,8 +182,12 @@ impl Scene {
             return None;
         };
         let body = self.bodies().get(index)?;
-        let mut grips = body.config.grips.iter().map(|(at, _)| body.pose * at);
-        let grip = grips.find(|grip| is_within(&fingers.config, tcp, grip))?;
+        let grips = body.config.grips.iter();
+        let mut open = grips.filter(|(_, width)| fingers.width > *width);
+        let grip = open.find_map(|(at, _)| {
+            let grip = body.pose * at;
+            is_over(&fingers.config, tcp, &grip).then_some(grip)
+        })?;
         let way = tcp.rotation * Vector3::z();
         let depth = (origin(tcp) - origin(&grip)).dot(&way) - PALM;
         Some((depth > 0.0).then_some((-way, depth)))
@@ -301,6 +312,33 @@ impl Scene {
             |surface| surface.config.name.clone(),
         )
     }
+}
+
+/// The same for a box that is open at its top: the nearest face, inner or outer, around a point in a wall or the bottom.
+fn in_wall(at: &Vector3<f64>, half: &Vector3<f64>, wall: f64) -> Option<(Vector3<f64>, f64)> {
+    let outer = inside(at, half);
+    // How far it is from the inner faces, into what is around them.
+    let across = |axis: usize| {
+        (
+            at[axis].abs() - (half[axis] - wall),
+            axis,
+            -at[axis].signum(),
+        )
+    };
+    let below = (wall - half.z - at.z, 2, 1.0);
+    let beyond = [across(0), across(1), below];
+    // Deepest in the part in which it is; nowhere inside of any, it is in the open.
+    let (depth, axis, sign) = beyond.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    if depth <= 0.0 {
+        return None;
+    }
+    if outer.is_some_and(|(_, outer)| outer <= depth) {
+        return outer;
+    }
+    let is_within = (0..3).all(|axis| at[axis].abs() < half[axis]);
+    let mut normal = Vector3::zeros();
+    normal[axis] = sign;
+    (is_within && depth < DEPTH_MAX).then_some((normal, depth))
 }
 
 /// Nearest face of a box around a point inside of it: its normal and how deep the point is.

@@ -62,6 +62,8 @@ pub struct HandTruth {
     pub flange: Option<Pose>,
     /// On the flange, about its origin.
     pub wrench: Wrench,
+    /// Largest force on the flange so far, N.
+    pub force_max_n: f64,
     /// Body between its fingers.
     pub holds: Option<String>,
     /// How far bodies have slid between its fingers, m.

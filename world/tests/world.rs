@@ -12,7 +12,8 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 use std::time::Duration;
 use takt_world::{
-    BodyConfig, Builder, EventKind, GraspConfig, Pose, SurfaceConfig, Truth, Twist, World, assembly,
+    BodyConfig, Builder, EventKind, GraspConfig, Pose, SurfaceConfig, Truth, Twist, World,
+    assembly, assembly_unloaded,
 };
 
 const G: f64 = 9.81;
@@ -288,6 +289,49 @@ fn world_base_carries_bodies_with_docking_offset() {
         );
         assert!(after.body(body).unwrap().is_resting);
     }
+}
+
+#[test]
+fn world_unloaded_boxes_stand_on_bench() {
+    let world = assembly_unloaded(1).unwrap();
+    world.advance(Duration::ZERO);
+    world.advance(Duration::from_secs(1));
+    let truth = world.truth();
+    for (name, x, z) in [
+        ("box_1", 0.22, 0.05),
+        ("box_2", 0.53, 0.05),
+        ("peg", 0.22, 0.08),
+    ] {
+        let body = truth.body(name).unwrap();
+        let off = body.pose.translation.vector - Vector3::new(x, 0.0, z);
+        assert!(off.norm() < 6e-4 && body.is_resting, "{name}: {body:?}");
+    }
+}
+
+/// Over an open box of 100 mm with walls of 10 mm: into it, onto its rim, onto its bottom, and a solid one.
+#[test]
+fn world_open_box_lets_hands_in() {
+    let force = |is_open: bool, x: f64, z: f64| {
+        let solid =
+            BodyConfig::new("box", 1.0, [0.1, 0.1, 0.1]).at(at(0.0, 0.0, 0.05), Some("table"));
+        let body = if is_open { solid.open(0.01) } else { solid };
+        let world = table().body(body).probe("hand", at(0.0, 0.0, 0.16));
+        let mut bench = Bench::new(world.build().unwrap(), &[("hand", down(x, 0.0, z))]);
+        bench.rest(5);
+        bench.wrenches[0].force.z
+    };
+    for z in [0.095, 0.085, 0.05, 0.012] {
+        assert!(force(true, 0.0, z).abs() < 1e-9, "{z} m above the table");
+    }
+    assert!((force(true, 0.045, 0.099) - 20.0).abs() < 1.0, "on its rim");
+    assert!(
+        (force(true, 0.0, 0.009) - 20.0).abs() < 1.0,
+        "on its bottom"
+    );
+    assert!(
+        (force(false, 0.0, 0.085) - 300.0).abs() < 5.0,
+        "a solid one"
+    );
 }
 
 /// A heavy block falls on its edge on the stiffest surface.

@@ -262,7 +262,7 @@ fn emulated_cell_unknown_name_lists_known_ones() {
     assert!(matches!(error.kind, ErrorKind::Invalid(_)), "{error}");
     let text = error.to_string();
     assert!(
-        text.contains("two_lwr, iiwa, factory, lwr_wsg, lwr_table, assembly, lola"),
+        text.contains("lwr_wsg, lwr_table, assembly, assembly_unloaded, lola"),
         "{text}"
     );
 }

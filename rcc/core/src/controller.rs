@@ -24,6 +24,7 @@ mod machines;
 mod monitor;
 mod nets;
 mod permission;
+mod prepared;
 mod probes;
 mod registry;
 mod rejections;
@@ -58,7 +59,10 @@ use threads::NetThreads;
 use admission::Admission;
 use device_set::DeviceSet;
 
-pub use crate::executor::{figures::NetCounts, rules::RuleState};
+pub use crate::executor::{
+    figures::NetCounts,
+    rules::{Begun, RuleState},
+};
 pub use crate::ids::{NetId, NetState, SessionId};
 pub use admission::limits_for;
 pub use changed::Changed;
@@ -79,6 +83,7 @@ pub(crate) use nets::LiveNet;
 pub use nets::{
     NETS_MAX, NetInfo, RECORDED_NETS_MAX, RetainedNet, TAPS_RECORDED_FOR, TapRecord, Taps,
 };
+pub use prepared::{PreparedStart, PreparedState};
 pub use rejections::{RejectReason, RejectedCounts, RejectedInfo};
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 pub use sessions::SESSIONS_MAX;

@@ -35,6 +35,9 @@ pub enum Error {
     /// No net has this identifier.
     #[error("there is no net {0}")]
     NoSuchNet(NetId),
+    /// A start names no net.
+    #[error("the start names no net; name at least one")]
+    NoNet,
     /// No session has this number.
     #[error("there is no session {0}")]
     NoSuchSession(String),

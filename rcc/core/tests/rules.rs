@@ -3,12 +3,15 @@
 
 #![expect(
     clippy::unwrap_used,
+    clippy::panic,
     reason = "a test may fail anywhere, its helpers too"
 )]
 
 use std::time::{Duration, Instant};
 
-use takt_core::controller::{LoadRequest, NetState, RuleId, RuleRequest, RuleState};
+use takt_core::controller::{
+    Begun, LoadRequest, NetState, PreparedStart, PreparedState, RuleId, RuleRequest, RuleState,
+};
 use takt_core::{CellConfig, Controller, NetId, SessionId};
 
 struct Bench(Controller);
@@ -311,4 +314,140 @@ fn counting() -> String {
     five=Core::IntEquals(inFirst=cycles.outValue,Second='5'),
     outTerminate=five.outValue}"
         .to_owned()
+}
+
+/// Never ends by itself, unless it is cancelled.
+const ENDLESS: &str = "{x=Cancel(),outTerminate=x.outCancel}";
+
+/// Waits until nets of a prepared start have begun or have failed.
+fn decided(start: &PreparedStart) -> PreparedState {
+    let until = Instant::now() + Duration::from_secs(20);
+    loop {
+        let state = start.state();
+        if state != PreparedState::Waiting {
+            return state;
+        }
+        assert!(Instant::now() < until, "the start is not decided");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// The cycles in which nets of these controllers began together; a start that a stall of the host prevents is tried again.
+fn begun_together(benches: &[&Bench]) -> Vec<Begun> {
+    for _ in 0..100 {
+        let prepare = |bench: &&Bench| {
+            let net = bench.load(ENDLESS);
+            bench.0.prepare_start(&[net], "together").unwrap()
+        };
+        let starts: Vec<_> = benches.iter().map(prepare).collect();
+        // On the grid, so that both have one nearest cycle.
+        let reading = takt_core::read_tai().unwrap();
+        let ahead = reading.after + takt_core::Nanos::from_millis(50);
+        let at = ahead - takt_core::Nanos((ahead + reading.offset()).0.rem_euclid(1_000_000));
+        starts.iter().for_each(|start| start.begin_at(at));
+        let states: Vec<_> = starts.iter().map(decided).collect();
+        let begun: Vec<_> = states
+            .iter()
+            .filter_map(|state| match state {
+                PreparedState::Begun(begun) => Some(*begun),
+                PreparedState::Waiting => None,
+                PreparedState::Failed(why) => {
+                    assert!(why.contains("the host stalled"), "{why}");
+                    None
+                }
+            })
+            .collect();
+        for (start, bench) in starts.iter().zip(benches) {
+            assert!(start.nets().iter().all(|net| bench.0.abort(*net).is_ok()));
+        }
+        for begun in &begun {
+            let beside = (begun.begin - at).0.abs();
+            assert!(beside <= 500_000, "{beside} ns beside the instant");
+            assert!(begun.woken >= begun.begin, "{begun:?}");
+        }
+        if begun.len() == benches.len() {
+            return begun;
+        }
+    }
+    panic!("the host stalled at each start");
+}
+
+#[test]
+fn prepared_starts_of_two_controllers_begin_in_one_cycle() {
+    let (one, other) = (Bench::new(), Bench::new());
+    let begun = begun_together(&[&one, &other]);
+    // Both have the cycles of the host's TAI: their grids differ by the error of reading it.
+    let beside = (begun[0].begin - begun[1].begin).0.abs();
+    assert!(beside <= 100_000, "{beside} ns beside each other");
+}
+
+#[test]
+fn prepared_start_past_stopped_or_released_never_begins() {
+    let bench = Bench::new();
+    let prepared = || {
+        let net = bench.load(ENDLESS);
+        (net, bench.0.prepare_start(&[net], "").unwrap())
+    };
+    let soon = || takt_core::monotonic() + takt_core::Nanos::from_millis(40);
+    let why = |start: &PreparedStart| {
+        let PreparedState::Failed(why) = decided(start) else {
+            panic!("it began");
+        };
+        why
+    };
+    // An instant that was missed, by whatever was late.
+    let (net, late) = prepared();
+    assert_eq!(bench.state(net), NetState::Scheduled);
+    late.begin_at(takt_core::monotonic() - takt_core::Nanos::from_millis(10));
+    assert!(why(&late).contains("the host stalled"), "{}", why(&late));
+    // The net is free for another start.
+    bench.0.start_net(net).unwrap();
+    // One that was released in time, though an instant was given.
+    let (net, released) = prepared();
+    released.begin_at(soon());
+    assert!(released.release());
+    assert!(why(&released).contains("released"), "{}", why(&released));
+    let is_free = |net| bench.0.prepare_start(&[net], "again").is_ok();
+    bench.wait("the net is free", || is_free(net));
+    // Dropped: its holder is gone.
+    let (net, dropped) = prepared();
+    drop(dropped);
+    bench.wait("the net is free", || is_free(net));
+    // A stop in between, even if it is over before the instant.
+    let (net, stopped) = prepared();
+    let switch = bench.0.stop_switch();
+    stopped.begin_at(soon());
+    switch.stop(takt_core::stop_channel::Origin::Program);
+    assert!(matches!(decided(&stopped), PreparedState::Failed(_)));
+    assert!(switch.release());
+    std::thread::sleep(Duration::from_millis(60));
+    assert_ne!(bench.state(net), NetState::Running);
+    assert!(
+        !bench
+            .0
+            .net(net)
+            .unwrap()
+            .states
+            .contains(&NetState::Running)
+    );
+}
+
+#[test]
+fn prepared_start_without_common_period_is_refused() {
+    let bench = Bench::new();
+    let none = bench.0.prepare_start(&[], "").unwrap_err().to_string();
+    assert!(none.contains("names no net"), "{none}");
+    let slow = LoadRequest {
+        text: ENDLESS.to_owned(),
+        session: SessionId::NONE,
+        description: String::new(),
+        period: Some(Duration::from_millis(4)),
+    };
+    let (slow, fast) = (bench.0.load(slow).unwrap(), bench.load(ENDLESS));
+    let error = bench.0.prepare_start(&[fast, slow], "").unwrap_err();
+    assert!(error.to_string().contains("one period"), "{error}");
+    let start = bench.0.prepare_start(&[slow], "").unwrap();
+    assert_eq!(start.period(), Duration::from_millis(4));
+    let twice = bench.0.prepare_start(&[slow], "").unwrap_err().to_string();
+    assert!(twice.contains("waits for another start already"), "{twice}");
 }

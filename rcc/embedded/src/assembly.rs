@@ -1,10 +1,11 @@
-//! The world of the cell `assembly`, and which of its parts each device moves. The program that assembles is not here.
+//! The world of the cells `assembly`, and which of its parts each device moves. The program that assembles is not here.
 
 use std::time::Duration;
 
 use nalgebra::Isometry3;
 use takt_core::CellConfig;
 use takt_fri::lwr::emulator::Sensing;
+use takt_world::World;
 
 use crate::error::Error;
 use crate::surroundings::CellWorld;
@@ -22,6 +23,18 @@ impl CellWorld {
     /// # Errors
     /// None that a seed could cause.
     pub fn assembly(cell: &CellConfig, seed: u64) -> Result<Self, Error> {
+        Ok(Self::station(cell, takt_world::assembly(seed)?))
+    }
+
+    /// The same later: both boxes stand on the bench.
+    ///
+    /// # Errors
+    /// None that a seed could cause.
+    pub fn assembly_unloaded(cell: &CellConfig, seed: u64) -> Result<Self, Error> {
+        Ok(Self::station(cell, takt_world::assembly_unloaded(seed)?))
+    }
+
+    fn station(cell: &CellConfig, world: World) -> Self {
         let place = |device: &str| {
             let mut bases = cell.frames.bases.iter();
             let base = bases.find(|base| base.device == device);
@@ -31,8 +44,8 @@ impl CellWorld {
             let hands = hands.iter().map(|hand| (*hand).to_owned());
             (device.to_owned(), place(device), hands.collect())
         };
-        Ok(Self {
-            world: takt_world::assembly(seed)?,
+        Self {
+            world,
             arms: vec![arm("left", &["left"]), arm("right", &["right", "driver"])],
             grippers: vec![
                 ("left_hand".to_owned(), "left".to_owned()),
@@ -42,6 +55,6 @@ impl CellWorld {
             switches: vec![("left".to_owned(), 0, "dock".to_owned())],
             base: Some("base".to_owned()),
             sensing: SENSING,
-        })
+        }
     }
 }

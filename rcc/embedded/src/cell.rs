@@ -12,20 +12,23 @@ use takt_devices::wsg::emulator::Port;
 use crate::error::Error;
 use crate::surroundings::CellWorld;
 
+/// Of two cells, whose worlds differ.
+const ASSEMBLY: &str = include_str!("../cells/assembly.toml");
 /// Names and texts of the cells.
-const CELLS: [(&str, &str); 7] = [
+const CELLS: [(&str, &str); 8] = [
     ("two_lwr", include_str!("../cells/two_lwr.toml")),
     ("iiwa", include_str!("../cells/iiwa.toml")),
     ("factory", include_str!("../cells/factory.toml")),
     ("lwr_wsg", include_str!("../cells/lwr_wsg.toml")),
     ("lwr_table", include_str!("../cells/lwr_table.toml")),
-    ("assembly", include_str!("../cells/assembly.toml")),
+    ("assembly", ASSEMBLY),
+    ("assembly_unloaded", ASSEMBLY),
     ("lola", include_str!("../cells/lola.toml")),
 ];
 
 /// Names of the emulated cells.
-pub const NAMES: [&str; 7] = [
-    CELLS[0].0, CELLS[1].0, CELLS[2].0, CELLS[3].0, CELLS[4].0, CELLS[5].0, CELLS[6].0,
+pub const NAMES: [&str; 8] = [
+    CELLS[0].0, CELLS[1].0, CELLS[2].0, CELLS[3].0, CELLS[4].0, CELLS[5].0, CELLS[6].0, CELLS[7].0,
 ];
 
 /// Of the world of a cell, unless it is replaced.
@@ -44,7 +47,8 @@ pub struct EmulatedCell {
     pub(crate) segments: Vec<EthercatConfig>,
     /// Where emulated grippers accept their driver, by device.
     pub(crate) grippers: Vec<(String, Port)>,
-    /// The world around the robots; without one, arms meet at most a table. `assembly` has [`CellWorld::assembly`].
+    /// The world around the robots; without one, arms meet at most a table. `assembly` has [`CellWorld::assembly`], and
+    /// `assembly_unloaded` [`CellWorld::assembly_unloaded`].
     pub world: Option<CellWorld>,
 }
 
@@ -79,7 +83,11 @@ impl EmulatedCell {
             grippers.push((moved.name.clone(), port));
             *device = Arc::new(moved) as Arc<dyn DriverConfig>;
         }
-        let world = (name == "assembly").then(|| CellWorld::assembly(&config, SEED));
+        let world = match name {
+            "assembly" => Some(CellWorld::assembly(&config, SEED)),
+            "assembly_unloaded" => Some(CellWorld::assembly_unloaded(&config, SEED)),
+            _ => None,
+        };
         Ok(Self {
             world: world.transpose()?,
             config,
@@ -109,6 +117,7 @@ mod tests {
                 (2, 0, 1),
                 (1, 0, 0),
                 (4, 1, 2),
+                (4, 1, 2),
                 (0, 1, 0)
             ]
         );
@@ -118,7 +127,7 @@ mod tests {
     fn emulated_cell_unknown_name_lists_all() {
         let error = EmulatedCell::named("three_lwr").unwrap_err().to_string();
         let expected = "there is no emulated cell `three_lwr`\n\
-                        hint: the emulated cells are two_lwr, iiwa, factory, lwr_wsg, lwr_table, assembly, lola";
+                        hint: the emulated cells are two_lwr, iiwa, factory, lwr_wsg, lwr_table, assembly, assembly_unloaded, lola";
         assert_eq!(error, expected);
     }
 }

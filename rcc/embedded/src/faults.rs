@@ -42,7 +42,7 @@ pub enum Fault {
     CrossThreads,
     /// The screw bites askew each time.
     StaysAskew,
-    /// The right arm loses its network while both arms carry the first box.
+    /// The right arm loses its network while both arms carry a box: the first one, or after a hand has slipped at that, the second.
     ArmLost,
     /// The program is killed then.
     ProgramKilled,
@@ -79,6 +79,22 @@ impl Fault {
             self,
             Self::DocksBeside | Self::Slips | Self::Jams | Self::CrossThreads
         )
+    }
+
+    /// Words of the error by which it ends the assembly; of one that is overcome, none.
+    #[must_use]
+    pub const fn named_by(self) -> &'static str {
+        match self {
+            Self::DocksBeside | Self::Slips | Self::Jams | Self::CrossThreads => "",
+            Self::StaysBeside => "the base docks beside its place twice",
+            Self::StaysSlippery => "a hand slips at its largest force",
+            Self::NoPeg => "box 1 has no peg",
+            Self::StaysJammed => "the peg jams",
+            Self::StaysAskew => "the screw is tight",
+            Self::ArmLost => "right",
+            Self::ProgramKilled => "signal: 9",
+            Self::ControllerKilled => "connection",
+        }
     }
 
     /// Whether it is none of the world: see [`Faults::poll`].
@@ -176,7 +192,9 @@ impl Faults {
             }
         }
         let outside = self.faults.iter().find(|fault| fault.is_outside());
-        let outside = outside.filter(|_| !self.has_begun && is_carried(truth));
+        let is_first = !self.faults.contains(&Fault::Slips);
+        let is_due = (is_first || is_unloaded(truth)) && is_carried(truth);
+        let outside = outside.filter(|_| !self.has_begun && is_due);
         self.has_begun |= outside.is_some();
         outside.copied()
     }
@@ -230,6 +248,18 @@ fn has_bitten(truth: &Truth) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What the program says, and by what its faults are recognized, do not drift apart.
+    #[test]
+    fn fault_words_are_those_of_program() {
+        let program = include_str!("../../api/examples/assembly/program.rs");
+        let by_program = Fault::all().filter(|fault| !fault.is_outside());
+        for fault in by_program {
+            let words = fault.named_by();
+            assert!(program.contains(words), "{fault}: {words}");
+            assert_eq!(words.is_empty(), fault.is_overcome(), "{fault}");
+        }
+    }
 
     #[test]
     fn fault_name_reads_back_and_unknown_lists_all() {

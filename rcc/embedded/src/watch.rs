@@ -4,21 +4,20 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use takt_fri::lwr::emulator::KrcStatus;
+use takt_core::Controller;
+use takt_core::probe::{Scope, ScopeError, ScopeEvent, ScopeRequest};
 use takt_world::{EventKind, Truth, World};
 
 use crate::faults::carried;
 
 /// Between two samples of the truth.
 const EVERY: Duration = Duration::from_millis(20);
-/// Between two samples of the set-points.
-const SET_POINT_EVERY: Duration = Duration::from_millis(2);
-/// Set-points over this many samples make a speed.
-const SPAN: usize = 3;
-/// An arm brakes below this part of its speed at contact.
-const BRAKES: f64 = 0.9;
-/// For as many samples.
-const BRAKING: usize = 4;
+/// An arm brakes below this part of its speed at contact: more than the curvature of a path changes it.
+const BRAKES: f64 = 0.97;
+/// For as many cycles.
+const BRAKING: usize = 3;
+/// Joints of the arm whose set-points are watched.
+const JOINTS: usize = 7;
 /// Most samples of each kind; an assembly takes a third of that.
 const SAMPLES_MAX: usize = 100_000;
 /// A carried body is at rest below this speed, m/s.
@@ -52,8 +51,8 @@ pub struct Moment {
 pub struct Record {
     /// Over time.
     pub moments: Vec<Moment>,
-    /// Set-points of the inserting arm: time, s, and joints, rad.
-    set_points: Vec<(f64, [f64; 7])>,
+    /// Set-points of the inserting arm in the cycles of the controller: begin of the cycle, s, and joints, rad.
+    set_points: Vec<(f64, [f64; JOINTS])>,
     /// Times at which a box stood still in the air, s.
     pub stops: Vec<f64>,
     distance: Option<f64>,
@@ -67,7 +66,7 @@ pub struct Figures {
     pub internal_n: f64,
     /// Largest change of the distance of the hands while they held a box, mm.
     pub grasp_mm: f64,
-    /// From the peg's first touch of the bottom to braking of its arm, ms; `None` if it did not brake.
+    /// From the peg's first touch of the bottom to the controller's first set-point that brakes its arm, ms; `None` if it did not brake.
     pub detected_ms: Option<f64>,
     /// Largest force on the peg, N.
     pub insertion_n: f64,
@@ -79,14 +78,30 @@ pub struct Figures {
     pub is_screwed: bool,
     /// Boxes that stood still in the air.
     pub stops: usize,
+    /// Largest force at the flange of an arm, N.
+    pub flange_n: f64,
     /// Bodies that fell or slid out of fingers.
     pub dropped: usize,
+}
+
+/// A scope over the set-points of an arm, for [`watch`].
+///
+/// # Errors
+/// If the controller has no such arm.
+pub fn set_points(controller: &Controller, arm: &str) -> Result<Scope, ScopeError> {
+    let probes: [String; JOINTS] =
+        std::array::from_fn(|joint| format!("{arm}.joint.{joint}.set_point"));
+    let probes = probes.to_vec();
+    controller.scope(&ScopeRequest {
+        probes,
+        ..ScopeRequest::default()
+    })
 }
 
 /// Runs `work`, and watches the world and the set-points of the arm that inserts meanwhile; `each` receives every truth.
 pub fn watch<T>(
     world: &World,
-    inserts: Option<&KrcStatus>,
+    mut inserts: Scope,
     work: impl FnOnce() -> T,
     mut each: impl FnMut(&Truth) + Send,
 ) -> (T, Record) {
@@ -94,21 +109,12 @@ pub fn watch<T>(
     std::thread::scope(|scope| {
         let watcher = scope.spawn(|| {
             let mut record = Record::default();
-            let mut next = takt_rt::monotonic();
-            let mut due = next;
             while !ends.load(Ordering::Relaxed) {
-                if let Some(status) = inserts {
-                    record.set_point(takt_rt::monotonic().as_secs_f64(), status.commanded());
-                }
-                if takt_rt::monotonic() >= due {
-                    let truth = world.truth();
-                    record.take(&truth);
-                    each(&truth);
-                    due = takt_rt::monotonic() + EVERY.into();
-                }
-                next = next.max(takt_rt::monotonic()) + SET_POINT_EVERY.into();
-                // Fails only for invalid times.
-                takt_rt::sleep_until(next).ok();
+                record.take_set_points(&mut inserts);
+                let truth = world.truth();
+                record.take(&truth);
+                each(&truth);
+                std::thread::sleep(EVERY);
             }
             record
         });
@@ -119,9 +125,22 @@ pub fn watch<T>(
 }
 
 impl Record {
-    fn set_point(&mut self, at_s: f64, joints: [f64; 7]) {
-        if self.set_points.len() < SAMPLES_MAX {
-            self.set_points.push((at_s, joints));
+    fn take_set_points(&mut self, scope: &mut Scope) {
+        scope.read(takt_rt::monotonic().try_into().unwrap_or_default());
+        while let Some(event) = scope.poll_event() {
+            let ScopeEvent::Frame(frame) = event else {
+                continue;
+            };
+            let epoch = scope.epoch(frame.group).unwrap_or_default().as_secs_f64();
+            let room = SAMPLES_MAX.saturating_sub(self.set_points.len());
+            let rows = frame.iter().filter_map(|(at, joints)| {
+                let joints: [f64; JOINTS] = joints.try_into().ok()?;
+                joints
+                    .iter()
+                    .all(|it| it.is_finite())
+                    .then_some((epoch + at, joints))
+            });
+            self.set_points.extend(rows.take(room));
         }
     }
 
@@ -195,6 +214,10 @@ impl Record {
             torque_nm: screw.map_or(0.0, |screw| screw.torque_max_nm),
             is_screwed: screw.is_some_and(|screw| screw.is_seated && !screw.is_cross_threaded),
             stops: self.stops.len(),
+            flange_n: truth
+                .hands
+                .iter()
+                .fold(0.0, |most, hand| hand.force_max_n.max(most)),
             dropped: truth
                 .events
                 .iter()
@@ -203,25 +226,21 @@ impl Record {
         }
     }
 
-    /// From the first touch of the bottom to braking, ms.
+    /// From the first touch of the bottom to the first set-point that brakes, ms.
     fn detected(&self, truth: &Truth) -> Option<f64> {
         let seated = truth.first(|event| matches!(event.kind, EventKind::Seated { .. }))?;
         let seated = seated.at.as_secs_f64();
-        let speeds = self.set_points.windows(SPAN).filter_map(|window| {
-            let [(from, a), .., (to, b)] = window else {
-                return None;
-            };
+        let speeds = self.set_points.array_windows().map(|[(from, a), (to, b)]| {
             let way = a
                 .iter()
                 .zip(b)
                 .map(|(a, b)| (a - b).powi(2))
                 .sum::<f64>()
                 .sqrt();
-            Some((*to, way / (to - from).max(1e-6)))
+            (*to, way / (to - from).max(1e-6))
         });
         let speeds: Vec<_> = speeds.collect();
         let before = speeds.iter().rev().find(|(at, _)| *at < seated)?.1;
-        // One slow sample is one of a watcher that was late.
         let brakes = speeds.windows(BRAKING).find(|window| {
             let slow = |(at, speed): &(f64, f64)| *at >= seated && *speed < before * BRAKES;
             window.iter().all(slow)

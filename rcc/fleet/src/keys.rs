@@ -15,7 +15,8 @@
 //! | `takt/<cell>/log`, `takt/<cell>/findings` | publication with history | lines; what is wrong |
 //! | `takt/<cell>/resource/<path>` | query | an HTTP resource |
 //! | `takt/<cell>/cmd/session`, `takt/<cell>/cmd/directio` | query | commands |
-//! | `takt/<cell>/start/…` | query, publication | coordinated starts |
+//! | `takt/<cell>/start/{prepare,commit,abort,status}` | query | coordinated starts |
+//! | `takt/<cell>/start/<txn>/{armed,beat}` | publication | arms and beats of a coordinated start |
 
 use std::fmt;
 

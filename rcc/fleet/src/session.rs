@@ -3,6 +3,7 @@
 pub mod member;
 pub mod observer;
 pub mod remote;
+pub mod together;
 
 pub use zenoh;
 

@@ -26,7 +26,9 @@ mod message;
 mod participant;
 
 pub use initiator::{Goal, Initiator, Member, Outcome};
-pub use message::{Armed, Beat, Commit, Prepare, Ready, Refusal};
+pub use message::{
+    Abort, Armed, Beat, Began, Commit, Prepare, Ready, Refusal, Stage, StartReply, Status,
+};
 pub use participant::{Output, Participant, Readiness, ReleaseCause};
 
 /// Cells of one coordinated start, at most.
@@ -49,6 +51,10 @@ pub const DECISION: Nanos = Nanos::from_millis(20);
 pub const HANDOVER_MIN: Nanos = Nanos::from_millis(5);
 /// A running partner that is silent for so long is lost.
 pub const SILENCE: Nanos = Nanos::from_millis(100);
+/// How long a participant whose nets have ended by themselves says so.
+pub const OVER: Nanos = Nanos::from_millis(500);
+/// Nets of one cell that begin at one instant, at most.
+pub const NETS_MAX: usize = 16;
 /// How often running participants publish that they run.
 pub const BEAT_EVERY: Duration = Duration::from_millis(20);
 

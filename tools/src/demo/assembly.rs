@@ -2,12 +2,14 @@
 //! that of the example `assembly`, a client like any other; the figures are from the truth of the world, which it does not know.
 
 mod plot;
+#[allow(dead_code, reason = "here a machine decides what the program does")]
 #[path = "../../../rcc/api/examples/assembly/program.rs"]
 mod program;
 mod report;
+mod supervisor;
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command};
+use std::process::{Child, Command, ExitStatus};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
@@ -16,7 +18,7 @@ use takt_api::Cell;
 use takt_core::Controller;
 use takt_core::record::Recorder;
 use takt_core::stop_channel::StopSwitch;
-use takt_embedded::{CellWorld, EmulatedCell, Fault, Faults, Machines, watch};
+use takt_embedded::{CellWorld, EmulatedCell, Fault, Faults, Machines, set_points, watch};
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::{LogBook, ServerThreads};
 
@@ -26,8 +28,10 @@ use crate::Verdict;
 use crate::output::{check_writable, complain, say};
 use crate::run::{Access, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
-use program::{Progress, Step};
-use report::{Ended, Report};
+use plot::Span;
+use program::{Order, Progress, Step};
+use report::Report;
+use supervisor::Supervised;
 
 /// Its picture and its recording, unless others are named.
 const SVG: &str = "assembly.svg";
@@ -38,14 +42,6 @@ const AFTER: Duration = Duration::from_secs(2);
 const CUT: Duration = Duration::from_millis(10);
 /// The arm whose set-points are watched, and that loses its network.
 const RIGHT: &str = "right";
-
-/// A step of the program in the picture, s on the clock of the world.
-#[derive(Debug)]
-struct Span {
-    name: &'static str,
-    from_s: f64,
-    to_s: f64,
-}
 
 /// What the program has reported.
 #[derive(Debug, Default)]
@@ -101,7 +97,11 @@ impl Demo {
             return self.only_program(address);
         }
         let mut emulated = EmulatedCell::named(self.robots.cell())?;
-        let around = CellWorld::assembly(&emulated.config, self.seed)?;
+        let around = if self.unloaded {
+            CellWorld::assembly_unloaded(&emulated.config, self.seed)?
+        } else {
+            CellWorld::assembly(&emulated.config, self.seed)?
+        };
         let world = around.world.clone();
         emulated.world = Some(around);
         if self.open {
@@ -133,6 +133,7 @@ impl Demo {
             open(&page);
         }
         let address = server.tcp_address().context("the server does not listen")?;
+        let inserts = set_points(&controller, RIGHT)?;
         // Until they are killed.
         let alive = Mutex::new(Some((server, controller)));
         let (log, child) = (Mutex::new(Log::default()), Mutex::new(None));
@@ -142,10 +143,7 @@ impl Demo {
             std::thread::sleep(AFTER);
             ended
         };
-        let statuses = machines.krcs().iter();
-        let right = statuses.clone().find(|(name, _)| name == RIGHT);
-        let right = right.map(|(_, robot)| robot.status());
-        let (ended, seen) = watch(&world, right, work, |truth| match faults.poll(truth) {
+        let (ended, seen) = watch(&world, inserts, work, |truth| match faults.poll(truth) {
             Some(Fault::ArmLost) => cut(&machines, |name| name == RIGHT),
             Some(Fault::ProgramKilled) => kill(&child),
             Some(Fault::ControllerKilled) => {
@@ -157,7 +155,13 @@ impl Demo {
         });
         let truth = world.truth();
         let log = log.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let mut report = Report::new(self.seed, &self.fault, (ended, &log.notes), &seen, &truth);
+        let mut report = Report::new(
+            (self.seed, self.stopping),
+            &self.fault,
+            (ended, &log.notes),
+            &seen,
+            &truth,
+        );
         let drawn = plot::draw(&svg, &seen, &log.spans);
         let alive = alive.into_inner().unwrap_or_else(PoisonError::into_inner);
         let mut recorded = None;
@@ -181,6 +185,13 @@ impl Demo {
         Ok(report.verdict())
     }
 
+    const fn order(&self) -> Order {
+        Order {
+            is_stopping: self.stopping,
+            is_unloaded: self.unloaded,
+        }
+    }
+
     /// Runs the program here, or as a process of its own that can be killed.
     fn work(
         &self,
@@ -188,19 +199,20 @@ impl Demo {
         log: &Mutex<Log>,
         child: &Mutex<Option<Child>>,
         stop: &Stop,
-    ) -> Ended {
+    ) -> Supervised {
         if self.fault.contains(&Fault::ProgramKilled) {
-            return self
-                .run_process(address, child)
-                .map_err(|error| format!("{error:#}"));
+            return match self.run_process(address, child) {
+                Ok(status) => Supervised::failed(format!("the program ended: {status}")),
+                Err(error) => Supervised::failed(format!("{error:#}")),
+            };
         }
-        let cell = Cell::connect(address).map_err(|error| error.to_string())?;
+        let cell = match Cell::connect(address) {
+            Ok(cell) => cell,
+            Err(error) => return Supervised::failed(error.to_string()),
+        };
         let report = |progress: Progress<'_>| lock(log).take(progress, self.json);
-        let ended = std::thread::scope(|scope| {
-            let work = scope.spawn(|| {
-                let ended = program::run(&cell, !self.stopping, &report);
-                ended.map_err(|error| error.to_string())
-            });
+        std::thread::scope(|scope| {
+            let work = scope.spawn(|| supervisor::run(&cell, address, self.order(), &report));
             while !work.is_finished() {
                 if stop.is_requested() {
                     // Everything brakes, and the program ends with an error.
@@ -208,14 +220,8 @@ impl Demo {
                 }
                 std::thread::sleep(super::SAMPLE_EVERY);
             }
-            let panicked = |_| Err("the program ended by a panic".to_owned());
+            let panicked = |_| Supervised::failed("the program ended by a panic".to_owned());
             work.join().unwrap_or_else(panicked)
-        });
-        ended.map(|steps| {
-            steps
-                .iter()
-                .map(|step| (step.name, step.duration))
-                .collect()
         })
     }
 
@@ -223,11 +229,15 @@ impl Demo {
         &self,
         address: &str,
         child: &Mutex<Option<Child>>,
-    ) -> anyhow::Result<report::Steps> {
+    ) -> anyhow::Result<ExitStatus> {
         let mut command = Command::new(std::env::current_exe()?);
         command.args(["demo", "--cell", "assembly", "--program", address]);
-        if self.json {
-            command.arg("--json");
+        for (is_on, option) in [
+            (self.json, "--json"),
+            (self.stopping, "--stopping"),
+            (self.unloaded, "--unloaded"),
+        ] {
+            command.args(is_on.then_some(option));
         }
         *lock(child) = Some(command.spawn()?);
         loop {
@@ -236,7 +246,7 @@ impl Demo {
                 None => None,
             };
             if let Some(status) = ended {
-                anyhow::bail!("the program ended: {status}");
+                return Ok(status);
             }
             std::thread::sleep(super::SAMPLE_EVERY);
         }
@@ -250,9 +260,10 @@ impl Demo {
                 print(progress);
             }
         };
-        let ended = program::run(&cell, !self.stopping, &report);
-        ended.map_err(|error| anyhow::anyhow!("{error}"))?;
-        Ok(Verdict::Good)
+        let ended = supervisor::run(&cell, address, self.order(), &report);
+        ended
+            .error
+            .map_or(Ok(Verdict::Good), |error| anyhow::bail!("{error}"))
     }
 
     fn print_report(

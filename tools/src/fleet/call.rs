@@ -32,7 +32,7 @@ enum Method {
 
 /// What happens to the nets of the session if this program does not reach the cell any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum OnLoss {
+pub(super) enum OnLoss {
     /// They run on
     Continue,
     /// They are cancelled, and aborted if they do not end
@@ -42,7 +42,7 @@ enum OnLoss {
 }
 
 impl OnLoss {
-    const fn policy(self) -> LossPolicy {
+    pub(super) const fn policy(self) -> LossPolicy {
         match self {
             Self::Continue => LossPolicy::Continue,
             Self::Cancel => LossPolicy::Cancel,

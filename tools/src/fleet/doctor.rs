@@ -131,6 +131,7 @@ impl Doctor {
 /// Conditions of the cells.
 fn judge(cells: &[Cell]) -> Vec<Row> {
     let mut rows: Vec<Row> = cells.iter().flat_map(of_cell).collect();
+    rows.extend(sharing(cells));
     rows.extend(differing(cells, "version", |cell| {
         cell.info["version"].as_str().map(str::to_owned)
     }));
@@ -217,11 +218,30 @@ fn of_clock(cell: &Cell) -> Row {
             let cause = clock["cause"].as_str().unwrap_or("its cause is not known");
             row(
                 Grade::Warn,
-                format!("clock is free, no start in the same cycle as others: {cause}"),
+                format!(
+                    "clock is free, no start in the same cycle as cells of other hosts: {cause}"
+                ),
             )
         }
         None => row(Grade::Warn, "state of the clock is not known".to_owned()),
     }
+}
+
+/// The cells that run on one host: they need no time service to begin in the same cycle.
+fn sharing(cells: &[Cell]) -> Vec<Row> {
+    let mut by_clock: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for cell in cells {
+        let clock = cell.info["clock"].as_str().unwrap_or_default();
+        by_clock.entry(clock).or_default().push(&cell.cell);
+    }
+    let sharing = by_clock
+        .into_iter()
+        .filter(|(clock, cells)| !clock.is_empty() && cells.len() > 1);
+    let row = |cells: Vec<&str>| {
+        let text = format!("{} share the clock of one host", cells.join(", "));
+        Row::new(Grade::Good, "fleet", text)
+    };
+    sharing.map(|(_, cells)| row(cells)).collect()
 }
 
 /// A row if cells differ in a value.
@@ -285,7 +305,17 @@ mod tests {
 
     #[test]
     fn healthy_cells_are_all_ok() {
-        let rows = judge(&[cell("a", locked()), cell("b", locked())]);
+        let mut cells = [cell("a", locked()), cell("b", locked())];
+        let alone = judge(&cells);
+        cells
+            .iter_mut()
+            .for_each(|cell| cell.info["clock"] = json!("kernel"));
+        let rows = judge(&cells);
+        assert_eq!(rows.len(), alone.len() + 1);
+        assert_eq!(
+            text(&rows[4]),
+            "ok    fleet: a, b share the clock of one host"
+        );
         assert!(rows.iter().all(|row| row.grade == Grade::Good), "{rows:?}");
         assert_eq!(text(&rows[0]), "ok    a: answers in 300 us, boot 1");
         assert_eq!(text(&rows[1]), "ok    a: clock locked to TAI within 2.0 us");
@@ -310,7 +340,7 @@ mod tests {
         let shown = shown.join("\n");
         for part in [
             "FAIL  a: 2 controllers have this name: boots 1, 2",
-            "WARN  a: clock is free, no start in the same cycle as others: no service\n      hint: start ptp4l",
+            "WARN  a: clock is free, no start in the same cycle as cells of other hosts: no service\n      hint: start ptp4l",
             "FAIL  b: 1 FAIL, 2 WARN: left is offline",
             "FAIL  c: alive, but does not answer in time",
             "WARN  fleet: version differs: 0.1.0 on b, c; 0.2.0 on a",

@@ -28,7 +28,7 @@ const PAUSED: &str = "2";
 pub(super) struct Live {
     #[command(flatten)]
     server: Server,
-    /// Run on the emulated robots of this cell, inside of this process: two_lwr, iiwa, factory, lwr_wsg, lwr_table, assembly or lola.
+    /// Run on the emulated robots of this cell, inside of this process: two_lwr, iiwa, factory, lwr_wsg, lwr_table, assembly, assembly_unloaded or lola.
     #[arg(long, value_name = "CELL", conflicts_with = "connect")]
     emulated: Option<String>,
     /// Arm of a robot of the program, such as lwr=left; else the arm of the same name. May be given several times.

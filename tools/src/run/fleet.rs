@@ -7,6 +7,8 @@ mod cell;
 mod commands;
 #[cfg(feature = "fleet")]
 mod joints;
+#[cfg(feature = "fleet")]
+mod starts;
 
 use std::path::Path;
 

@@ -80,6 +80,9 @@ enum Task {
         /// Another seed gives other seeds and faults
         #[arg(long, default_value_t = 1)]
         seed: u64,
+        /// Then run it once with and once without blending, and print the ratio of the cycle times
+        #[arg(long)]
+        ratio: bool,
     },
     /// The Debian package, checked by lintian where that is installed
     Deb,
@@ -125,7 +128,12 @@ fn perform(task: &Task) -> anyhow::Result<u8> {
             count,
             seed,
         } => fuzz::run(&root, filter, *count, *seed),
-        Task::Soak { scene, runs, seed } => soak::run(&root, *scene, *runs, *seed),
+        Task::Soak {
+            scene,
+            runs,
+            seed,
+            ratio,
+        } => soak::run(&root, *scene, *runs, *seed, *ratio),
         Task::Bench { part, json } => bench::run(&root, part, *json),
         Task::Bless { parts } => test::run(&root, parts, test::Golden::Rewrite),
     };

@@ -42,7 +42,13 @@ const FIGURES: [&str; 5] = [
 ];
 
 /// Runs of a scene; true if all were good.
-pub(crate) fn run(root: &Path, scene: Scene, runs: u32, seed: u64) -> anyhow::Result<bool> {
+pub(crate) fn run(
+    root: &Path,
+    scene: Scene,
+    runs: u32,
+    seed: u64,
+    with_ratio: bool,
+) -> anyhow::Result<bool> {
     let Scene::Assembly = scene;
     // With an example, features are those of the tests: nothing is built twice.
     let build = "build --workspace --all-features --bin takt --example begin";
@@ -55,12 +61,15 @@ pub(crate) fn run(root: &Path, scene: Scene, runs: u32, seed: u64) -> anyhow::Re
     say(
         "run  seed        fault              verdict  cycle, s  internal, N  peg, N  braking, ms  screw, Nm",
     );
+    let takt = target.join("debug/takt");
     let (mut state, mut failed) = (seed, 0);
     for number in 1..=runs {
         let seed = next(&mut state) >> 32;
         let chosen = usize::try_from(next(&mut state) >> 33).unwrap_or(0) % (2 * FAULTS.len());
         let fault = FAULTS.get(chosen).copied();
-        let report = one(&target.join("debug/takt"), &folder, seed, fault)?;
+        let fault = fault.map(|fault| ["--fault", fault]);
+        let report = one(&takt, &folder, seed, fault.as_slice().as_flattened())?;
+        let fault = fault.map(|[_, fault]| fault);
         let is_good = report["ok"] == true;
         failed += u32::from(!is_good);
         say(&line(number, seed, fault, &report));
@@ -71,11 +80,33 @@ pub(crate) fn run(root: &Path, scene: Scene, runs: u32, seed: u64) -> anyhow::Re
         }
     }
     say(&format!("{} of {runs} runs good", runs - failed));
-    Ok(failed == 0)
+    let mut is_good = failed == 0;
+    if with_ratio {
+        let cycle = |options: &[&str]| one(&takt, &folder, seed, options);
+        let text = ratio(&cycle(&[])?, &cycle(&["--stopping"])?);
+        is_good &= text.is_some();
+        say(&text.unwrap_or_else(|| {
+            "no ratio: a run with or without blending did not come to its end".to_owned()
+        }));
+    }
+    Ok(is_good)
+}
+
+/// The cycle time of a run against one that stops after each motion; `None` if one did not come to its end.
+fn ratio(blended: &Value, stopping: &Value) -> Option<String> {
+    let cycle = |report: &Value| {
+        let ended = report["error"].is_null();
+        report["cycle_s"].as_f64().filter(|it| ended && *it > 0.0)
+    };
+    let (with, without) = (cycle(blended)?, cycle(stopping)?);
+    let share = 100.0 * with / without;
+    Some(format!(
+        "cycle {with:.1} s with blending, {share:.0} % of {without:.1} s without"
+    ))
 }
 
 /// The report of a run.
-fn one(takt: &Path, folder: &Path, seed: u64, fault: Option<&str>) -> anyhow::Result<Value> {
+fn one(takt: &Path, folder: &Path, seed: u64, options: &[&str]) -> anyhow::Result<Value> {
     let path = |name: &str| -> PathBuf { folder.join(name) };
     let mut command = Command::new(takt);
     command
@@ -84,10 +115,8 @@ fn one(takt: &Path, folder: &Path, seed: u64, fault: Option<&str>) -> anyhow::Re
         .arg("--svg")
         .arg(path("assembly.svg"))
         .arg("--record")
-        .arg(path("assembly.mcap"));
-    if let Some(fault) = fault {
-        command.args(["--fault", fault]);
-    }
+        .arg(path("assembly.mcap"))
+        .args(options);
     let output = command.output().context("cannot start takt")?;
     let text = String::from_utf8_lossy(&output.stdout);
     let report = text
@@ -130,6 +159,15 @@ mod tests {
         let report = serde_json::json!({ "ok": true, "cycle_s": 71.25, "peg_force_n_max": 17.0 });
         let expected = "  2           7  jams               ok           71.2            -    17.0            -          -";
         assert_eq!(line(2, 7, Some("jams"), &report), expected);
+    }
+
+    #[test]
+    fn soak_ratio_needs_two_whole_runs() {
+        let whole = |cycle_s: f64| serde_json::json!({ "error": null, "cycle_s": cycle_s });
+        let text = ratio(&whole(60.0), &whole(80.0)).unwrap();
+        assert_eq!(text, "cycle 60.0 s with blending, 75 % of 80.0 s without");
+        let broken = serde_json::json!({ "error": "no peg", "cycle_s": 12.0 });
+        assert_eq!(ratio(&broken, &whole(80.0)), None);
     }
 
     #[test]

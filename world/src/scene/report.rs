@@ -20,11 +20,14 @@ const CALM_S: f64 = 0.05;
 const FALLS: f64 = 0.3;
 
 impl Scene {
-    /// Forces of the step on hands and pegs.
+    /// Forces of the step on hands and pegs, and the largest so far.
     pub(super) fn react(&mut self) {
         self.react_elements();
         for peg in &mut self.pegs {
             peg.force_max = peg.force_max.max(peg.force);
+        }
+        for hand in &mut self.hands {
+            hand.force_max = hand.force_max.max(hand.wrench.force.norm());
         }
     }
 
@@ -111,6 +114,7 @@ impl Scene {
                 name: hand.name.clone(),
                 flange: hand.now.map(|now| now.0),
                 wrench: hand.wrench,
+                force_max_n: hand.force_max,
                 holds,
                 slip_m,
                 touches: touches

@@ -7,17 +7,24 @@
     reason = "an example shows what it does"
 )]
 
+#[allow(dead_code, reason = "here no machine supervises the program")]
 mod program;
 
 use std::time::Duration;
 
-use program::{Done, Progress};
+use program::{Done, Order, Progress};
 use takt_api::Cell;
 
 fn main() -> Done {
     // Each in a cell of its own: the boxes are on the platform again.
-    let run = |is_blended| program::run(&Cell::emulated("assembly")?, is_blended, &print);
-    let (blended, stopping) = (run(true)?, run(false)?);
+    let run = |is_stopping| {
+        let order = Order {
+            is_stopping,
+            ..Order::default()
+        };
+        program::run(&Cell::emulated("assembly")?, order, &print)
+    };
+    let (blended, stopping) = (run(false)?, run(true)?);
     println!("step                   blended   stopping");
     for (step, other) in blended.iter().zip(&stopping) {
         let [with, without] = [step, other].map(|step| step.duration.as_secs_f64());

@@ -1,6 +1,7 @@
 //! Two arms assemble a workpiece. A mobile base brings two supply boxes; both arms lift each of them onto the bench as one. The left
 //! arm fetches the socket, the right one the peg, and pushes it in until it feels the bottom; then it fetches a screw, and drives it
 //! in under impedance control until the torque is reached. The program connects to nothing and prints nothing: its caller does.
+//! The same in Python is `rcc/python/examples/assembly.py`.
 
 use std::error::Error;
 use std::f64::consts::FRAC_1_SQRT_2 as HALF;
@@ -13,8 +14,9 @@ use takt_api::{
 
 pub(crate) type Done<T = ()> = Result<T, Box<dyn Error>>;
 
-/// Joints above the bench, tools down; the other arm has the mirrored ones.
-const READY: [f64; 7] = [30.0, 20.0, 0.0, -95.0, 0.0, 65.0, 120.0];
+/// Joints over the bench, tools down, elbows up: along the way of the boxes, no joint comes near its limits. The other arm has the
+/// mirrored ones.
+const READY: [f64; 7] = [30.0, -20.0, 0.0, 95.0, 0.0, -65.0, 120.0];
 /// Orientations of a tool that points down, and along y of the world, forwards and backwards.
 const DOWN: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 const FORTH: [f64; 4] = [-HALF, 0.0, 0.0, HALF];
@@ -34,12 +36,24 @@ const SCREWED: f64 = 0.087;
 /// Where the magazine offers the screw, and its place beside the peg, x, m.
 const SCREW: [f64; 3] = [0.3, -0.3, 0.06];
 const BESIDE: f64 = 0.022;
-/// Contact, N, more than sliding over the chamfer of the hole takes; pressing the peg and the screw, N; the torque of the screw, Nm, and
-/// the speed of the driver, rad/s.
-const CONTACT: f64 = 8.0;
-const PRESS: [f64; 2] = [12.0, 15.0];
+/// Contact, N: over the chamfer of the hole, more than sliding there takes, and in the hole, where only friction is left.
+const CONTACT: [f64; 2] = [8.0, 4.0];
+/// In the hole, before its seat, m; and beyond its seat, where the peg never comes.
+const IN_HOLE: f64 = 0.024;
+const BEYOND: f64 = 0.015;
+/// A peg that stops farther before its seat has met the face around the hole, m. Where it is tried then, x and z from the middle, m:
+/// more than the chamfer takes from one to the next.
+const ON_FACE: f64 = 0.026;
+const AROUND: [[f64; 2]; 4] = [[0.002, 0.0], [-0.002, 0.0], [0.0, 0.002], [0.0, -0.002]];
+/// Pressing the peg and the screw, N; the torque of the screw, Nm, and the speed of the driver, rad/s.
+const PRESS: [f64; 2] = [12.0, 12.0];
+/// Stiffness of the arm that drives the screw, N/m and Nm/rad.
+const STIFFNESS: [f64; 2] = [2000.0, 300.0];
+/// The bit is led beside the place of the screw, x and z, m: pressed beside its flange, the soft arm turns, and the pads of the left
+/// hand yield to the weight of the workpiece.
+const LED: [f64; 2] = [-0.000_35, -0.000_45];
 const TORQUE: f64 = 1.5;
-const DRIVER: f64 = 12.0;
+const DRIVER: f64 = 18.0;
 /// Grasping, N, at first and after a slip. A little lift, m, shows a slip: one arm carries so much more than the other, N, or both less
 /// than a box weighs.
 const GRASP: [f64; 2] = [40.0, 80.0];
@@ -48,8 +62,10 @@ const UNEVEN: f64 = 1.5;
 const WEIGHT: f64 = 11.0;
 /// Speed of a box that both arms carry, m/s: faster, an elbow does not keep up where the box passes the bases.
 const CARRY: f64 = 0.16;
-/// After this time, an arm has come to rest, too.
-const SETTLES: Duration = Duration::from_millis(300);
+/// An arm rests whose joints move by less, rad, in this time. It is a spring while it drives the screw, and takes seconds then.
+const RESTS: f64 = 1e-4;
+const RESTS_FOR: Duration = Duration::from_millis(150);
+const RESTS_WITHIN: Duration = Duration::from_secs(10);
 /// What stops this far before its seat jams, m.
 const JAMMED: f64 = 0.003;
 /// Height of the fingers when the workpiece stands on its peg, m.
@@ -76,7 +92,7 @@ pub(crate) enum Progress<'a> {
 }
 
 /// The devices of the cell, and the steps so far.
-struct Station<'r> {
+pub(crate) struct Station<'r> {
     cell: Cell,
     world: Frame,
     arms: [Arm; 2],
@@ -84,29 +100,30 @@ struct Station<'r> {
     hands: [Gripper; 2],
     base: Base,
     driver: Io,
-    is_blended: bool,
+    order: Order,
     report: &'r dyn Fn(Progress<'_>),
-    steps: Vec<Step>,
+    pub(crate) steps: Vec<Step>,
+}
+
+/// How to assemble.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Order {
+    /// Each motion ends at rest.
+    pub(crate) is_stopping: bool,
+    /// The boxes stand on the bench already.
+    pub(crate) is_unloaded: bool,
 }
 
 /// Assembles one workpiece.
-pub(crate) fn run(cell: &Cell, is_blended: bool, report: &dyn Fn(Progress<'_>)) -> Done<Vec<Step>> {
-    let mut station = Station::new(cell, is_blended, report)?;
-    station.step("start and dock", Station::start)?;
-    for [from, to] in BOXES {
-        station.step("unload a box", |it| it.unload(from, to))?;
-    }
-    let home = station.base.go_to(Pose::IDENTITY).begin()?;
-    station.step("fetch the parts", Station::fetch)?;
-    station.step("insert the peg", Station::insert)?;
-    station.step("drive the screw", Station::screw)?;
-    station.step("deliver", Station::deliver)?;
-    expect("the base goes home", &home.wait()?, &Outcome::Completed)?;
+pub(crate) fn run(cell: &Cell, order: Order, report: &dyn Fn(Progress<'_>)) -> Done<Vec<Step>> {
+    let mut station = Station::new(cell, order, report)?;
+    station.home()?;
+    station.work()?;
     Ok(station.steps)
 }
 
 impl<'r> Station<'r> {
-    fn new(cell: &Cell, is_blended: bool, report: &'r dyn Fn(Progress<'_>)) -> Done<Self> {
+    pub(crate) fn new(cell: &Cell, order: Order, report: &'r dyn Fn(Progress<'_>)) -> Done<Self> {
         let arm =
             |name, x| Ok::<_, takt_api::Error>(cell.arm(name)?.with_tool(Pose::xyz(x, 0.0, 0.16)));
         Ok(Self {
@@ -117,10 +134,40 @@ impl<'r> Station<'r> {
             hands: [cell.gripper("left_hand")?, cell.gripper("right_hand")?],
             base: cell.base("base")?,
             driver: cell.io("right")?,
-            is_blended,
+            order,
             report,
             steps: Vec::new(),
         })
+    }
+
+    /// The first step: all devices at their places.
+    pub(crate) fn home(&mut self) -> Done {
+        self.step("start and dock", Self::start)
+    }
+
+    /// All others.
+    pub(crate) fn work(&mut self) -> Done {
+        let boxes = if self.order.is_unloaded {
+            &[][..]
+        } else {
+            &BOXES
+        };
+        for &[from, to] in boxes {
+            self.step("unload a box", |it| it.unload(from, to))?;
+        }
+        let home = self.base.go_to(Pose::IDENTITY).begin()?;
+        self.step("fetch the parts", Self::fetch)?;
+        self.step("insert the peg", Self::insert)?;
+        self.step("drive the screw", Self::screw)?;
+        self.step("deliver", Self::deliver)?;
+        expect("the base goes home", &home.wait()?, &Outcome::Completed)
+    }
+
+    /// After a fault: the screwdriver rests, and the arms are stiff where they are. Hands keep what they hold.
+    pub(crate) fn recover(&self) -> Done {
+        perform("driver off", self.driver.set_analogue(0, 0.0))?;
+        settle(&self.bit)?;
+        perform("stiff", self.bit.switch_to(Control::position()))
     }
 
     /// What went wrong and what is done about it.
@@ -141,10 +188,10 @@ impl<'r> Station<'r> {
 
     /// A motion whose successor takes over before its end.
     fn round(&self, motion: Activity) -> Activity {
-        if self.is_blended {
-            motion.blend(0.7)
-        } else {
+        if self.order.is_stopping {
             motion
+        } else {
+            motion.blend(0.7)
         }
     }
 
@@ -173,9 +220,16 @@ impl<'r> Station<'r> {
         let [left, right] = &self.arms;
         let [a, b] = &self.hands;
         let dock = |x| self.base.go_to(Pose::xyz(x, 0.0, 0.0));
-        let arms = [left.ptp(ready(1.0)), right.ptp(ready(-1.0))];
-        let all = arms.into_iter().chain([dock(DOCK), a.open(), b.open()]);
-        perform("start", together(all))?;
+        let here = [
+            left.ptp(ready(1.0)),
+            right.ptp(ready(-1.0)),
+            a.open(),
+            b.open(),
+        ];
+        if self.order.is_unloaded {
+            return perform("start", together(here));
+        }
+        perform("start", together(here.into_iter().chain([dock(DOCK)])))?;
         let is_docked = left.input(0);
         if !self.cell.holds(&is_docked)? {
             self.note("the base docks beside its place: it docks again");
@@ -236,7 +290,8 @@ impl<'r> Station<'r> {
         let ([left, right], [[_, pegs], [_, sockets]]) = (&self.arms, BOXES);
         let [a, b] = &self.hands;
         perform("open", together([a.move_to(0.08), b.move_to(0.05)]))?;
-        // One after the other: both arms come over the boxes.
+        // The right arm comes over the boxes when the left one leaves them.
+        let mut leaves = None;
         for (arm, hand, at, width, missing) in [
             (left, a, [sockets, 0.0, 0.06], 0.06, "box 2 has no socket"),
             (right, b, [pegs, 0.0, 0.1], 0.03, "box 1 has no peg"),
@@ -252,7 +307,13 @@ impl<'r> Station<'r> {
             let [_, beside, _] = arm.base().position();
             let up = self.round(self.lin(arm, [x, y, z + 0.2], DOWN));
             let clear = self.lin(arm, [x, y + 0.25 * beside.signum(), z + 0.3], DOWN);
-            perform("lift the part", up.then(clear))?;
+            let lift = up.then(clear).begin()?;
+            if let Some(last) = leaves.replace(lift) {
+                expect("lift the part", &last.wait()?, &Outcome::Completed)?;
+            }
+        }
+        if let Some(last) = leaves {
+            expect("lift the part", &last.wait()?, &Outcome::Completed)?;
         }
         let [x, _, z] = HELD;
         let hold = self.lin(left, HELD, BACK);
@@ -265,17 +326,23 @@ impl<'r> Station<'r> {
     fn insert(&self) -> Done {
         let right = &self.arms[1];
         let [x, _, z] = HELD;
-        let at = |arm: &Arm, y| self.lin(arm, [x, y, z], FORTH);
-        perform("approach", self.round(at(right, SEATED - 0.04)))?;
+        let at = |arm: &Arm, [a, b]: [f64; 2], y| self.lin(arm, [x + a, y, z + b], FORTH);
+        let mut place = [0.0; 2];
+        perform("approach", self.round(at(right, place, SEATED - 0.04)))?;
         let slow = right.clone().with_limits(CartesianLimits {
             acceleration: 3.0,
             jerk: 300.0,
             ..limits(0.05)
         });
-        for attempt in 0..2 {
-            let insert = at(&slow, SEATED + 0.015);
-            let contact = (-right.force().x()).over(CONTACT);
-            let outcome = insert.until("contact", contact).run()?;
+        let (mut others, mut jams) = (AROUND.into_iter(), 0);
+        loop {
+            let contact = CONTACT.map(|force| (-right.force().x()).over(force));
+            let [mouth, bottom] = contact;
+            let enter = at(&slow, place, SEATED - IN_HOLE).until("mouth", mouth);
+            let insert = at(&slow, place, SEATED + BEYOND).until("contact", bottom);
+            let entered = self.round(enter).begin()?;
+            let outcome = insert.run()?;
+            entered.wait_to_end()?;
             let left = SEATED - self.tip(right, 0.0)?;
             if !outcome.is_stopped_by("contact") {
                 return Err(
@@ -285,11 +352,20 @@ impl<'r> Station<'r> {
             if left < JAMMED {
                 break;
             }
-            perform("draw the peg back", at(&slow, SEATED - 0.04))?;
-            if attempt > 0 {
+            perform("draw the peg back", at(&slow, place, SEATED - 0.04))?;
+            if left > ON_FACE {
+                if others.len() == AROUND.len() {
+                    self.note("the peg meets the face beside the hole: it is tried around it");
+                }
+                let text = "the peg does not find the hole; both hands keep their parts\nhint: put peg and socket into their places";
+                place = others.next().ok_or(text)?;
+                continue;
+            }
+            if jams > 0 {
                 let left = left * 1e3;
                 return Err(format!("the peg jams {left:.1} mm before its seat, twice; both hands hold their parts\nhint: remove burrs, or replace the parts").into());
             }
+            jams += 1;
             self.note("the peg jams: it is drawn back, and inserted again");
         }
         let press = right.press(self.world.direction([0.0, 1.0, 0.0]), PRESS[0]);
@@ -297,7 +373,7 @@ impl<'r> Station<'r> {
         // Else the contact is lost when the fingers open.
         expect("hold", &right.hold().run()?, &Outcome::Maintaining)?;
         perform("release the peg", self.hands[1].move_to(0.05))?;
-        perform("leave the peg", at(right, SEATED - 0.2))?;
+        perform("leave the peg", at(right, place, SEATED - 0.2))?;
         Ok(())
     }
 
@@ -308,11 +384,12 @@ impl<'r> Station<'r> {
         let bit = &self.bit;
         perform("fetch a screw", self.reach(bit, SCREW))?;
         perform("take the screw", self.lin(bit, [sx, sy, sz + 0.19], DOWN))?;
-        let before = Pose::quaternion([x + BESIDE, SEATED - 0.02, z], FORTH);
+        let (beside, z) = (x + BESIDE + LED[0], z + LED[1]);
+        let before = Pose::quaternion([beside, SEATED - 0.02, z], FORTH);
         perform("turn", bit.ptp_to(self.world.pose(before)))?;
-        let soft = Control::cartesian([2000.0, 2000.0, 2000.0, 300.0, 300.0, 300.0], [0.7; 6]);
-        // The arm follows its last set-point by then: its controller refuses to switch before.
-        std::thread::sleep(SETTLES);
+        let [along, about] = STIFFNESS;
+        let soft = Control::cartesian([along, along, along, about, about, about], [0.7; 6]);
+        settle(bit)?;
         perform("impedance", bit.switch_to(soft))?;
         let torque = self.driver.analogue_input(0)?;
         let driven = |speed| self.driver.set_analogue(0, speed);
@@ -323,18 +400,24 @@ impl<'r> Station<'r> {
             perform("driver on", driven(DRIVER))?;
             let ended = press.wait_to_end_for(SCREW_WITHIN);
             perform("driver off", driven(0.0))?;
-            let Some(ended) = ended else {
-                self.stop_pressing(&press, attempt)?;
-                let back = self.lin(bit, [x + BESIDE, SEATED - 0.02, z], FORTH);
+            let ended = match ended {
+                Some(ended) => {
+                    let ended = ended?;
+                    expect(
+                        "drive the screw",
+                        &ended,
+                        &Outcome::Stopped("tight".to_owned()),
+                    )?;
+                    ended
+                }
+                None => self.stop_pressing(&press, attempt)?,
+            };
+            if !ended.is_stopped_by("tight") {
+                let back = self.lin(bit, [beside, SEATED - 0.02, z], FORTH);
                 perform("draw the screw back", back)?;
                 self.note("the screw does not bite: it is drawn back, and pressed again");
                 continue;
-            };
-            expect(
-                "drive the screw",
-                &ended?,
-                &Outcome::Stopped("tight".to_owned()),
-            )?;
+            }
             let left = SCREWED - self.tip(bit, BIT)?;
             if left < JAMMED {
                 break;
@@ -348,21 +431,21 @@ impl<'r> Station<'r> {
             }
             self.note("the screw is tight before its seat: it is turned back, and driven again");
         }
-        let away = self.lin(bit, [x + BESIDE, SEATED - 0.15, z], FORTH);
+        let away = self.lin(bit, [beside, SEATED - 0.15, z], FORTH);
         perform("leave the screw", away)?;
-        // As a spring, the elbow comes to rest seconds after the tool.
-        std::thread::sleep(Duration::from_secs(3));
+        settle(bit)?;
         perform("stiff", bit.switch_to(Control::position()))?;
         Ok(())
     }
 
     /// Ends a press under which the screw did not become tight; the second one ends the assembly.
-    fn stop_pressing(&self, press: &Handle, attempt: usize) -> Done {
+    fn stop_pressing(&self, press: &Handle, attempt: usize) -> Done<Outcome> {
         let force = self.cell.value(&-self.bit.force().x())?;
         press.cancel();
-        expect("stop pressing", &press.wait_to_end()?, &Outcome::Cancelled)?;
-        if attempt == 0 {
-            return Ok(());
+        // A force that was held is completed by its end; or the screw has become tight meanwhile.
+        let ended = press.wait_to_end()?;
+        if attempt == 0 || ended.is_stopped_by("tight") {
+            return Ok(ended);
         }
         let (force, left) = (
             force.unwrap_or(f64::NAN),
@@ -399,6 +482,27 @@ fn ready(side: f64) -> Vec<f64> {
     let signs = [side, 1.0, side, 1.0, side, 1.0, side].map(f64::signum);
     let joints = READY.iter().zip(signs);
     joints.map(|(angle, sign)| deg(*angle) * sign).collect()
+}
+
+/// Waits until an arm rests: its controller refuses to switch before.
+fn settle(arm: &Arm) -> Done {
+    let until = Instant::now() + RESTS_WITHIN;
+    let mut last = arm.positions()?;
+    loop {
+        std::thread::sleep(RESTS_FOR);
+        let now = arm.positions()?;
+        if last.iter().zip(&now).all(|(a, b)| (a - b).abs() < RESTS) {
+            return Ok(());
+        }
+        if Instant::now() > until {
+            return Err(format!(
+                "{} does not come to rest\nhint: does anything push it?",
+                arm.description().name
+            )
+            .into());
+        }
+        last = now;
+    }
 }
 
 /// Limits of motions with another speed, m/s.

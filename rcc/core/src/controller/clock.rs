@@ -1,13 +1,39 @@
-//! The device clock that net threads follow. The device's driver measures it; this module keeps the
+//! The clocks of net threads: where their grid of cycles begins, and the device clock that they follow. The device's driver measures it; this module keeps the
 //! connection between driver and threads when drivers are added and removed.
 
 use std::time::Duration;
 
+use takt_rt::Nanos;
 use takt_rt::cycle::Follow;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 use takt_rt::servo::{Estimate, State};
 
 use crate::cell::{CellConfig, THREADS_MAX};
+
+/// Longest grid that the first cycle is set to.
+const GRID_MAX: i64 = 1_000_000_000;
+
+/// Where the cycles of all net threads begin: the last instant of TAI, as this host's kernel has it now, that is a whole multiple of all
+/// periods. Controllers whose clocks agree thus have the same cycles, until TAI is stepped; those of one host always, as neither the kernel's
+/// quality nor its TAI offset matters there.
+pub(super) fn base(periods: &[Duration]) -> Nanos {
+    let now = takt_rt::monotonic();
+    let offset = takt_rt::read_tai().map_or(Nanos::ZERO, |reading| reading.offset());
+    last_common(now, offset, periods)
+}
+
+fn last_common(now: Nanos, offset: Nanos, periods: &[Duration]) -> Nanos {
+    let periods = periods.iter().map(|period| Nanos::from(*period).0.max(1));
+    let grid = periods.fold(1_i64, |grid, period| {
+        let (mut a, mut b) = (grid, period);
+        while b != 0 {
+            (a, b) = (b, a % b);
+        }
+        let common = (grid / a).checked_mul(period);
+        common.filter(|it| *it <= GRID_MAX).unwrap_or(grid)
+    });
+    now - Nanos((now + offset).0.rem_euclid(grid))
+}
 
 /// State of the clock that a net thread follows.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,7 +116,21 @@ impl FollowedClock {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use takt_rt::Nanos;
+
+    #[test]
+    fn base_is_last_common_multiple_of_periods_in_tai() {
+        let ms = Duration::from_millis;
+        let base = |periods: &[Duration]| {
+            last_common(Nanos(1_000_700_003), Nanos(5_000_299_998), periods).0
+        };
+        // TAI is 6,001,000,001 ns.
+        assert_eq!(base(&[ms(1)]), 1_000_700_002);
+        assert_eq!(base(&[ms(2), ms(1)]), 1_000_700_002 - 1_000_000);
+        assert_eq!(base(&[ms(4), ms(10)]), 1_000_700_002 - 1_000_000);
+        // No common multiple of at most 1 s: that of the first ones.
+        assert_eq!(base(&[ms(1), ms(997), ms(991)]), 1_000_700_002 - 19_000_000);
+        assert_eq!(last_common(Nanos(7), Nanos(-9_000_000), &[ms(1)]), Nanos(0));
+    }
 
     fn cell(follow: Option<&str>) -> CellConfig {
         let mut cell = CellConfig::default();

@@ -14,7 +14,8 @@ use crate::controller::rules::{RuleId, RuleInfo, RuleRequest};
 use crate::error::Error;
 use crate::executor::rules::shared::{Part, Shared};
 use crate::executor::rules::{
-    Failure, Literal, NetActions, Question, RULES_MAX, Rule, RuleError, RuleState, Step, WORK_MAX,
+    Failure, Gate, Literal, NetActions, Question, RULES_MAX, Rule, RuleError, RuleState, Step,
+    WORK_MAX,
 };
 use crate::executor::thread::Command;
 use crate::ids::{NetId, NetState};
@@ -32,7 +33,16 @@ impl Controller {
     /// If the condition is invalid, a net is in the wrong state, or a resource cannot be
     /// reserved.
     pub fn schedule(&self, request: RuleRequest) -> Result<RuleId, Error> {
-        let first = self.install(request.clone());
+        self.schedule_behind(&request, None)
+    }
+
+    /// As [`Self::schedule`], with a gate that opens later.
+    pub(super) fn schedule_behind(
+        &self,
+        request: &RuleRequest,
+        gate: Option<&Arc<Gate>>,
+    ) -> Result<RuleId, Error> {
+        let first = self.install(request.clone(), gate);
         let Err(Error::WrongState {
             state: NetState::Ready | NetState::Scheduled,
             hint: CROSSED,
@@ -44,12 +54,12 @@ impl Controller {
         // A net that an earlier rule released may still be in transfer: two cycles later it is here.
         let slowest = self.inner.lock().threads.slowest();
         std::thread::sleep(2 * slowest);
-        self.install(request)
+        self.install(request.clone(), gate)
     }
 
-    fn install(&self, request: RuleRequest) -> Result<RuleId, Error> {
+    fn install(&self, request: RuleRequest, gate: Option<&Arc<Gate>>) -> Result<RuleId, Error> {
         let mut registry = self.inner.lock();
-        let id = registry.install(request)?;
+        let id = registry.install(request, gate)?;
         self.inner.announce(&registry);
         self.inner
             .wait_for(registry, |registry| registry.rules.installed(id))??;
@@ -83,7 +93,11 @@ impl Controller {
 }
 
 impl Registry {
-    pub(super) fn install(&mut self, mut request: RuleRequest) -> Result<RuleId, Error> {
+    pub(super) fn install(
+        &mut self,
+        mut request: RuleRequest,
+        gate: Option<&Arc<Gate>>,
+    ) -> Result<RuleId, Error> {
         self.permission.check_start()?;
         if request.condition.len() > CONDITION_BYTES {
             let (item, bound) = ("bytes of a condition", CONDITION_BYTES);
@@ -108,7 +122,8 @@ impl Registry {
         let waiting = &self.rules;
         self.admission
             .check_rule(&self.nets, waiting, budget, &succession, start)?;
-        let id = self.give_to_threads(&request, &literals, &condition.steps, &threads)?;
+        let condition_of = (&literals[..], &condition.steps[..]);
+        let id = self.give_to_threads(&request, condition_of, &threads, gate)?;
         let asked = condition.literals.into_iter();
         let asked = asked.filter_map(|(net, key)| Some((net.parse().ok()?, key)));
         let asked = asked.collect();
@@ -121,9 +136,9 @@ impl Registry {
     fn give_to_threads(
         &mut self,
         request: &RuleRequest,
-        literals: &[Literal],
-        steps: &[Step],
+        (literals, steps): (&[Literal], &[Step]),
         threads: &[usize],
+        gate: Option<&Arc<Gate>>,
     ) -> Result<RuleId, Error> {
         // The commands below must arrive, or a net would be lost.
         self.threads.check_capacity(request.start.len() + 1)?;
@@ -152,6 +167,7 @@ impl Registry {
             };
             let mut rule = Box::new(Rule::new(id.0, literals.to_vec(), steps.to_vec(), orders));
             rule.requested = requested;
+            rule.gate = gate.cloned();
             rule.part = shared.clone().map(|shared| Part::new(shared, number));
             self.threads.send(*thread, Command::AddRule(rule))?;
         }
@@ -320,6 +336,10 @@ impl Registry {
             }
             Failure::NotWaiting(net) => format!("{} was started or taken away before", NetId(net)),
             Failure::TooMany => "too many nets run".to_owned(),
+            Failure::Late => {
+                "the host stalled: the net thread missed the cycle in which the nets were to begin"
+                    .to_owned()
+            }
             Failure::Overload => {
                 "all nets together would cost more in a cycle than nets may".to_owned()
             }

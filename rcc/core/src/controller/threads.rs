@@ -11,7 +11,7 @@ use takt_net::{NetCost, Rejection};
 use takt_rt::thread::ThreadConfig;
 
 use crate::cell::{CellConfig, THREADS_MAX, listed};
-use crate::controller::clock::FollowedClock;
+use crate::controller::clock::{self, FollowedClock};
 use crate::device::Device;
 use crate::error::Error;
 use crate::executor::figures::budget;
@@ -85,7 +85,7 @@ impl NetThreads {
     /// Starts all net threads of a cell on one time base; the first one is recorded.
     pub(super) fn start(
         cell: &CellConfig,
-        clock: Option<&FollowedClock>,
+        followed: Option<&FollowedClock>,
         stop: &Arc<EmergencyStop>,
         notifier: &Arc<Notifier>,
         tap: Option<Tap>,
@@ -101,14 +101,14 @@ impl NetThreads {
             cpus: thread.cpus.clone(),
             ..ThreadConfig::new(format!("takt-nets-{:?}", thread.period).replace('µ', "u"))
         });
-        let base = takt_rt::monotonic();
+        let base = clock::base(&cell.periods().collect::<Vec<_>>());
         let mut tap = tap;
         let mut threads = Vec::new();
         for (thread, period) in [first].into_iter().chain(others).zip(cell.periods()) {
             let config = NetThreadConfig {
                 period,
                 base,
-                follow: clock.and_then(|clock| clock.follow(threads.len())),
+                follow: followed.and_then(|clock| clock.follow(threads.len())),
                 stop: StopPart::new(Arc::clone(stop), threads.len()),
                 notifier: Arc::clone(notifier),
                 thread,

@@ -7,6 +7,7 @@
 //! nets: each net that a rule names has a slot in the net table for constant-time lookup.
 
 mod fire;
+mod gate;
 mod keep;
 mod limits;
 mod literal;
@@ -17,6 +18,7 @@ pub mod shared;
 use crate::executor::running::Running;
 use net_table::{NetTable, Slot};
 
+pub use gate::{Begun, Gate};
 pub use limits::{CONDITION_MAX, RULES_MAX, SCHEDULED_MAX, WORK_MAX};
 pub use literal::{Literal, Question, Step};
 pub use rule::{Failure, NetActions, Rule, RuleError, RuleState, rejected};

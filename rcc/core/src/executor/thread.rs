@@ -341,7 +341,7 @@ impl Cycle {
                 self.journal.inbox(net);
             }
         }
-        if self.executor.fire_decided() {
+        if self.executor.fire_decided(moment, slot.begin) {
             self.report_effects();
         }
         let journal = &mut self.journal;

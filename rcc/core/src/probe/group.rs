@@ -160,6 +160,11 @@ impl Group {
         self.timing.cursor = self.timing.reader.end();
     }
 
+    /// When the times of its rows are 0, on the host's monotonic clock.
+    pub(crate) const fn base(&self) -> Nanos {
+        self.base
+    }
+
     /// Number of its columns.
     pub(crate) fn columns(&self) -> usize {
         self.columns.len()

@@ -9,6 +9,7 @@ use super::group::Group;
 use super::trigger::{Condition, Engine, Found, GroupSize, Settings, Watch};
 use super::{Column, ProbeError, ScopeError, ScopeRequest, TriggerKind, TriggerRequest};
 use crate::ids::NetState;
+use takt_rt::Nanos;
 
 /// Probes that are sampled in the same cycles.
 #[derive(Clone, Debug, PartialEq)]
@@ -166,6 +167,12 @@ impl Scope {
     #[must_use]
     pub fn groups(&self) -> &[GroupInfo] {
         &self.infos
+    }
+
+    /// When the times of a group are 0, on the host's monotonic clock.
+    #[must_use]
+    pub fn epoch(&self, group: usize) -> Option<Nanos> {
+        self.groups.get(group).map(Group::base)
     }
 
     /// Requested probes that cannot be sampled.

@@ -221,6 +221,12 @@ impl Admission {
         self.find(boot, session)?.permits(nonce, now)
     }
 
+    /// What happens to the nets of a session when it, or a partner of its coordinated start, is lost; `None` if there is no such session.
+    pub fn on_loss(&mut self, session: u32, now: Nanos) -> Option<LossPolicy> {
+        self.expire(now);
+        self.sessions.get(&session).map(|session| session.on_loss)
+    }
+
     /// Reads a query for one of the own keys.
     fn read<M: DeserializeOwned>(&self, query: &Query<'_>, own: &str) -> Result<M, Refusal> {
         check_key(query, own)?;

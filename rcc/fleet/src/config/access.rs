@@ -12,7 +12,23 @@ use crate::keys::{ALL, CellName};
 /// Keys that the history of publications uses beside those of the publications.
 const ALL_HISTORY: &str = "takt/**/@adv/**";
 
-/// Messages by which data leave their source.
+/// What members publish, but for their part in coordinated starts.
+const TOPICS: [&str; 12] = [
+    ALL_HISTORY,
+    "takt/*/alive",
+    "takt/*/info",
+    "takt/*/clock",
+    "takt/*/summary",
+    "takt/*/findings",
+    "takt/*/log",
+    "takt/*/device/**",
+    "takt/*/net/**",
+    "takt/*/machine/**",
+    "takt/*/thread/**",
+    "takt/*/session/**",
+];
+
+/// Messages by which data leave their source, publications first.
 const DATA: [&str; 5] = [
     "put",
     "delete",
@@ -54,17 +70,17 @@ fn rule_list(cell: &CellName, is_router: bool) -> Vec<Value> {
     let all = texts(&[ALL, ALL_HISTORY]);
     // Of other cells a member sees what they are and takes part in starts; a router sees and forwards all.
     let (out, asks, seen, started) = if is_router {
-        (all.clone(), all.clone(), all.clone(), all.clone())
+        (
+            all.clone(),
+            all.clone(),
+            all.clone(),
+            texts(&["takt/*/start/**"]),
+        )
     } else {
         (
             vec![format!("takt/{cell}/**"), format!("takt/{cell}/**/@adv/**")],
             texts(&["takt/*/info", "takt/*/start/**", ALL_HISTORY]),
-            texts(&[
-                "takt/*/alive",
-                "takt/*/info",
-                "takt/*/info/@adv/**",
-                "takt/*/start/**",
-            ]),
+            texts(&["takt/*/alive", "takt/*/info", "takt/*/info/@adv/**"]),
             vec![format!("takt/{cell}/start/**")],
         )
     };
@@ -73,6 +89,12 @@ fn rule_list(cell: &CellName, is_router: bool) -> Vec<Value> {
     } else {
         vec![format!("takt/{cell}/cmd/**")]
     };
+    let topics = if is_router {
+        texts(&TOPICS)
+    } else {
+        seen.clone()
+    };
+    let partners = texts(&["takt/*/start/**"]);
     let reads = texts(&[
         "takt/*/info",
         "takt/*/resource/**",
@@ -84,10 +106,13 @@ fn rule_list(cell: &CellName, is_router: bool) -> Vec<Value> {
         rule("asks-out", "egress", &["query"], &asks),
         rule("interest-out", "egress", &INTEREST, &all),
         rule("interest-in", "ingress", &INTEREST, &all),
-        rule("others-in", "ingress", &DATA, &seen),
+        rule("others-in", "ingress", &DATA[1..], &seen),
+        rule("others-put", "ingress", &DATA[..1], &topics),
         rule("read-in", "ingress", &["query"], &reads),
         rule("command-in", "ingress", &["query"], &commands),
         rule("start-in", "ingress", &["query"], &started),
+        // Arms and beats of partners: a link that may only read cannot arm a start.
+        rule("partner-in", "ingress", &["put", "reply"], &partners),
     ]
 }
 
@@ -133,13 +158,14 @@ fn of_rights(rights: &[FleetRight]) -> Vec<&'static str> {
         "interest-out",
         "interest-in",
         "others-in",
+        "others-put",
         "read-in",
     ];
     for right in rights {
         match right {
             FleetRight::Read => {}
             FleetRight::Command => rules.push("command-in"),
-            FleetRight::Start => rules.push("start-in"),
+            FleetRight::Start => rules.extend(["start-in", "partner-in"]),
         }
     }
     rules

@@ -116,13 +116,23 @@ impl Fleet {
     /// # Errors
     /// If zenoh refuses the query.
     pub fn ask(&self, key: &str, timeout: Duration) -> Result<Vec<Answer>, FleetError> {
+        Ok(self.answers(key, timeout)?.collect())
+    }
+
+    /// The answers as they come.
+    fn answers(
+        &self,
+        key: &str,
+        timeout: Duration,
+    ) -> Result<impl Iterator<Item = Answer> + use<>, FleetError> {
         let begin = Instant::now();
         // Two cells of one name have one key: both answers are of interest.
         let get = self.session.get(key).target(QueryTarget::All);
         let get = get.consolidation(ConsolidationMode::None).timeout(timeout);
+        let get = get.express(true);
         let replies = get.wait().map_err(SessionError::of("cannot query"))?;
-        let replies = std::iter::from_fn(|| replies.recv().ok());
-        let answers = replies.filter_map(|reply| {
+        let replies = std::iter::from_fn(move || replies.recv().ok());
+        let answers = replies.filter_map(move |reply| {
             let (cell, result) = match reply.result() {
                 Ok(sample) => {
                     let cell = parts(sample.key_expr().as_str()).map(|(cell, _)| cell.to_owned());
@@ -144,7 +154,7 @@ impl Fleet {
                 after,
             })
         });
-        Ok(answers.collect())
+        Ok(answers)
     }
 
     /// A resource of one cell, such as `nets`.
@@ -158,7 +168,7 @@ impl Fleet {
         timeout: Duration,
     ) -> Result<Value, FleetError> {
         let key = CellKeys::new(cell.clone()).resource(path);
-        let answer = self.ask(&key, timeout)?.into_iter().next();
+        let answer = self.answers(&key, timeout)?.next();
         let cell = cell.to_string();
         match answer.map(|answer| answer.result) {
             Some(Ok(value)) => Ok(value),

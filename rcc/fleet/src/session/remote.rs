@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use zenoh::Wait as _;
+use zenoh::query::ConsolidationMode;
 
 use super::SessionError;
 use super::observer::Fleet;
@@ -167,6 +168,18 @@ impl Remote {
         self.link.boot
     }
 
+    /// The cell.
+    #[must_use]
+    pub fn cell(&self) -> &CellName {
+        self.link.keys.cell()
+    }
+
+    /// The session, and the newest nonce by which it permits something.
+    #[must_use]
+    pub fn permission(&self) -> (u32, Nonce) {
+        (self.link.number, self.link.granted().nonce)
+    }
+
     /// Executes one DirectIO line and returns its reply lines, and how many more the cell left out because they were too long.
     ///
     /// # Errors
@@ -291,7 +304,10 @@ fn ask(
     request: &str,
     timeout: Duration,
 ) -> Result<Option<Reply>, RemoteError> {
-    let replies = session.get(key).payload(request).timeout(timeout).wait();
+    // The one reply is taken as it comes, not held back until the cell has declared that it was the last.
+    let get = session.get(key).payload(request).timeout(timeout);
+    let get = get.consolidation(ConsolidationMode::None).express(true);
+    let replies = get.wait();
     let replies = replies.map_err(SessionError::of("cannot send a request"))?;
     let Some(reply) = replies.recv().ok() else {
         return Ok(None);

@@ -16,6 +16,14 @@ pub struct Member {
     pub cell: String,
     /// Its run, as its info says.
     pub boot: Boot,
+    /// The clock of its host, as its info says; empty if it does not.
+    pub clock: String,
+    /// The session of commands at it, and a nonce of that.
+    pub session: u32,
+    /// See `session`.
+    pub nonce: Nonce,
+    /// Its nets that begin.
+    pub nets: Vec<String>,
 }
 
 /// How it ended.
@@ -70,7 +78,10 @@ enum Phase {
 pub struct Initiator {
     txn: Txn,
     members: Vec<Member>,
-    ready: Vec<Option<Ready>>,
+    /// The replies to the prepare, and when they arrived.
+    ready: Vec<Option<(Ready, Nanos)>>,
+    /// The start is at least this far ahead when it is chosen.
+    lead: Nanos,
     armed: Vec<bool>,
     failed: Option<Outcome>,
     phase: Phase,
@@ -78,25 +89,30 @@ pub struct Initiator {
 }
 
 impl Initiator {
-    /// Begins to prepare it. The participants check the members.
+    /// Begins to prepare it, for a start that is at least `lead` ahead when it is chosen. The participants check the members.
     #[must_use]
-    pub fn new(txn: Txn, members: Vec<Member>, now: Nanos) -> Self {
+    pub fn new(txn: Txn, members: Vec<Member>, lead: Nanos, now: Nanos) -> Self {
         let partners: Vec<String> = members.iter().map(|it| it.cell.clone()).collect();
+        let first = members.first().map(|it| it.clock.clone());
+        let clock =
+            first.filter(|first| !first.is_empty() && members.iter().all(|it| it.clock == *first));
         let prepare = |(place, member): (usize, &Member)| {
-            let (boot, partners) = (member.boot, partners.clone());
-            Goal::Prepare(
-                place,
-                Prepare {
-                    txn,
-                    boot,
-                    partners,
-                },
-            )
+            let prepare = Prepare {
+                txn,
+                boot: member.boot,
+                partners: partners.clone(),
+                session: member.session,
+                nonce: member.nonce,
+                nets: member.nets.clone(),
+                clock: clock.clone(),
+            };
+            Goal::Prepare(place, prepare)
         };
         Self {
             txn,
             goals: members.iter().enumerate().map(prepare).collect(),
             ready: vec![None; members.len()],
+            lead: lead.max(LEAD_MIN),
             armed: vec![false; members.len()],
             members,
             failed: None,
@@ -106,13 +122,13 @@ impl Initiator {
         }
     }
 
-    /// Takes the reply of a member to its prepare.
-    pub fn handle_ready(&mut self, place: usize, reply: Result<Ready, Refusal>) {
+    /// Takes the reply of a member to its prepare, which arrived at `now`.
+    pub fn handle_ready(&mut self, place: usize, reply: Result<Ready, Refusal>, now: Nanos) {
         let is_preparing = matches!(self.phase, Phase::Preparing { .. });
         match reply {
             Ok(ready) if is_preparing && ready.txn == self.txn => {
                 if let Some(it) = self.ready.get_mut(place) {
-                    *it = Some(ready);
+                    *it = Some((ready, now));
                 }
             }
             Ok(_) => {}
@@ -141,16 +157,15 @@ impl Initiator {
         self.failed.get_or_insert(Outcome::Refused { cell, why });
     }
 
-    /// What is due; to be called until it returns `None`. `tai` is the present instant of TAI of the host that runs this: if it is wrong,
-    /// the participants refuse its start as late or too far ahead.
-    pub fn poll(&mut self, tai: Nanos, now: Nanos) -> Option<Goal> {
+    /// What is due; to be called until it returns `None`. `now` is on any clock that is not stepped: TAI is that of the participants.
+    pub fn poll(&mut self, now: Nanos) -> Option<Goal> {
         if self.goals.is_empty() {
-            self.advance(tai, now);
+            self.advance(now);
         }
         self.goals.pop_front()
     }
 
-    fn advance(&mut self, tai: Nanos, now: Nanos) {
+    fn advance(&mut self, now: Nanos) {
         let (until, replied): (Nanos, Vec<bool>) = match &self.phase {
             Phase::Preparing { until } => {
                 (*until, self.ready.iter().map(Option::is_some).collect())
@@ -179,14 +194,14 @@ impl Initiator {
                 .push_back(Goal::Finished(Outcome::Armed { start_tai_ns }));
             return;
         }
-        match self.choose(tai) {
+        match self.choose(now) {
             Ok(start_tai_ns) => self.commit(start_tai_ns, now),
             Err(text) => self.abort(Outcome::Mismatch { text }),
         }
     }
 
     fn commit(&mut self, start_tai_ns: i64, now: Nanos) {
-        let nonces: Vec<Nonce> = self.ready.iter().flatten().map(|it| it.nonce).collect();
+        let nonces: Vec<Nonce> = self.ready.iter().flatten().map(|it| it.0.nonce).collect();
         for (place, member) in self.members.iter().enumerate() {
             let commit = Commit {
                 txn: self.txn,
@@ -209,14 +224,14 @@ impl Initiator {
     }
 
     /// The first instant on the grids of all participants that leaves all of them time.
-    fn choose(&self, tai: Nanos) -> Result<i64, String> {
+    fn choose(&self, now: Nanos) -> Result<i64, String> {
         let ready = || self.ready.iter().flatten().zip(&self.members);
-        let Some((first, first_member)) = ready().next() else {
+        let Some(((first, _), first_member)) = ready().next() else {
             return Err("no cell takes part".to_owned());
         };
         let mut grid: i64 = 1;
-        let mut lead = LEAD_MIN.0;
-        for (it, member) in ready() {
+        let (mut lead, mut tai) = (self.lead.0, i64::MIN);
+        for ((it, arrived), member) in ready() {
             if it.tai_utc_s != first.tai_utc_s {
                 return Err(format!(
                     "TAI is {} s ahead of UTC on {}, and {} s on {}\nhint: let phc2sys or chrony set the same offset on both",
@@ -230,18 +245,17 @@ impl Initiator {
                 )
             })?;
             lead = lead.max(it.lead_ns);
+            tai = tai.max(it.tai_ns.saturating_add((now - *arrived).0));
         }
-        let earliest = tai
-            .0
-            .checked_add(lead)
-            .ok_or("the clock of this host is wrong")?;
+        let wrong = "a cell's TAI is beyond all years\nhint: takt fleet doctor";
+        let earliest = tai.checked_add(lead).ok_or(wrong)?;
         let beyond = earliest.rem_euclid(grid);
         let start = if beyond == 0 {
             Some(earliest)
         } else {
             earliest.checked_add(grid - beyond)
         };
-        start.ok_or_else(|| "the clock of this host is wrong".to_owned())
+        start.ok_or_else(|| wrong.to_owned())
     }
 }
 

@@ -7,7 +7,8 @@ use takt_core::tai::{JUMP, Tai, TaiState};
 
 use super::message::{Armed, Beat, Commit, Prepare, Ready, Refusal};
 use super::{
-    AHEAD_MAX, DECISION, GUARD, HANDOVER_MIN, PARTNERS_MAX, RESERVATION, SILENCE, TRANSACTIONS_MAX,
+    AHEAD_MAX, DECISION, GUARD, HANDOVER_MIN, OVER, PARTNERS_MAX, RESERVATION, SILENCE,
+    TRANSACTIONS_MAX,
 };
 use crate::command::{Boot, Entropy, Nonce, Txn};
 
@@ -35,6 +36,22 @@ pub enum ReleaseCause {
     Clock,
     /// This host stalled until it was too late.
     Stalled,
+}
+
+impl fmt::Display for ReleaseCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Expired => "no commit arrived in time\nhint: the initiator has gone, or its link is slow: try again",
+            Self::Aborted => "the initiator aborted it",
+            Self::NotArmed => {
+                "not all partners were armed in time\nhint: their logs name the cause; a longer lead gives messages more time"
+            }
+            Self::Clock => {
+                "the clock was stepped, or lost its time service, after the commit\nhint: takt fleet doctor"
+            }
+            Self::Stalled => "this host stalled until it was too late\nhint: takt doctor",
+        })
+    }
 }
 
 /// What the caller has to do.
@@ -80,9 +97,11 @@ enum Phase {
     /// Handed over.
     Running {
         nonces: Vec<Nonce>,
-        /// When each partner gave a sign of life last; `None` once it is lost.
+        /// When each partner gave a sign of life last; `None` once it is lost or over.
         seen: [Option<Nanos>; PARTNERS_MAX],
     },
+    /// Its nets have ended by themselves; the partners learn so until then.
+    Over { until: Nanos },
 }
 
 #[derive(Debug)]
@@ -90,6 +109,8 @@ struct Transaction {
     prepare: Prepare,
     ready: Ready,
     own: usize,
+    /// All partners have the clock of this host.
+    shares_clock: bool,
     phase: Phase,
 }
 
@@ -118,7 +139,7 @@ impl Transaction {
                     return Some(Due::Release(ReleaseCause::Stalled));
                 } else if !is_armed {
                     return Some(Due::Release(ReleaseCause::NotArmed));
-                } else if tai.state == TaiState::Free || is_stepped {
+                } else if is_stepped || !is_fit(tai, self.shares_clock) {
                     return Some(Due::Release(ReleaseCause::Clock));
                 }
                 let at = *start;
@@ -137,14 +158,22 @@ impl Transaction {
                 let cell = self.prepare.partners.get(place)?.clone();
                 Some(Due::Output(Output::PartnerLost { txn, cell }))
             }
+            Phase::Over { .. } => None,
         }
     }
+}
+
+/// Whether a clock permits a start.
+fn is_fit(tai: &Tai, is_shared: bool) -> bool {
+    is_shared || tai.state != TaiState::Free
 }
 
 /// A cell's part in coordinated starts.
 pub struct Participant {
     cell: String,
     boot: Boot,
+    /// The clock of its host, which other cells of that host have too.
+    clock: String,
     entropy: Entropy,
     transactions: Vec<Transaction>,
     /// A fault put in by tests of the simulator.
@@ -162,12 +191,13 @@ impl fmt::Debug for Participant {
 }
 
 impl Participant {
-    /// A cell in no coordinated start.
+    /// A cell in no coordinated start. `clock` is what the cells of one host have in common; empty if that is not known.
     #[must_use]
-    pub fn new(cell: &str, boot: Boot, entropy: Entropy) -> Self {
+    pub fn new(cell: &str, boot: Boot, clock: &str, entropy: Entropy) -> Self {
         Self {
             cell: cell.to_owned(),
             boot,
+            clock: clock.to_owned(),
             entropy,
             transactions: Vec::new(),
             #[cfg(test)]
@@ -203,11 +233,19 @@ impl Participant {
             };
         }
         let tai = readiness.tai;
-        if tai.state == TaiState::Free {
+        let shares_clock = request.clock.is_some();
+        if request
+            .clock
+            .as_ref()
+            .is_some_and(|it| it.is_empty() || *it != self.clock)
+        {
+            return Err(Refusal::OtherClock { cell: cell() });
+        }
+        if !is_fit(&tai, shares_clock) {
             let why = tai.cause.to_string();
             return Err(Refusal::Clock { cell: cell(), why });
         }
-        if tai.uncertainty.0 > readiness.period.0 / 4 {
+        if !shares_clock && tai.uncertainty.0 > readiness.period.0 / 4 {
             let uncertainty_ns = tai.uncertainty.0;
             return Err(Refusal::Uncertain {
                 cell: cell(),
@@ -228,11 +266,13 @@ impl Participant {
             lead_ns: readiness.lead.0,
             uncertainty_ns: tai.uncertainty.0,
             tai_utc_s: tai.tai_utc_s,
+            tai_ns: tai.tai(now).0,
         };
         self.transactions.push(Transaction {
             prepare: request.clone(),
             ready: ready.clone(),
             own,
+            shares_clock,
             phase: Phase::Ready {
                 until: now + RESERVATION,
             },
@@ -285,9 +325,11 @@ impl Participant {
             Phase::Committed {
                 commit: earlier, ..
             } if earlier == commit => return Ok(armed),
-            Phase::Committed { .. } | Phase::Running { .. } => return Err(Refusal::Prepared),
+            Phase::Committed { .. } | Phase::Running { .. } | Phase::Over { .. } => {
+                return Err(Refusal::Prepared);
+            }
         }
-        if tai.state == TaiState::Free {
+        if !is_fit(tai, known.shares_clock) {
             let why = tai.cause.to_string();
             return Err(Refusal::Clock { cell, why });
         }
@@ -362,9 +404,10 @@ impl Participant {
             return;
         }
         // One that was lost stays lost: its net may have ended in between.
-        if let Some(seen) = seen.get_mut(place).and_then(Option::as_mut) {
-            *seen = (*seen).max(now);
-        }
+        let Some(seen) = seen.get_mut(place) else {
+            return;
+        };
+        *seen = seen.filter(|_| !message.over).map(|at| at.max(now));
     }
 
     /// The arms that are to be published every [`super::BEAT_EVERY`] until the start: one may be lost, or reach a partner before its
@@ -378,7 +421,7 @@ impl Participant {
                 start_tai_ns: commit.start_tai_ns,
                 nonces: commit.nonces.clone(),
             }),
-            Phase::Ready { .. } | Phase::Running { .. } => None,
+            Phase::Ready { .. } | Phase::Running { .. } | Phase::Over { .. } => None,
         };
         self.transactions.iter().filter_map(arm).collect()
     }
@@ -386,28 +429,45 @@ impl Participant {
     /// The beats that are due every [`super::BEAT_EVERY`] while nets run.
     #[must_use]
     pub fn beats(&self) -> Vec<Beat> {
-        let running = self
-            .transactions
-            .iter()
-            .filter(|it| matches!(it.phase, Phase::Running { .. }));
-        let beat = |it: &Transaction| Beat {
+        let beat = |it: &Transaction, over| Beat {
             txn: it.prepare.txn,
             cell: self.cell.clone(),
             nonce: it.ready.nonce,
+            over,
         };
-        running.map(beat).collect()
+        let beats = self.transactions.iter().filter_map(|it| match it.phase {
+            Phase::Running { .. } => Some(beat(it, false)),
+            Phase::Over { .. } => Some(beat(it, true)),
+            Phase::Ready { .. } | Phase::Committed { .. } => None,
+        });
+        beats.collect()
     }
 
     /// Aborts a start that has not been handed over; `None` if there is none: a net that was handed over is cancelled as any other.
     pub fn abort(&mut self, txn: Txn) -> Option<Output> {
-        let is_it =
-            |it: &Transaction| it.prepare.txn == txn && !matches!(it.phase, Phase::Running { .. });
+        let is_it = |it: &Transaction| {
+            let is_waiting = matches!(it.phase, Phase::Ready { .. } | Phase::Committed { .. });
+            it.prepare.txn == txn && is_waiting
+        };
         let index = self.transactions.iter().position(is_it)?;
         let cause = ReleaseCause::Aborted;
         Some(self.release(index, cause))
     }
 
-    /// The net of a start has ended, or could not be handed over.
+    /// The nets of a start have ended by themselves: the partners are informed for a while, and do not count this cell as lost.
+    pub fn over(&mut self, txn: Txn, now: Nanos) {
+        if let Some(known) = self.find(txn) {
+            known.phase = Phase::Over { until: now + OVER };
+        }
+    }
+
+    /// Whether it takes part in a start.
+    #[must_use]
+    pub fn knows(&self, txn: Txn) -> bool {
+        self.transactions.iter().any(|it| it.prepare.txn == txn)
+    }
+
+    /// The net of a start has ended otherwise, or did not begin: the partners lose this cell.
     pub fn ended(&mut self, txn: Txn) {
         self.transactions.retain(|it| it.prepare.txn != txn);
     }
@@ -423,6 +483,8 @@ impl Participant {
         let ignores_arms = self.ignores_arms;
         #[cfg(not(test))]
         let ignores_arms = false;
+        self.transactions
+            .retain(|it| !matches!(it.phase, Phase::Over { until } if now > until));
         for index in 0..self.transactions.len() {
             let transaction = self.transactions.get_mut(index)?;
             match transaction.poll(tai, now, ignores_arms) {
@@ -444,6 +506,7 @@ impl Participant {
                 let last = seen.iter().flatten().min();
                 last.map(|at| *at + SILENCE + Nanos(1))
             }
+            Phase::Over { until } => Some(*until + Nanos(1)),
         };
         self.transactions.iter().filter_map(due).min()
     }

@@ -283,7 +283,7 @@ impl World {
             return;
         };
         match sent.message {
-            Message::Ready(reply) => initiator.handle_ready(sent.from, reply),
+            Message::Ready(reply) => initiator.handle_ready(sent.from, reply, self.now),
             Message::Committed(reply) => initiator.handle_armed(sent.from, reply),
             Message::Prepare(_)
             | Message::Commit(_)
@@ -354,15 +354,16 @@ impl World {
             let members = self.cells.iter().enumerate().map(|(at, cell)| Member {
                 cell: name(at),
                 boot: cell.boot,
+                clock: String::new(),
+                session: 1,
+                nonce: Nonce(1),
+                nets: vec!["rpinet0".to_owned()],
             });
-            self.initiator = Some(Initiator::new(self.txn, members.collect(), self.now));
+            let lead = Nanos::from_millis(300);
+            self.initiator = Some(Initiator::new(self.txn, members.collect(), lead, self.now));
         }
         let home = self.cells.len();
-        while let Some(goal) = self
-            .initiator
-            .as_mut()
-            .and_then(|it| it.poll(self.now, self.now))
-        {
+        while let Some(goal) = self.initiator.as_mut().and_then(|it| it.poll(self.now)) {
             match goal {
                 Goal::Prepare(to, request) => self.send(home, to, &Message::Prepare(request)),
                 Goal::Commit(to, commit) => self.send(home, to, &Message::Commit(commit)),
@@ -448,7 +449,7 @@ fn name(at: usize) -> String {
 fn participant(at: usize, boot: Boot, seed: u64, ignores_arms: bool) -> Participant {
     let mut random = Random(seed);
     let entropy = Box::new(move || u128::from(random.next()));
-    let mut participant = Participant::new(&name(at), boot, entropy);
+    let mut participant = Participant::new(&name(at), boot, "", entropy);
     participant.ignores_arms = ignores_arms;
     participant
 }

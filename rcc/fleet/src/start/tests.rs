@@ -6,7 +6,7 @@ use takt_core::tai::{FreeCause, Tai, TaiState};
 use super::participant::{Output, Participant, Readiness, ReleaseCause};
 use super::simulator::{Report, Weather, World};
 use super::{
-    AHEAD_MAX, Armed, Beat, Commit, DECISION, GUARD, Goal, Initiator, Member, Outcome,
+    AHEAD_MAX, Armed, Beat, Commit, DECISION, GUARD, Goal, Initiator, Member, OVER, Outcome,
     PARTNERS_MAX, Prepare, REPLY_TIMEOUT, RESERVATION, Ready, Refusal, SILENCE, TRANSACTIONS_MAX,
 };
 use crate::command::{Boot, Nonce, Txn};
@@ -42,6 +42,7 @@ fn cell() -> Participant {
     Participant::new(
         "a",
         BOOT,
+        "host",
         Box::new(move || {
             count += 1;
             count
@@ -54,6 +55,10 @@ fn request(txn: Txn) -> Prepare {
         txn,
         boot: BOOT,
         partners: vec!["a".to_owned(), "b".to_owned()],
+        session: 1,
+        nonce: Nonce(1),
+        nets: vec!["rpinet0".to_owned()],
+        clock: None,
     }
 }
 
@@ -388,6 +393,7 @@ fn partner_silent_is_lost_once_and_for_good() {
         txn: TXN,
         cell: "b".to_owned(),
         nonce,
+        over: false,
     };
     cell.beat(&beat(commit.nonces[1]), start + Nanos(90 * MS));
     assert_eq!(cell.poll(&locked, start + SILENCE + Nanos(MS)), None);
@@ -404,6 +410,64 @@ fn partner_silent_is_lost_once_and_for_good() {
     assert_eq!(cell.beats().len(), 1, "it runs until its net has ended");
     cell.ended(TXN);
     assert!(cell.beats().is_empty() && cell.poll_timeout().is_none());
+}
+
+#[test]
+fn cells_of_one_host_need_no_time_service() {
+    let free = Readiness {
+        tai: tai(TaiState::Free),
+        ..readiness()
+    };
+    let on = |clock: &str| Prepare {
+        clock: Some(clock.to_owned()),
+        ..request(TXN)
+    };
+    for other in ["", "another host"] {
+        let refused = cell().prepare(&on(other), &free, NOW);
+        assert!(
+            matches!(refused, Err(Refusal::OtherClock { .. })),
+            "{other}"
+        );
+    }
+    let mut cell = cell();
+    let ready = cell.prepare(&on("host"), &free, NOW).unwrap();
+    let commit = commit(&ready, AHEAD);
+    let armed = cell.commit(&commit, &free.tai, NOW).unwrap();
+    assert_eq!(cell.arms(), [armed]);
+    cell.armed(&arm(&commit));
+    // A step of the clock releases it all the same: the instant was another before.
+    let stepped = Tai {
+        offset: OFFSET + Nanos(101_000),
+        ..free.tai
+    };
+    let decision = NOW + AHEAD - DECISION;
+    assert_eq!(
+        released(&mut cell, &stepped, decision),
+        Some(ReleaseCause::Clock)
+    );
+}
+
+#[test]
+fn partner_whose_nets_ended_is_not_lost() {
+    let (mut cell, commit, start) = running();
+    let locked = tai(TaiState::Locked);
+    let over = Beat {
+        txn: TXN,
+        cell: "b".to_owned(),
+        nonce: commit.nonces[1],
+        over: true,
+    };
+    cell.beat(&over, start + Nanos(50 * MS));
+    let late = start + SILENCE + SILENCE;
+    assert_eq!(cell.poll(&locked, late), None);
+    // It says so itself for a while, then forgets the start.
+    cell.over(TXN, late);
+    assert!(cell.beats()[0].over && cell.knows(TXN));
+    assert_eq!(cell.abort(TXN), None, "there is nothing to be released");
+    assert_eq!(cell.poll(&locked, late + OVER), None);
+    assert!(cell.knows(TXN));
+    assert_eq!(cell.poll(&locked, late + OVER + Nanos(1)), None);
+    assert!(!cell.knows(TXN) && cell.beats().is_empty());
 }
 
 #[test]
@@ -425,14 +489,22 @@ fn initiator() -> Initiator {
     let member = |cell: &str| Member {
         cell: cell.to_owned(),
         boot: BOOT,
+        clock: String::new(),
+        session: 1,
+        nonce: Nonce(1),
+        nets: vec!["rpinet0".to_owned()],
     };
-    let mut initiator = Initiator::new(TXN, vec![member("a"), member("b")], NOW);
+    let members = vec![member("a"), member("b")];
+    let mut initiator = Initiator::new(TXN, members, Nanos::ZERO, NOW);
     for place in 0..2 {
-        assert!(matches!(initiator.poll(NOW, NOW), Some(Goal::Prepare(at, _)) if at == place));
+        assert!(matches!(initiator.poll(NOW), Some(Goal::Prepare(at, _)) if at == place));
     }
-    assert_eq!(initiator.poll(NOW, NOW), None);
+    assert_eq!(initiator.poll(NOW), None);
     initiator
 }
+
+/// TAI of the participants at their replies.
+const TAI: i64 = 1_000_000_001;
 
 fn ready(nonce: u128, period_ms: i64, lead_ms: i64, tai_utc_s: i32) -> Ready {
     Ready {
@@ -442,12 +514,13 @@ fn ready(nonce: u128, period_ms: i64, lead_ms: i64, tai_utc_s: i32) -> Ready {
         lead_ns: lead_ms * MS,
         uncertainty_ns: 0,
         tai_utc_s,
+        tai_ns: TAI,
     }
 }
 
 fn end(initiator: &mut Initiator, now: Nanos) -> (usize, Option<Outcome>) {
     let mut aborts = 0;
-    while let Some(goal) = initiator.poll(now, now) {
+    while let Some(goal) = initiator.poll(now) {
         match goal {
             Goal::Abort(_) => aborts += 1,
             Goal::Finished(outcome) => return (aborts, Some(outcome)),
@@ -460,31 +533,31 @@ fn end(initiator: &mut Initiator, now: Nanos) -> (usize, Option<Outcome>) {
 #[test]
 fn initiator_chooses_multiple_of_all_periods_beyond_all_leads() {
     let mut initiator = initiator();
-    initiator.handle_ready(0, Ok(ready(1, 4, 50, 37)));
-    initiator.handle_ready(1, Ok(ready(2, 6, 700, 37)));
-    let tai = Nanos(1_000_000_001);
-    let Some(Goal::Commit(0, commit)) = initiator.poll(tai, NOW) else {
+    initiator.handle_ready(0, Ok(ready(1, 4, 50, 37)), NOW);
+    initiator.handle_ready(1, Ok(ready(2, 6, 700, 37)), NOW);
+    let later = NOW + Nanos(7 * MS);
+    let Some(Goal::Commit(0, commit)) = initiator.poll(later) else {
         panic!("no commit")
     };
     assert_eq!(commit.start_tai_ns % (12 * MS), 0);
-    let ahead = commit.start_tai_ns - tai.0;
+    let ahead = commit.start_tai_ns - TAI - 7 * MS;
     assert!((700 * MS..712 * MS).contains(&ahead), "{ahead}");
     assert_eq!(commit.nonces, [Nonce(1), Nonce(2)]);
-    assert!(matches!(initiator.poll(tai, NOW), Some(Goal::Commit(1, _))));
+    assert!(matches!(initiator.poll(NOW), Some(Goal::Commit(1, _))));
     initiator.handle_armed(0, Ok(()));
-    assert_eq!(initiator.poll(tai, NOW), None);
+    assert_eq!(initiator.poll(NOW), None);
     initiator.handle_armed(1, Ok(()));
     let start_tai_ns = commit.start_tai_ns;
     let armed = Outcome::Armed { start_tai_ns };
     assert_eq!(end(&mut initiator, NOW), (0, Some(armed)));
-    assert_eq!(initiator.poll(tai, NOW), None);
+    assert_eq!(initiator.poll(NOW), None);
 }
 
 #[test]
 fn initiator_refused_silent_or_mismatched_aborts_all() {
     let late = NOW + REPLY_TIMEOUT + Nanos(1);
     let mut silent = initiator();
-    silent.handle_ready(0, Ok(ready(1, 1, 1, 37)));
+    silent.handle_ready(0, Ok(ready(1, 1, 1, 37)), NOW);
     assert_eq!(end(&mut silent, NOW + REPLY_TIMEOUT), (0, None));
     let cell = "b".to_owned();
     assert_eq!(
@@ -492,7 +565,7 @@ fn initiator_refused_silent_or_mismatched_aborts_all() {
         (2, Some(Outcome::Silent { cell: cell.clone() }))
     );
     let mut refused = initiator();
-    refused.handle_ready(1, Err(Refusal::OtherBoot));
+    refused.handle_ready(1, Err(Refusal::OtherBoot), NOW);
     let why = Refusal::OtherBoot;
     assert_eq!(
         end(&mut refused, NOW),
@@ -505,8 +578,8 @@ fn initiator_refused_silent_or_mismatched_aborts_all() {
         )
     );
     let mut armless = initiator();
-    armless.handle_ready(0, Ok(ready(1, 1, 1, 37)));
-    armless.handle_ready(1, Ok(ready(2, 1, 1, 37)));
+    armless.handle_ready(0, Ok(ready(1, 1, 1, 37)), NOW);
+    armless.handle_ready(1, Ok(ready(2, 1, 1, 37)), NOW);
     assert_eq!(end(&mut armless, NOW), (0, None));
     armless.handle_armed(0, Ok(()));
     assert_eq!(end(&mut armless, late), (2, Some(Outcome::Silent { cell })));
@@ -517,8 +590,8 @@ fn initiator_refused_silent_or_mismatched_aborts_all() {
         ready(2, -1, 1, 37),
     ] {
         let mut mismatched = initiator();
-        mismatched.handle_ready(0, Ok(ready(1, 1, 1, 37)));
-        mismatched.handle_ready(1, Ok(other));
+        mismatched.handle_ready(0, Ok(ready(1, 1, 1, 37)), NOW);
+        mismatched.handle_ready(1, Ok(other), NOW);
         let (aborts, outcome) = end(&mut mismatched, NOW);
         assert!(
             aborts == 2 && matches!(outcome, Some(Outcome::Mismatch { .. })),

@@ -8,7 +8,6 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use takt_embedded::{Moment, Record};
 
-use super::Span;
 use crate::demo::plot::{Area, COLOURS, Drawn, SCALE, chart, font};
 use crate::output::save;
 
@@ -26,6 +25,14 @@ const CHARACTER: f64 = 0.55;
 
 /// Width of an entry of the legend.
 const ENTRY: u32 = 112;
+
+/// A step of the program in the picture, s on the clock of the world.
+#[derive(Debug)]
+pub(super) struct Span {
+    pub(super) name: &'static str,
+    pub(super) from_s: f64,
+    pub(super) to_s: f64,
+}
 
 /// A curve: its name, and its value at a moment.
 type Curve = (&'static str, fn(&Moment) -> f64);

@@ -11,11 +11,12 @@ use takt_core::tai::{Tai, TaiState, TaiWatch};
 use takt_core::{Controller, Nanos, monotonic, read_tai};
 use takt_fleet::command::{LossPolicy, Lost};
 use takt_fleet::keys::chunk;
-use takt_fleet::session::member::{Cell, Topic};
+use takt_fleet::session::member::{Cell, Held, Topic};
 use takt_server::LogBook;
 
 use super::commands::Commands;
 use super::joints::{Arm, Joints};
+use super::starts::HeldNets;
 use crate::http::Http;
 use crate::output::chain;
 use crate::top::finding::Grade;
@@ -23,6 +24,12 @@ use crate::top::report::{Device, Report};
 
 /// How long the own server may take: far longer than it does.
 const TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Least time between two readings of the host's clock that count for its quality.
+const READING_PAUSE: Nanos = Nanos::from_millis(200);
+
+/// What all cells of this host have in common: the number of this run of its kernel, whose clock they share.
+const CLOCK_ID: &str = "/proc/sys/kernel/random/boot_id";
 
 /// Most out values of nets that are published.
 const VALUES_MAX: usize = 512;
@@ -95,10 +102,8 @@ impl FleetCell {
             .http
             .as_ref()
             .map(|http| Report::read(http, Some(&before)));
+        self.read_clock();
         let mut state = self.state();
-        if let Ok(reading) = read_tai() {
-            state.clock.handle(reading);
-        }
         match read {
             Some(Ok(report)) => {
                 let arms = devices(&report);
@@ -118,6 +123,24 @@ impl FleetCell {
                 state.failure = Some(why);
             }
             None => {}
+        }
+    }
+
+    /// Reads the host's clock; the offset is that of now, its quality is judged over readings with pauses.
+    fn read_clock(&self) -> Tai {
+        let reading = read_tai();
+        let mut state = self.state();
+        let Ok(reading) = reading else {
+            return state.clock.now();
+        };
+        let last = state.clock.now();
+        if reading.after - last.at >= READING_PAUSE {
+            return state.clock.handle(reading);
+        }
+        Tai {
+            at: reading.after,
+            offset: reading.offset(),
+            ..last
         }
     }
 
@@ -240,6 +263,19 @@ impl Cell for FleetCell {
 
     fn lost(&self, lost: Lost) {
         self.commands.lose(lost);
+    }
+
+    fn clock_id(&self) -> String {
+        let id = std::fs::read_to_string(CLOCK_ID).unwrap_or_default();
+        id.trim_end().to_owned()
+    }
+
+    fn tai(&self) -> Tai {
+        self.read_clock()
+    }
+
+    fn prepare_start(&self, nets: &[String]) -> Result<Box<dyn Held>, String> {
+        Ok(Box::new(HeldNets::prepare(&self.controller, nets)?))
     }
 }
 

@@ -151,7 +151,7 @@ fn rule_rejected_by_full_queue_keeps_nets() {
         let mut registry = controller.inner.lock();
         fill(&mut registry);
         // One cycle takes 16 commands: not enough for these.
-        let error = registry.install(request()).unwrap_err().to_string();
+        let error = registry.install(request(), None).unwrap_err().to_string();
         assert!(error.contains("requests to the net thread"), "{error}");
     }
     for net in &nets {

@@ -1,9 +1,11 @@
 //! Firing of rules between two cycles: literals are answered, conditions evaluated, and the actions of a rule
 //! happen all at once or not at all.
 
+use takt_net::Moment;
 use takt_rt::Nanos;
 
 use super::Rules;
+use super::gate::{Begun, Verdict};
 use super::rule::{Failure, RuleState};
 use super::shared::Decision;
 use crate::executor::life::{Change, StartReport};
@@ -85,15 +87,28 @@ impl Executor {
         }
     }
 
-    /// Applies decisions about rules in several threads since the last cycle. Called before each
-    /// cycle; returns whether nets may have been changed.
-    pub fn fire_decided(&mut self) -> bool {
+    /// Applies decisions about rules in several threads since the last cycle, and fires the rules whose gates are due in the cycle
+    /// that begins at `begin`. Called before each cycle; returns whether nets may have been changed.
+    pub fn fire_decided(&mut self, moment: Moment, begin: Nanos) -> bool {
         let mut usage = None;
         for at in 0..self.rules.waiting.len() {
             let rule = &self.rules.waiting[at];
-            let decided = rule.state == RuleState::Active && rule.part.is_some() && rule.is_due();
-            if !decided {
+            if rule.state != RuleState::Active {
                 continue;
+            }
+            let gate = rule.gate.clone();
+            match gate.as_ref().map(|gate| gate.pass(moment.cycle, begin)) {
+                Some(Verdict::Wait) => continue,
+                Some(Verdict::Late) => {
+                    self.fail(at, Failure::Late);
+                    continue;
+                }
+                Some(Verdict::Released) => {
+                    self.rules.retire(at, RuleState::Inactive);
+                    continue;
+                }
+                None if rule.part.is_none() || !rule.is_due() => continue,
+                Some(Verdict::Due) | None => {}
             }
             let mut now = usage.unwrap_or_else(|| {
                 self.rules.seat(&self.running);
@@ -101,6 +116,15 @@ impl Executor {
             });
             self.fire(at, &mut now);
             usage = Some(now);
+            let has_fired = self.rules.waiting[at].state == RuleState::Fired;
+            if let Some(gate) = gate.filter(|_| has_fired) {
+                let (cycle, woken) = (moment.cycle, Nanos(moment.wall.0));
+                gate.note(Begun {
+                    cycle,
+                    begin,
+                    woken,
+                });
+            }
         }
         usage.is_some()
     }

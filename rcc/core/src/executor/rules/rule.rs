@@ -1,6 +1,9 @@
 //! A synchronization rule: its condition, its actions in one thread, and its state. Which rules wait and when they
 //! fire is decided by the executor.
 
+use std::sync::Arc;
+
+use super::gate::Gate;
 use super::limits::CONDITION_MAX;
 use super::literal::{Literal, Question, Step};
 use super::net_table::Slot;
@@ -36,6 +39,8 @@ pub enum Failure {
     TooMany,
     /// All nets together would exceed the budget of a cycle.
     Overload,
+    /// The thread missed the cycle in which the nets were to begin.
+    Late,
 }
 
 /// Actions of a rule on nets of one thread.
@@ -62,6 +67,8 @@ pub struct Rule {
     pub(super) orders: NetActions,
     /// Shared state with its parts in other threads; `None` if it has a single part.
     pub part: Option<Part>,
+    /// Its nets begin when this is due; `None` if they begin when the condition holds. Not with parts in other threads.
+    pub gate: Option<Arc<Gate>>,
     /// Stop generation under which it was requested.
     pub requested: Generation,
     /// Its state.
@@ -126,6 +133,7 @@ impl Rule {
             steps,
             orders,
             part: None,
+            gate: None,
             requested: Generation::default(),
             state: RuleState::Active,
             failure: None,
@@ -245,8 +253,11 @@ impl Rule {
         both.filter(is_needed).collect()
     }
 
-    /// Whether it fires now.
+    /// Whether it fires now, unless it has a gate.
     pub(super) fn is_due(&self) -> bool {
+        if self.gate.is_some() {
+            return false;
+        }
         match &self.part {
             Some(part) => part.shared().decision() == Decision::Fire,
             None => self.changed && self.holds(),

@@ -2,19 +2,19 @@
 //! not here.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel};
 use std::time::{Duration, Instant};
 
+use serde::Serialize;
 use takt_core::Nanos;
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Query as Sent;
 
-use super::{Shared, refuse, reply};
-use crate::command::{
-    Admission, Answer, Limits, LossPolicy, Lost, Query, Refusal, Reply, random, to_json,
-};
+use super::shared::{Shared, refuse, reply};
+use crate::command::{Answer, LossPolicy, Lost, Query, Reply, to_json};
 
 /// Longest wait for a query, after which losses of sessions are looked for.
 const WAIT_MAX: Duration = Duration::from_millis(20);
@@ -54,14 +54,8 @@ struct Open {
 }
 
 /// Takes commands until the member leaves; then all sessions are lost.
-pub(super) fn serve(
-    shared: &Arc<Shared>,
-    (queue, events): (SyncSender<Event>, Receiver<Event>),
-    limits: Limits,
-) {
-    let keys = (shared.keys.cmd_session(), shared.keys.cmd_directio());
+pub(super) fn serve(shared: &Arc<Shared>, (queue, events): (SyncSender<Event>, Receiver<Event>)) {
     let mut commands = Commands {
-        admission: Admission::new(keys, shared.boot, limits, random()),
         shared,
         queue,
         open: BTreeMap::new(),
@@ -81,7 +75,6 @@ pub(super) fn serve(
 
 struct Commands<'a> {
     shared: &'a Arc<Shared>,
-    admission: Admission,
     queue: SyncSender<Event>,
     open: BTreeMap<u32, Open>,
     refusals: Refusals,
@@ -89,7 +82,11 @@ struct Commands<'a> {
 
 impl Commands<'_> {
     fn lose(&mut self, now: Nanos) {
-        while let Some(lost) = self.admission.poll(now) {
+        loop {
+            let lost = self.shared.admission().poll(now);
+            let Some(lost) = lost else {
+                return;
+            };
             let Lost { session, on_loss } = lost;
             let nets = match on_loss {
                 LossPolicy::Continue => "its nets run on",
@@ -114,9 +111,9 @@ impl Commands<'_> {
         };
         // The key of the queryable that got it is not known here: what is not exactly the one is checked as the other.
         let answer = if query.key == self.shared.keys.cmd_session() {
-            self.admission.handle_session(&query, now)
+            self.shared.admission().handle_session(&query, now)
         } else {
-            self.admission.handle_query(&query, now)
+            self.shared.admission().handle_query(&query, now)
         };
         drop(payload);
         match answer {
@@ -203,7 +200,11 @@ impl Commands<'_> {
     }
 
     fn finish(&mut self, done: Done) {
-        match self.admission.finish(done.session, done.seq, done.lines) {
+        let said = self
+            .shared
+            .admission()
+            .finish(done.session, done.seq, done.lines);
+        match said {
             Some(said) => self.answer(&done.sent, &said),
             None => refuse(&done.sent, "the session ended while the command ran"),
         }
@@ -236,11 +237,11 @@ fn execute(shared: &Shared, session: u32, job: &Job) -> Vec<String> {
 
 /// Reports refusals at their onset, by kind.
 #[derive(Debug, Default)]
-struct Refusals(BTreeMap<String, Instant>);
+pub(super) struct Refusals(BTreeMap<String, Instant>);
 
 impl Refusals {
     /// Logs a refusal unless one of its kind was there shortly before. Returns whether it did.
-    fn note(&mut self, reason: &Refusal, now: Instant) -> bool {
+    pub(super) fn note(&mut self, reason: &(impl Serialize + fmt::Display), now: Instant) -> bool {
         let kind = serde_json::to_value(reason).unwrap_or_default();
         let kind = kind["code"].as_str().unwrap_or_default().to_owned();
         let before = self.0.insert(kind, now);
@@ -255,6 +256,7 @@ impl Refusals {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::command::Refusal;
 
     #[test]
     fn refusals_of_a_kind_are_logged_at_onset() {

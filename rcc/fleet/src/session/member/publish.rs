@@ -16,7 +16,7 @@ use zenoh_ext::{
 };
 
 use super::reach::Reach;
-use super::{LOG_LINES_KEPT, Shared, TELEMETRY_PERIOD, TOPICS_MAX, refuse, reply};
+use super::shared::{LOG_LINES_KEPT, Shared, TELEMETRY_PERIOD, TOPICS_MAX, refuse, reply};
 use crate::keys;
 use crate::session::SessionError;
 

@@ -3,13 +3,16 @@
 use std::net::TcpListener;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicI64;
+use std::time::Duration;
 
-use serde_json::json;
+use serde_json::{Value, json};
+use takt_core::Nanos;
+use takt_core::tai::Tai;
 use zenoh_ext::{AdvancedSubscriberBuilderExt as _, HistoryConfig};
 
 use super::*;
 use crate::command::{
-    CommandRequest, LossPolicy, Nonce, OpenId, Refusal, Reply, SessionRequest, to_json,
+    CommandRequest, LossPolicy, Lost, Nonce, OpenId, Refusal, Reply, SessionRequest, to_json,
 };
 use crate::config::{FleetMode, FleetRight, FleetRule, Observer, of_observer};
 use crate::keys::{ALL_ALIVE, cell_of_alive};
@@ -21,9 +24,13 @@ const ARRIVES: Duration = Duration::from_secs(20);
 /// For replies that must not arrive.
 const DENIED: Duration = Duration::from_millis(500);
 
+mod starts;
+
 #[derive(Default)]
 struct Bench {
     now: AtomicI64,
+    /// Its part in coordinated starts.
+    starts: starts::Part,
     /// Commands `wait` end when this is set.
     is_released: AtomicBool,
     /// The clock runs by itself.
@@ -92,6 +99,18 @@ impl Cell for Bench {
 
     fn lost(&self, lost: Lost) {
         self.lost.lock().unwrap().push(lost.session);
+    }
+
+    fn clock_id(&self) -> String {
+        self.starts.clock.clone()
+    }
+
+    fn tai(&self) -> Tai {
+        self.starts.tai()
+    }
+
+    fn prepare_start(&self, nets: &[String]) -> Result<Box<dyn Held>, String> {
+        self.starts.prepare(nets)
     }
 }
 

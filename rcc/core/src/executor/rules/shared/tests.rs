@@ -39,13 +39,13 @@ impl Thread {
                 }
             });
         };
-        if self.executor.fire_decided() {
-            effects(&mut self.executor);
-        }
         let moment = Moment {
             cycle: self.cycle,
             ..Moment::default()
         };
+        if self.executor.fire_decided(moment, takt_rt::Nanos::ZERO) {
+            effects(&mut self.executor);
+        }
         self.executor.cycle(moment);
         self.executor.fire_rules();
         effects(&mut self.executor);
