@@ -30,7 +30,7 @@ use takt_server::LogBook;
 use crate::Verdict;
 use crate::client::Client;
 use crate::output::{check_writable, complain, is_terminal, positive_span, say, share};
-use crate::run::{Access, print_grants, start_server, stop_channel, stop_server};
+use crate::run::{Access, FleetView, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
 use cell::Kind;
 use lola::Trace;
@@ -120,6 +120,7 @@ impl Demo {
             Access::default(),
             LogBook::default(),
             Some(&channel),
+            FleetView::default(),
         )?;
         let machines = Machines::start(&controller, emulated, self.drop)?;
         self.wait_until_ready(&controller, &machines, &stop)?;

@@ -5,7 +5,7 @@ mod call;
 mod doctor;
 mod link;
 mod list;
-mod reading;
+pub(crate) mod reading;
 mod start;
 mod top;
 mod watch;

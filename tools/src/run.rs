@@ -32,6 +32,7 @@ use takt_rt::host::{HostConfig, prepare};
 use takt_server::{LiveConfig, LogBook, ServerThreads};
 
 pub(crate) use self::access::Access;
+pub(crate) use self::fleet::FleetView;
 use self::logging::Logging;
 use self::page_program::PageProgram;
 use self::service::Service;
@@ -98,14 +99,16 @@ impl Run {
         }
         let controller = Controller::start_under(&cell, recording, switch).map_err(judged)?;
         print_grants(&host, &controller);
-        channel
-            .grants()
-            .iter()
-            .filter(|grant| grant.is_refused())
-            .for_each(|grant| {
-                complain(&format!("warning: the stop channel: {grant}"));
-            });
-        let server = start_server(&cell, &controller, access, book, Some(&channel))?;
+        warn_of_grants(&channel);
+        let view = FleetView::default();
+        let server = start_server(
+            &cell,
+            &controller,
+            access,
+            book,
+            Some(&channel),
+            view.clone(),
+        )?;
         for address in addresses(&server)
             .into_iter()
             .chain(stop_addresses(&channel))
@@ -120,7 +123,9 @@ impl Run {
         }
         #[cfg(feature = "fleet")]
         let fleet = fleet
-            .map(|settings| fleet::Fleet::start(settings, &controller, &server, token, lines))
+            .map(|settings| {
+                fleet::Fleet::start(settings, &controller, &server, token, (lines, view))
+            })
             .transpose()?;
         Service::new(&self.config, cell, &controller, logging).run()?;
         drop(fleet);
@@ -282,6 +287,14 @@ fn read_cell(path: &Path) -> anyhow::Result<CellConfig> {
     Ok(cell?)
 }
 
+/// Complains about what the host refuses to the stop channel.
+fn warn_of_grants(channel: &StopChannel) {
+    let refused = channel.grants().iter().filter(|grant| grant.is_refused());
+    for grant in refused {
+        complain(&format!("warning: the stop channel: {grant}"));
+    }
+}
+
 /// Starts the server of a controller at the addresses of the cell, in threads of its own.
 pub(crate) fn start_server(
     cell: &CellConfig,
@@ -289,8 +302,9 @@ pub(crate) fn start_server(
     access: Access,
     log: LogBook,
     channel: Option<&StopChannel>,
+    fleet: FleetView,
 ) -> anyhow::Result<ServerThreads> {
-    let program = Arc::new(PageProgram::new(access.token()));
+    let program = Arc::new(PageProgram::new(access.token(), fleet));
     let config = takt_server::ServerConfig {
         http: cell.controller.websocket,
         tcp: cell.controller.tcp,

@@ -8,6 +8,7 @@ mod common;
 #[path = "common/network.rs"]
 mod network;
 
+use std::io::{Read as _, Write as _};
 use std::net::TcpListener;
 use std::process::Output;
 
@@ -239,6 +240,89 @@ fn joints_come_in_batches(endpoint: &str) {
         (of(1) - of(0) - 0.002).abs() < 1e-6,
         "500 Hz of 1 kHz: {text}"
     );
+}
+
+#[test]
+fn program_commands_cells_by_their_names() {
+    let _alone = alone();
+    let endpoint = free_endpoint();
+    let _a = router(&endpoint);
+    let allow = "allow = [{ rights = [\"command\"] }]";
+    let mut b = Member::joined(&format!(
+        "cell = \"cell-b\"\nconnect = [\"{endpoint}\"]\n{allow}"
+    ));
+    let _c = Member::joined(&format!("cell = \"cell-c\"\nconnect = [\"{endpoint}\"]"));
+    list(&endpoint, 3);
+    let line = takt_api::Fleet::connect([endpoint.as_str()]).unwrap();
+    assert_eq!(line.cells().unwrap(), ["cell-a", "cell-b", "cell-c"]);
+    let none = line.cell("cell-d").unwrap_err().to_string();
+    assert!(none.contains("there is no cell `cell-d`"), "{none}");
+    assert!(none.contains("cell-a, cell-b, cell-c"), "{none}");
+    assert!(none.contains("tools/tests/fleet.rs"), "{none}");
+    let wrong = line.cell("cell d").unwrap_err().to_string();
+    assert!(wrong.contains("is no name of a cell"), "{wrong}");
+    let denied = line.cell("cell-c").unwrap_err().to_string();
+    assert!(denied.contains("no right to command"), "{denied}");
+
+    // Both arms move at once; one motion takes over from the other without a rest, and a listener sees it.
+    let [a, b_cell] = ["cell-a", "cell-b"].map(|name| line.cell(name).unwrap());
+    drop(line);
+    let [left, other] = [&a, &b_cell].map(|cell| cell.arm("left").unwrap());
+    let (sender, seen) = std::sync::mpsc::channel();
+    let listener = b_cell.on_change(&other.joint(0), move |angle| {
+        // No one waits any more once the goal was seen.
+        let _ = sender.send(angle);
+    });
+    let goal = |angle: f64| vec![angle, 0.5, 0.0, -1.0, 0.0, 0.5, 0.0];
+    let first = other.ptp(goal(0.2)).speed(0.3).begin().unwrap();
+    let second = other.ptp(goal(0.4)).speed(0.3).queue().unwrap();
+    left.ptp(goal(-0.2)).run().unwrap();
+    first.wait().unwrap();
+    assert_eq!(second.wait().unwrap(), takt_api::Outcome::Completed);
+    let within = std::time::Duration::from_secs(20);
+    while !matches!(seen.recv_timeout(within).unwrap(), Some(angle) if (angle - 0.4).abs() < 1e-3) {
+    }
+    drop(listener);
+    let refused = a.arm("right").unwrap_err().to_string();
+    assert!(refused.contains("the controller has left"), "{refused}");
+
+    // A motion on a killed cell ends with an error, and nothing else does.
+    let slow = other.ptp(goal(-1.5)).speed(0.01).begin().unwrap();
+    b.process.kill();
+    let lost = slow.wait().unwrap_err().to_string();
+    assert!(
+        lost.contains("the connection to the controller is lost"),
+        "{lost}"
+    );
+    left.ptp(goal(0.0)).run().unwrap();
+    a.close().unwrap();
+}
+
+#[test]
+fn page_of_a_cell_lists_its_fleet() {
+    let _alone = alone();
+    let endpoint = free_endpoint();
+    let _a = router(&endpoint);
+    let _b = other(&endpoint);
+    let cells = list(&endpoint, 2);
+    // The cell is no router: it sees what the others are and how.
+    let address = cells[1]["info"]["http"].as_str().unwrap();
+    let mut page = std::net::TcpStream::connect(address).unwrap();
+    let request = format!("GET /fleet/ HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    page.write_all(request.as_bytes()).unwrap();
+    let mut text = String::new();
+    page.read_to_string(&mut text).unwrap();
+    let cells = json(text.split_once("\r\n\r\n").unwrap().1);
+    assert_eq!(cells["own"], "cell-b");
+    let seen = cells["cells"].as_array().unwrap();
+    assert_eq!(seen.len(), 2, "{cells}");
+    for (cell, name) in seen.iter().zip(["cell-a", "cell-b"]) {
+        assert_eq!(
+            (&cell["cell"], &cell["alive"]),
+            (&name.into(), &true.into())
+        );
+        assert_eq!(cell["summary"]["devices"], 1, "{cell}");
+    }
 }
 
 #[test]

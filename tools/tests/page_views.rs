@@ -14,8 +14,8 @@ use common::{Cell, Folder, Process, alone, expect_status, run};
 use takt_client::{Client, Value};
 use takt_tests::steady;
 
-const VIEWS: [&str; 11] = [
-    "overview", "cell", "plots", "nets", "machines", "devices", "jog", "buses", "threads",
+const VIEWS: [&str; 12] = [
+    "overview", "cell", "plots", "nets", "machines", "devices", "jog", "buses", "threads", "fleet",
     "flights", "log",
 ];
 

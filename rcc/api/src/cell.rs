@@ -66,7 +66,7 @@ impl Cell {
         Ok(Self::begin(Client::connect_here(token)?)?)
     }
 
-    fn begin(client: Client) -> Result<Self, ErrorKind> {
+    pub(crate) fn begin(client: Client) -> Result<Self, ErrorKind> {
         let session = Session::begin_with(client)?;
         Ok(Self { session })
     }

@@ -16,6 +16,8 @@ pub mod engine;
 pub mod error;
 pub mod explain;
 pub mod expression;
+#[cfg(feature = "fleet")]
+pub mod fleet;
 pub mod gripper;
 pub mod handle;
 pub mod io;
@@ -47,6 +49,8 @@ pub use coupled::{Coupled, coupled};
 pub use error::{Error, ErrorKind};
 pub use explain::Explanation;
 pub use expression::{Condition, Number};
+#[cfg(feature = "fleet")]
+pub use fleet::Fleet;
 pub use gripper::Gripper;
 pub use handle::Handle;
 pub use io::{Io, IoState};
@@ -59,5 +63,7 @@ pub use plan::Plan;
 pub use pose::{Pose, deg};
 pub use prepared::Prepared;
 pub use takt_client::{Token, TokenError};
+#[cfg(feature = "fleet")]
+pub use takt_fleet::config::TlsFiles;
 pub use takt_motion::trajectory::Waypoint;
 pub use world::{Direction, Frame, Goal};

@@ -45,6 +45,9 @@ impl Reply {
     }
 }
 
+/// The version of the line protocol, in the handshake.
+pub const VERSION: &str = "2.0";
+
 /// Default address for plain lines on this host.
 pub const TCP_ADDRESS: &str = "127.0.0.1:8081";
 
@@ -172,6 +175,14 @@ impl Client {
         Self::begin(stream, address.to_owned(), token)
     }
 
+    /// Talks to a controller over a stream that the program opened, and does the handshake. `address` is the peer's name for people.
+    ///
+    /// # Errors
+    /// If the peer does not answer, or rejects the handshake.
+    pub fn over(stream: UnixStream, address: String) -> Result<Self, Error> {
+        Self::begin(Stream::Unix(stream), address, None)
+    }
+
     fn begin(stream: Stream, address: String, token: Option<&Token>) -> Result<Self, Error> {
         let cloned = || stream.try_clone().map_err(|e| cannot_connect(&address, e));
         let (reader, control) = (cloned()?, cloned()?);
@@ -192,7 +203,7 @@ impl Client {
         if let Some(token) = token {
             client.call("tok", [token.text()])?;
         }
-        client.call("ver", ["2.0"])?;
+        client.call("ver", [VERSION])?;
         Ok(client)
     }
 
@@ -205,8 +216,25 @@ impl Client {
         command: &str,
         values: impl IntoIterator<Item = V>,
     ) -> Result<Reply, Error> {
+        let tag = self.connection.shared.inbox().new_tag();
+        self.call_as(tag, command, values)
+    }
+
+    /// The same with a tag of the caller: what the controller pushes for a subscription carries it. Tags of [`Self::call`] are `t` and a
+    /// number.
+    ///
+    /// # Errors
+    /// As [`Self::call`]; and if the reply to another command with this tag is awaited.
+    pub fn call_as<V: Into<Value>>(
+        &self,
+        tag: String,
+        command: &str,
+        values: impl IntoIterator<Item = V>,
+    ) -> Result<Reply, Error> {
         let shared = &self.connection.shared;
-        let tag = shared.inbox().expect_reply();
+        if !shared.inbox().expect_reply(&tag) {
+            return Err(Error::TagInUse { tag });
+        }
         let message = Message {
             args: values.into_iter().map(Into::into).collect(),
             ..Message::new(tag.as_str(), command)
@@ -255,12 +283,24 @@ impl Client {
 }
 
 impl Inbox {
-    /// The tag of a new command whose reply is awaited.
-    fn expect_reply(&mut self) -> String {
-        let tag = format!("t{}", self.commands);
-        self.commands = self.commands.wrapping_add(1);
-        self.replies.insert(tag.clone(), None);
-        tag
+    /// A tag that no command in progress has.
+    fn new_tag(&mut self) -> String {
+        loop {
+            let tag = format!("t{}", self.commands);
+            self.commands = self.commands.wrapping_add(1);
+            if !self.replies.contains_key(&tag) {
+                return tag;
+            }
+        }
+    }
+
+    /// The reply to a command with this tag is awaited from now on, unless that to another one is.
+    fn expect_reply(&mut self, tag: &str) -> bool {
+        let is_free = !self.replies.contains_key(tag);
+        if is_free {
+            self.replies.insert(tag.to_owned(), None);
+        }
+        is_free
     }
 
     fn handle(&mut self, message: Message) {

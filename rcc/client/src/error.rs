@@ -39,6 +39,9 @@ pub enum Error {
         text: String,
         conflict: Option<Conflict>,
     },
+    /// A command with this tag is in progress.
+    #[error("the tag `{tag}` is that of a command whose reply is awaited")]
+    TagInUse { tag: String },
     /// The received line is not a message.
     #[error("received an invalid message: {0}")]
     Decode(#[from] DecodeError),

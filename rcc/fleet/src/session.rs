@@ -4,6 +4,7 @@ pub mod member;
 pub mod observer;
 pub mod remote;
 pub mod together;
+pub mod tunnel;
 
 pub use zenoh;
 

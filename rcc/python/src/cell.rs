@@ -56,7 +56,7 @@ pub(crate) fn embed(py: Python<'_>, path: std::path::PathBuf) -> PyResult<Cell> 
 }
 
 impl Cell {
-    fn opened(py: Python<'_>, cell: Result<api::Cell, api::Error>) -> PyResult<Self> {
+    pub(crate) fn opened(py: Python<'_>, cell: Result<api::Cell, api::Error>) -> PyResult<Self> {
         let cell = cell.map_err(|error| error::raise_here(py, &error))?;
         Ok(Self {
             cell: Owned::new(cell),

@@ -13,6 +13,8 @@ mod dispatch;
 mod error;
 mod explain;
 mod expression;
+#[cfg(feature = "fleet")]
+mod fleet;
 mod frame;
 mod gripper;
 mod handle;
@@ -53,6 +55,9 @@ mod native {
     use super::explain::{Cost, Explanation};
     #[pymodule_export]
     use super::expression::{Condition, Number};
+    #[cfg(feature = "fleet")]
+    #[pymodule_export]
+    use super::fleet::{Fleet, fleet};
     #[pymodule_export]
     use super::frame::{Direction, Frame, Goal};
     #[pymodule_export]

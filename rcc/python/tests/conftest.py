@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import socket
 import subprocess
 import sys
 import time
@@ -35,6 +36,26 @@ def tool() -> str:
     if not path.exists():
         pytest.fail(f"there is no {path}\nhint: cargo xtask test python builds it")
     return str(path)
+
+
+def free_endpoint() -> str:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+
+
+def start_member(folder: pathlib.Path, fleet: str) -> subprocess.Popen[bytes]:
+    """A controller with a simulated arm in a fleet."""
+    folder.mkdir()
+    config = folder / "cell.toml"
+    config.write_text(
+        "[controller]\nwebsocket = '127.0.0.1:0'\ntcp = '127.0.0.1:0'\nsocket = ''\nflight_recorder = ''\n"
+        f"stop_socket = '{folder}/stop.sock'\n"
+        "[[device]]\nname = 'left'\ntype = 'arm_sim'\nmodel = 'kuka_lwr4'\n"
+        f"[fleet]\n{fleet}\n"
+    )
+    with (folder / "log").open("wb") as log:
+        return subprocess.Popen([tool(), "run", "--config", str(config)], stdout=log, stderr=log)
 
 
 class Controller:

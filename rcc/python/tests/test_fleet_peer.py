@@ -6,39 +6,18 @@ from __future__ import annotations
 import json
 import pathlib
 import queue
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from conftest import tool
+from conftest import free_endpoint, start_member
 
 zenoh = pytest.importorskip("zenoh")
 
 WITHIN = 60.0
 """Seconds that nothing takes on a busy host."""
-
-
-def free_endpoint() -> str:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
-
-
-def start(folder: pathlib.Path, fleet: str) -> subprocess.Popen[bytes]:
-    """A controller with a simulated arm in a fleet."""
-    folder.mkdir()
-    config = folder / "cell.toml"
-    config.write_text(
-        "[controller]\nwebsocket = '127.0.0.1:0'\ntcp = '127.0.0.1:0'\nsocket = ''\nflight_recorder = ''\n"
-        f"stop_socket = '{folder}/stop.sock'\n"
-        "[[device]]\nname = 'left'\ntype = 'arm_sim'\nmodel = 'kuka_lwr4'\n"
-        f"[fleet]\n{fleet}\n"
-    )
-    with (folder / "log").open("wb") as log:
-        return subprocess.Popen([tool(), "run", "--config", str(config)], stdout=log, stderr=log)
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +26,8 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, subpr
     folder = tmp_path_factory.mktemp("fleet")
     endpoint = free_endpoint()
     allow = "allow = [{ rights = ['read', 'command'] }]"
-    router = start(folder / "a", f"cell = 'cell-a'\nmode = 'router'\nlisten = ['{endpoint}']\n{allow}")
-    other = start(folder / "b", f"cell = 'cell-b'\nconnect = ['{endpoint}']")
+    router = start_member(folder / "a", f"cell = 'cell-a'\nmode = 'router'\nlisten = ['{endpoint}']\n{allow}")
+    other = start_member(folder / "b", f"cell = 'cell-b'\nconnect = ['{endpoint}']")
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))

@@ -11,7 +11,7 @@ import takt
 
 API = ROOT / "rcc" / "api" / "src"
 MODULES = """
-activity arm base cell compose control cost coupled embedded explain expression gripper handle io listener live
+activity arm base cell compose control cost coupled embedded explain expression fleet gripper handle io listener live
 moving outcome plan pose prepared world
 """.split()
 
@@ -23,6 +23,9 @@ OTHER_NAME = {
     "Cell.connect_with": "connect",
     "Cell.embedded": "embed",
     "Cell.emulated": "emulate",
+    "Fleet.cell": "Fleet.__getitem__",
+    "Fleet.connect": "fleet",
+    "Fleet.connect_with": "fleet",
     "Handle.poll_outcome": "Handle.__await__",
     "Handle.wait_for": "Handle.wait",
     "Handle.wait_to_end_for": "Handle.wait_to_end",

@@ -20,6 +20,13 @@ pub trait HostProgram: Debug + Send + Sync {
     /// Why the host cannot be examined.
     fn findings(&self) -> Result<String, String>;
 
+    /// The cells of its fleet, a JSON array as of `takt fleet list --json`, and the name of the own one: `{"own":"a","cells":[…]}`. `None`
+    /// if the controller is in no fleet.
+    ///
+    /// # Errors
+    /// Why they cannot be listed.
+    fn cells(&self) -> Result<Option<String>, String>;
+
     /// The text of the net that jogs an arm: hold-to-run, so that the arm brakes when the last velocity is older than 0.1 s.
     /// `speed` is a part of the limits, above 0 to 1.
     ///

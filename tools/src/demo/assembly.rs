@@ -26,7 +26,7 @@ use super::Demo;
 use super::show::{ANY, open};
 use crate::Verdict;
 use crate::output::{check_writable, complain, say};
-use crate::run::{Access, print_grants, start_server, stop_channel, stop_server};
+use crate::run::{Access, FleetView, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
 use plot::Span;
 use program::{Order, Progress, Step};
@@ -124,7 +124,14 @@ impl Demo {
             print_grants(&host, &controller);
         }
         let (access, book) = (Access::default(), LogBook::default());
-        let server = start_server(&emulated.config, &controller, access, book, Some(&channel))?;
+        let server = start_server(
+            &emulated.config,
+            &controller,
+            access,
+            book,
+            Some(&channel),
+            FleetView::default(),
+        )?;
         let machines = Machines::start(&controller, emulated, self.drop)?;
         self.wait_until_ready(&controller, &machines, &stop)?;
         if let Some(page) = server.http_address().filter(|_| self.open) {

@@ -19,7 +19,7 @@ use super::{Demo, motion, recovery};
 use crate::Verdict;
 use crate::client::Client;
 use crate::output::{complain, say};
-use crate::run::{Access, print_grants, start_server, stop_channel, stop_server};
+use crate::run::{Access, FleetView, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
 
 /// Between two looks at all nets.
@@ -71,7 +71,14 @@ impl Demo {
         let controller = Controller::start_under(&cell, None, switch)?;
         print_grants(&host, &controller);
         let (access, log) = (Access::default(), LogBook::default());
-        let server = start_server(&cell, &controller, access, log, Some(&channel))?;
+        let server = start_server(
+            &cell,
+            &controller,
+            access,
+            log,
+            Some(&channel),
+            FleetView::default(),
+        )?;
         let machines = Machines::start(&controller, emulated, self.drop)?;
         let page = server
             .http_address()

@@ -9,7 +9,7 @@ use takt_fleet::session::observer::{Answer, Fleet};
 
 /// What is known about a cell.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub(super) struct Cell {
+pub(crate) struct Cell {
     /// Its name.
     pub(super) cell: String,
     /// Whether it is seen as alive.
@@ -54,7 +54,7 @@ impl Cell {
 }
 
 /// Reads all cells, sorted by name.
-pub(super) fn read(fleet: &Fleet, timeout: Duration) -> anyhow::Result<Vec<Cell>> {
+pub(crate) fn read(fleet: &Fleet, timeout: Duration) -> anyhow::Result<Vec<Cell>> {
     let mut cells = BTreeMap::new();
     for cell in fleet.alive(timeout)? {
         of(&mut cells, &cell).alive = true;

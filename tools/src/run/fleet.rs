@@ -29,6 +29,8 @@ fn wrong(path: &Path, why: &str) -> anyhow::Error {
 }
 
 #[cfg(not(feature = "fleet"))]
+pub(crate) use without::FleetView;
+#[cfg(not(feature = "fleet"))]
 pub(super) use without::Settings;
 
 #[cfg(not(feature = "fleet"))]
@@ -38,6 +40,22 @@ mod without {
     /// There are none.
     #[derive(Debug)]
     pub(crate) enum Settings {}
+
+    /// There is none.
+    #[derive(Clone, Debug, Default)]
+    pub(crate) struct FleetView;
+
+    impl FleetView {
+        /// None.
+        #[expect(
+            clippy::unused_self,
+            clippy::unnecessary_wraps,
+            reason = "as with the feature"
+        )]
+        pub(crate) fn cells(&self) -> Result<Option<String>, String> {
+            Ok(None)
+        }
+    }
 
     impl Settings {
         /// Refuses a table that this program has no use for.
@@ -53,15 +71,17 @@ mod without {
 }
 
 #[cfg(feature = "fleet")]
+pub(crate) use with::FleetView;
+#[cfg(feature = "fleet")]
 pub(super) use with::{Fleet, Settings};
 
 #[cfg(feature = "fleet")]
 mod with {
     use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
-    use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
+    use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
     use std::thread::JoinHandle;
-    use std::time::Duration;
+    use std::time::{Duration, Instant};
 
     use takt_client::Token;
     use takt_core::Controller;
@@ -69,6 +89,7 @@ mod with {
     use takt_fleet::config::FleetSettings;
     use takt_fleet::keys::CellName;
     use takt_fleet::session::member::{Cell, Member};
+    use takt_fleet::session::observer;
     use takt_server::{LogBook, ServerThreads};
 
     use super::cell::{FleetCell, Ways};
@@ -76,6 +97,56 @@ mod with {
 
     /// How long after a failure it tries to join again.
     const RETRY: Duration = Duration::from_secs(5);
+
+    /// How long each query to all cells may take; a cell that is alive and does not answer is shown as silent.
+    const READ_TIMEOUT: Duration = Duration::from_millis(500);
+
+    /// How long a reading of all cells is kept: each asks all of them.
+    const READING_KEPT: Duration = Duration::from_secs(1);
+
+    /// What the controller sees of its fleet, for the page. Cells are asked only while someone looks.
+    #[derive(Clone, Debug, Default)]
+    pub(crate) struct FleetView(Arc<Mutex<Seen>>);
+
+    #[derive(Debug, Default)]
+    struct Seen {
+        /// Name of the own cell, if it is to join a fleet.
+        own: Option<String>,
+        /// Its session, once it has joined.
+        fleet: Option<observer::Fleet>,
+        last: Option<(Instant, String)>,
+    }
+
+    impl FleetView {
+        fn seen(&self) -> MutexGuard<'_, Seen> {
+            self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        }
+
+        /// The cells, as [`HostProgram::cells`](takt_server::HostProgram::cells) returns them.
+        pub(crate) fn cells(&self) -> Result<Option<String>, String> {
+            let mut seen = self.seen();
+            let Some(own) = &seen.own else {
+                return Ok(None);
+            };
+            let fleet = seen.fleet.as_ref().ok_or_else(|| {
+                format!(
+                    "the controller has not joined its fleet as `{own}` yet\nhint: its log says why"
+                )
+            })?;
+            if let Some((_, cells)) = seen
+                .last
+                .as_ref()
+                .filter(|it| it.0.elapsed() < READING_KEPT)
+            {
+                return Ok(Some(cells.clone()));
+            }
+            let cells = crate::fleet::reading::read(fleet, READ_TIMEOUT);
+            let cells = cells.map_err(|why| format!("{why:#}"))?;
+            let cells = serde_json::json!({ "own": own, "cells": cells }).to_string();
+            seen.last = Some((Instant::now(), cells.clone()));
+            Ok(Some(cells))
+        }
+    }
 
     /// The table, checked.
     #[derive(Clone, Debug)]
@@ -130,8 +201,9 @@ mod with {
             controller: &Controller,
             server: &ServerThreads,
             token: Option<Token>,
-            book: LogBook,
+            (book, view): (LogBook, FleetView),
         ) -> anyhow::Result<Self> {
+            view.seen().own = Some(settings.name.to_string());
             let http = server.http_address().map(here);
             let tcp = server.tcp_address().map(|tcp| here(tcp).to_string());
             let local = server.local_path().map(|path| path.display().to_string());
@@ -149,7 +221,7 @@ mod with {
             let ends = Arc::new(AtomicBool::new(false));
             let ended = Arc::clone(&ends);
             let thread = std::thread::Builder::new().name("fleet".to_owned());
-            let thread = thread.spawn(move || stay(&settings, &cell, &ended))?;
+            let thread = thread.spawn(move || stay(&settings, &cell, &view, &ended))?;
             Ok(Self {
                 ends,
                 thread: Some(thread),
@@ -170,7 +242,7 @@ mod with {
     }
 
     /// Joins, tries again until it succeeds, and stays until the end.
-    fn stay(settings: &Settings, cell: &Arc<FleetCell>, ends: &AtomicBool) {
+    fn stay(settings: &Settings, cell: &Arc<FleetCell>, view: &FleetView, ends: &AtomicBool) {
         let mut reported = String::new();
         let mut member = None;
         // So that who sees the cell at once sees what it is.
@@ -194,6 +266,7 @@ mod with {
                         format!(" at {listens}")
                     };
                     tracing::info!("in the fleet as `{name}`{at}, boot {}", joined.boot());
+                    view.seen().fleet = Some(joined.observe());
                     member = Some(joined);
                 }
                 Err(why) => {

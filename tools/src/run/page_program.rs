@@ -1,4 +1,4 @@
-//! What the page of a controller gets from this program: the findings of `takt doctor`, and nets that jog arms, written by the
+//! What the page of a controller gets from this program: the findings of `takt doctor`, the cells of its fleet, and nets that jog arms, written by the
 //! Robotics API, which connects to the controller as any program.
 
 use std::path::PathBuf;
@@ -9,6 +9,7 @@ use takt_api::{Arm, Cell, Error};
 use takt_client::Token;
 use takt_server::{HostProgram, JogKind, ServerThreads};
 
+use super::fleet::FleetView;
 use crate::motion::hinted;
 
 /// How long findings are kept: some are read from many files.
@@ -21,13 +22,16 @@ pub(super) struct PageProgram {
     /// Where the controller takes programs, once it listens.
     address: OnceLock<String>,
     findings: Mutex<Option<(Instant, String)>>,
+    /// What the controller sees of its fleet.
+    fleet: FleetView,
 }
 
 impl PageProgram {
-    pub(super) fn new(token: Option<&Token>) -> Self {
+    pub(super) fn new(token: Option<&Token>, fleet: FleetView) -> Self {
         let token = token.cloned();
         Self {
             token,
+            fleet,
             ..Self::default()
         }
     }
@@ -66,6 +70,10 @@ impl HostProgram for PageProgram {
         let findings = crate::doctor::findings().map_err(|error| format!("{error:#}"))?;
         *kept = Some((Instant::now(), findings.clone()));
         Ok(findings)
+    }
+
+    fn cells(&self) -> Result<Option<String>, String> {
+        self.fleet.cells()
     }
 
     fn jog_net(&self, arm: &str, kind: JogKind, speed: f64) -> Result<String, String> {

@@ -68,6 +68,13 @@ pub enum Answer {
         /// To be sent.
         reply: Reply,
     },
+    /// Sends [`Reply::Notified`] with the lines from this number on, when there are any.
+    Notify {
+        /// The session.
+        session: u32,
+        /// Number of the first line.
+        from: u64,
+    },
     /// Executes a command, passes its lines to [`Admission::finish`] and sends the reply that this returns.
     Execute {
         /// The session.
@@ -150,6 +157,12 @@ impl Admission {
     #[must_use]
     pub const fn boot(&self) -> Boot {
         self.boot
+    }
+
+    /// Its bounds.
+    #[must_use]
+    pub const fn limits(&self) -> Limits {
+        self.limits
     }
 
     /// Number of open sessions.
@@ -286,6 +299,15 @@ impl Admission {
                 renewed.renew(nonce, time, || Nonce(entropy()))?;
                 let renewed = self.find(boot, session)?;
                 Ok(Answer::Reply(self.granted(renewed)))
+            }
+            SessionRequest::Notified {
+                boot,
+                session,
+                nonce,
+                from,
+            } => {
+                self.find(boot, session)?.permits(nonce, now)?;
+                Ok(Answer::Notify { session, from })
             }
             SessionRequest::Close {
                 boot,

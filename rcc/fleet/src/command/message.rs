@@ -50,6 +50,18 @@ pub enum SessionRequest {
         /// The newest nonce that the client knows.
         nonce: Nonce,
     },
+    /// Asks for what the controller notified the session of. The reply waits a while for the first line. It grants nothing and executes
+    /// nothing.
+    Notified {
+        /// The run of the controller that it is meant for.
+        boot: Boot,
+        /// The session.
+        session: u32,
+        /// A nonce of the session.
+        nonce: Nonce,
+        /// Number of the first line that the client does not have; earlier ones are not kept any longer. The first is 0.
+        from: u64,
+    },
     /// Closes a session; its nets end as the controller ends those of a closed session.
     Close {
         /// The run of the controller that it is meant for.
@@ -126,6 +138,15 @@ pub enum Reply {
         lines: Vec<String>,
         /// Lines omitted at the end, because the reply would exceed its bound.
         omitted: usize,
+    },
+    /// Lines that the session was notified of, by its subscriptions.
+    Notified {
+        /// The session.
+        session: u32,
+        /// Number of the first line.
+        first: u64,
+        /// The lines; none if nothing happened for a while.
+        lines: Vec<String>,
     },
     /// Nothing was changed.
     Refused {

@@ -107,6 +107,19 @@ impl Bench {
             .handle_query(&query(COMMAND_KEY, text.as_bytes()), ms(at))
     }
 
+    fn notified(&mut self, nonce: Nonce, from: u64, at: i64) -> Answer {
+        let (boot, session) = (BOOT, self.session);
+        self.session(
+            &SessionRequest::Notified {
+                boot,
+                session,
+                nonce,
+                from,
+            },
+            at,
+        )
+    }
+
     /// Executes a command at once.
     fn execute(&mut self, seq: u64, at: i64) -> Reply {
         let answer = self.send(&self.command(seq, "x"), at);
@@ -492,4 +505,16 @@ fn random_numbers_differ() {
     all.sort_unstable();
     all.dedup();
     assert_eq!(all.len(), 2000);
+}
+
+#[test]
+fn notifications_need_a_valid_nonce_and_keep_nothing_alive() {
+    let mut bench = Bench::new();
+    let (session, nonce) = (bench.session, bench.nonce);
+    let asked = Answer::Notify { session, from: 7 };
+    assert_eq!(bench.notified(nonce, 7, 499), asked);
+    let forged = refusal(bench.notified(Nonce(99), 7, 499));
+    assert!(matches!(forged, Refusal::UnknownNonce { .. }), "{forged:?}");
+    let late = refusal(bench.notified(nonce, 7, 501));
+    assert!(matches!(late, Refusal::NoSession { .. }), "{late:?}");
 }

@@ -28,6 +28,10 @@ const TOPICS: [&str; 12] = [
     "takt/*/session/**",
 ];
 
+/// What a member asks of others beside what they are, for its page.
+const SUMMARY: &str = "takt/*/resource/summary";
+const CLOCK: &str = "takt/*/resource/clock";
+
 /// Messages by which data leave their source, publications first.
 const DATA: [&str; 5] = [
     "put",
@@ -68,7 +72,7 @@ fn rule(id: &str, flow: &str, messages: &[&str], keys: &[String]) -> Value {
 fn rule_list(cell: &CellName, is_router: bool) -> Vec<Value> {
     let texts = |keys: &[&str]| keys.iter().map(|key| (*key).to_owned()).collect::<Vec<_>>();
     let all = texts(&[ALL, ALL_HISTORY]);
-    // Of other cells a member sees what they are and takes part in starts; a router sees and forwards all.
+    // Of other cells a member sees what they are and how, and takes part in starts; a router sees and forwards all.
     let (out, asks, seen, started) = if is_router {
         (
             all.clone(),
@@ -79,8 +83,20 @@ fn rule_list(cell: &CellName, is_router: bool) -> Vec<Value> {
     } else {
         (
             vec![format!("takt/{cell}/**"), format!("takt/{cell}/**/@adv/**")],
-            texts(&["takt/*/info", "takt/*/start/**", ALL_HISTORY]),
-            texts(&["takt/*/alive", "takt/*/info", "takt/*/info/@adv/**"]),
+            texts(&[
+                "takt/*/info",
+                SUMMARY,
+                CLOCK,
+                "takt/*/start/**",
+                ALL_HISTORY,
+            ]),
+            texts(&[
+                "takt/*/alive",
+                "takt/*/info",
+                "takt/*/info/@adv/**",
+                SUMMARY,
+                CLOCK,
+            ]),
             vec![format!("takt/{cell}/start/**")],
         )
     };

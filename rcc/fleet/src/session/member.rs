@@ -1,5 +1,5 @@
 //! A cell as a member of a fleet: its liveliness tokens, its telemetry, its resources, its commands and its part in coordinated starts, in
-//! five threads of its own, one for each session of commands and one for each start while it is prepared. It knows no controller: what it
+//! five threads of its own, two for each session of commands and one for each start while it is prepared. It knows no controller: what it
 //! publishes and executes comes from a [`Cell`].
 //!
 //! Callbacks of zenoh only pass queries to bounded queues, since zenoh reads the link in the thread that calls back. A full queue refuses
@@ -7,6 +7,7 @@
 //! command that takes long delays neither the keep-alive of its session nor other sessions.
 
 mod commands;
+mod notified;
 mod publish;
 mod reach;
 mod shared;
@@ -20,6 +21,7 @@ use std::thread::JoinHandle;
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 
+use super::observer::Fleet;
 use super::{SessionError, open};
 use crate::command::{Admission, Boot, Limits, random};
 use crate::config::{FleetSettings, of_cell};
@@ -130,6 +132,12 @@ impl Member {
     #[must_use]
     pub fn boot(&self) -> Boot {
         self.shared.boot
+    }
+
+    /// What this member sees of its fleet. Other cells answer by the rights of the links between.
+    #[must_use]
+    pub fn observe(&self) -> Fleet {
+        Fleet::of(self.shared.session.clone())
     }
 
     /// Whether another controller with the name of this one was there at the last search.

@@ -89,6 +89,11 @@ impl Fleet {
         Ok(Self { session })
     }
 
+    /// In the session of a member.
+    pub(super) const fn of(session: zenoh::Session) -> Self {
+        Self { session }
+    }
+
     /// The zenoh session.
     #[must_use]
     pub const fn session(&self) -> &zenoh::Session {

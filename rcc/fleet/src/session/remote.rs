@@ -28,6 +28,12 @@ const RENEWALS: u32 = 4;
 /// Pause before a command whose execution goes on is asked for again.
 const BUSY_PAUSE: Duration = Duration::from_millis(20);
 
+/// How long a cell may take to answer what a session was notified of, its own wait included.
+const NOTIFIED_TIMEOUT: Duration = Duration::from_millis(800);
+
+/// How long a cell may be silent before its session counts as lost: longer than its nonces live.
+pub const SILENCE_MAX: Duration = Duration::from_secs(2);
+
 /// Why a command was not executed, or it is unknown whether it was.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -57,6 +63,11 @@ pub enum RemoteError {
     },
     #[error("{cell}: {text}")]
     Answer { cell: String, text: String },
+    #[error(
+        "the session at {cell} is lost: nothing arrived from it for {waited:?}\nhint: the controller ends what the session began; connect \
+         again; `takt fleet list` shows which cells are alive"
+    )]
+    Lost { cell: String, waited: Duration },
     #[error("cannot start the thread that keeps the session alive: {0}")]
     Thread(#[from] std::io::Error),
 }
@@ -180,6 +191,15 @@ impl Remote {
         (self.link.number, self.link.granted().nonce)
     }
 
+    /// What the session is notified of, for one thread that fetches it.
+    #[must_use]
+    pub fn notifications(&self) -> Notifications {
+        Notifications {
+            link: Arc::clone(&self.link),
+            from: 0,
+        }
+    }
+
     /// Executes one DirectIO line and returns its reply lines, and how many more the cell left out because they were too long.
     ///
     /// # Errors
@@ -222,6 +242,71 @@ impl Remote {
                 Some(other) => return Err(refused(cell, other)),
                 // A cell that is away has no answer at once.
                 None => std::thread::sleep(BUSY_PAUSE.min(left)),
+            }
+        }
+    }
+}
+
+/// What a session is notified of by its subscriptions, in its order, without a gap.
+pub struct Notifications {
+    link: Arc<Link>,
+    /// Number of the next line.
+    from: u64,
+}
+
+impl std::fmt::Debug for Notifications {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Notifications")
+            .field("cell", self.link.keys.cell())
+            .field("from", &self.from)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Notifications {
+    /// The next lines. None after about a fifth of a second in which there were none.
+    ///
+    /// # Errors
+    /// If the session is closed or lost, the cell does not answer for [`SILENCE_MAX`], or lines are missing.
+    pub fn wait(&mut self) -> Result<Vec<String>, RemoteError> {
+        let link = &self.link;
+        let (cell, key) = (link.keys.cell(), link.keys.cmd_session());
+        let begin = Instant::now();
+        loop {
+            let request = SessionRequest::Notified {
+                boot: link.boot,
+                session: link.number,
+                nonce: link.granted().nonce,
+                from: self.from,
+            };
+            let waited = begin.elapsed();
+            if waited > SILENCE_MAX {
+                let cell = cell.to_string();
+                return Err(RemoteError::Lost { cell, waited });
+            }
+            match ask(
+                &link.session,
+                cell,
+                &key,
+                &to_json(&request),
+                NOTIFIED_TIMEOUT,
+            )? {
+                Some(Reply::Notified { first, lines, .. }) => {
+                    if !lines.is_empty() && first != self.from {
+                        let text = format!("notification {} is missing", self.from);
+                        let cell = cell.to_string();
+                        return Err(RemoteError::Answer { cell, text });
+                    }
+                    self.from = self.from.saturating_add(lines.len() as u64);
+                    return Ok(lines);
+                }
+                // There is a newer nonce, or will be soon.
+                Some(Reply::Refused {
+                    reason: Refusal::Late { .. } | Refusal::UnknownNonce { .. },
+                    ..
+                })
+                | None => std::thread::sleep(BUSY_PAUSE),
+                Some(other) => return Err(refused(cell, other)),
             }
         }
     }

@@ -53,6 +53,7 @@ from ._takt import (
     Direction,
     Event,
     Explanation,
+    Fleet,
     Force,
     Frame,
     Goal,
@@ -78,6 +79,7 @@ from ._takt import (
     either,
     embed,
     emulate,
+    fleet,
     together,
     when,
 )
@@ -103,6 +105,7 @@ __all__ = [
     "Error",
     "Event",
     "Explanation",
+    "Fleet",
     "Force",
     "ForceExceeded",
     "ForceNotReached",
@@ -146,6 +149,7 @@ __all__ = [
     "either",
     "embed",
     "emulate",
+    "fleet",
     "together",
     "when",
 ]

@@ -76,6 +76,20 @@ def embed(path: str | PathLike[str]) -> Cell:
     threads, sockets or devices.
     """
 
+def fleet(
+    *endpoints: str,
+    ca: str | PathLike[str] | None = None,
+    certificate: str | PathLike[str] | None = None,
+    key: str | PathLike[str] | None = None,
+) -> Fleet:
+    """Connects to a fleet: `takt.fleet("tcp/127.0.0.1:7447")["weld3"].arm("left")`.
+
+    `endpoints`: cells or routers, `tcp/HOST:PORT` on loopback, `tls/HOST:PORT` with `ca`, `certificate` and `key`, which are
+    files in PEM.
+
+    Raises `Invalid` if an endpoint is none or lacks certificates, `Connection` if none answers.
+    """
+
 def deg(angle: float) -> float:
     """An angle in degrees as radians."""
 
@@ -180,6 +194,21 @@ class Cell:
         _traceback: TracebackType | None,
         /,
     ) -> None: ...
+
+@final
+class Fleet:
+    """The cells of a fleet, by `takt.fleet`. Cells that were found through it stay connected without it."""
+
+    def cells(self) -> list[str]:
+        """Names of the cells that are alive and can be reached. Raises `Connection` if the connection is lost."""
+    def __getitem__(self, name: str, /) -> Cell:
+        """Connects to a cell by its name.
+
+        When the program, or the last link to the cell, is lost, the controller cancels what the program began, and aborts what
+        does not end.
+
+        Raises `NoDevice` if no cell of that name is alive, `Connection` if it gives this program no right to command.
+        """
 
 @final
 class JointLimits:

@@ -34,8 +34,8 @@ export function section(title, kind = "", ...children) {
   return box;
 }
 
-const GOOD = ["RUNNING", "op", "READY", "ACTIVE", "FIRED", "running", "ready", "active", "info", "ok"];
-const WARN = ["CANCELLING", "SCHEDULED", "LOADING", "safeop", "loading", "stopping", "warning", "warn"];
+const GOOD = ["RUNNING", "op", "READY", "ACTIVE", "FIRED", "running", "ready", "active", "info", "ok", "good"];
+const WARN = ["CANCELLING", "SCHEDULED", "LOADING", "safeop", "loading", "stopping", "warning", "warn", "stale"];
 const QUIET = ["TERMINATED", "INACTIVE", "inactive", "ended", "stopped"];
 
 /** A state as a pill. @param {string} word */

@@ -20,6 +20,7 @@ const VIEWS = [
   { id: "jog", title: "Jog", load: () => import("./view_jog.js"), needs: ["directio", "jog", "view_overview"] },
   { id: "buses", title: "Buses", load: () => import("./view_buses.js"), needs: ["view_overview"] },
   { id: "threads", title: "Threads", load: () => import("./view_threads.js"), needs: [] },
+  { id: "fleet", title: "Fleet", load: () => import("./view_fleet.js"), needs: [] },
   { id: "flights", title: "Flights", load: () => import("./view_flights.js"), needs: [] },
   { id: "log", title: "Log", load: () => import("./view_log.js"), needs: [] },
 ];

@@ -48,6 +48,7 @@ const FILES: &[(&str, &str)] = files![
     "js/view_flights.js",
     "js/view_jog.js",
     "js/view_log.js",
+    "js/view_fleet.js",
     "js/view_machines.js",
     "js/view_nets.js",
     "js/view_overview.js",

@@ -25,7 +25,7 @@ use super::{Request, Response};
 use crate::site::Site;
 
 /// List of the resources, sent with status 404.
-const MAP: &str = "Resources: / /status/ /metrics /stats/ /host/ /probes/ /nets/ /rules/ /machines/ /eval/ /sessions/ /types/ \
+const MAP: &str = "Resources: / /status/ /metrics /stats/ /host/ /fleet/ /probes/ /nets/ /rules/ /machines/ /eval/ /sessions/ /types/ \
     /modules/ /modulesdetails/ /devices/ /geometry/ /ethercat/ /extensions/ /flights/ /log/ /stop/ and, for WebSocket, /DirectIO/ and /scope.";
 
 /// A response, or an error response.
@@ -97,7 +97,7 @@ impl Handler<'_> {
             ("geometry", path, false) => self.geometry_part(path),
             ("eval", [], true) => self.evaluate(),
             ("rules", [], false) => Ok(self.rules()),
-            ("host", [], false) => self.host_findings(),
+            (part @ ("host" | "fleet"), [], false) => self.of_host_program(part),
             ("sessions", [], false) => Ok(self.sessions()),
             ("sessions", [], true) => self.open_session(),
             ("sessions", [session], false) => self.session(session),
@@ -115,8 +115,8 @@ impl Handler<'_> {
             ("devices", [device, interface], post) => self.interface(device, interface, post),
             ("eval", [], false)
             | (
-                "" | "page" | "host" | "rules" | "types" | "modules" | "modulesdetails" | "status"
-                | "metrics" | "log" | "probes" | "ethercat" | "geometry",
+                "" | "page" | "host" | "fleet" | "rules" | "types" | "modules" | "modulesdetails"
+                | "status" | "metrics" | "log" | "probes" | "ethercat" | "geometry",
                 _,
                 true,
             ) => Err(Response::text(

@@ -257,6 +257,10 @@ impl Cell for FleetCell {
         self.commands.execute(session, line)
     }
 
+    fn notifications(&self, session: u32, wait: Duration) -> Result<Vec<String>, String> {
+        self.commands.notifications(session, wait)
+    }
+
     fn closed(&self, session: u32) {
         self.commands.close(session);
     }

@@ -1,22 +1,18 @@
 //! Sessions of the fleet at the controller: each is a connection of its own to the controller's lines, so that what a session holds ends
 //! as that of any lost client. It admits nothing.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use takt_client::client::VERSION;
 use takt_client::{Client, Message, Token, Value};
 use takt_core::OnLoss;
 use takt_fleet::command::{LossPolicy, Lost};
 
-/// Pushes that are added to a reply; further ones are added to the next.
+/// Pushes that are added to a reply, or fetched at once; further ones are added to the next.
 const PUSHES_MAX: usize = 256;
-
-/// Tags of subscriptions that are remembered; pushes of older ones have the tag of the connection.
-const TAGS_MAX: usize = 4096;
-
-/// Commands whose tag pushes carry.
-const SUBSCRIBING: [&str; 6] = ["gse", "gde", "nene", "gne", "nesc", "gsy"];
 
 /// All sessions.
 #[derive(Debug)]
@@ -32,6 +28,8 @@ pub(super) struct Commands {
 struct Session {
     client: String,
     on_loss: LossPolicy,
+    /// Its client fetches pushes: replies have none.
+    listens: AtomicBool,
     state: Mutex<State>,
 }
 
@@ -42,8 +40,6 @@ struct State {
     has_ended: bool,
     /// Sessions of the controller that it opened.
     opened: Vec<Value>,
-    /// Tags of subscriptions: of the connection, and of the fleet's client.
-    tags: VecDeque<(String, String)>,
 }
 
 impl Session {
@@ -77,6 +73,7 @@ impl Commands {
         let session = Session {
             client: client.to_owned(),
             on_loss,
+            listens: AtomicBool::new(false),
             state: Mutex::default(),
         };
         self.sessions().insert(number, Arc::new(session));
@@ -117,9 +114,33 @@ impl Commands {
             }
         };
         match self.connection(&session) {
+            // It was the first command of the connection already.
+            Ok(_) if message.command == "ver" => handshake(&message),
             Ok(connection) => exchange(&session, &connection, message),
             Err(why) => vec![err(&message.tag, &why)],
         }
+    }
+
+    /// What a session was notified of; waits for the first push.
+    pub(super) fn notifications(&self, number: u32, wait: Duration) -> Result<Vec<String>, String> {
+        let session = self.sessions().get(&number).cloned();
+        let connection = session.and_then(|session| {
+            session.listens.store(true, Ordering::Release);
+            session.state().connection.clone()
+        });
+        let Some(connection) = connection else {
+            // Nothing was subscribed to before the first command.
+            std::thread::sleep(wait);
+            return Ok(Vec::new());
+        };
+        let first = connection.next_push(wait);
+        let Some(first) = first.map_err(|why| why.to_string())? else {
+            return Ok(Vec::new());
+        };
+        Ok([first.to_string()]
+            .into_iter()
+            .chain(pushes(&connection))
+            .collect())
     }
 
     /// The connection of a session.
@@ -148,6 +169,16 @@ impl Commands {
     }
 }
 
+/// The reply to a handshake.
+fn handshake(message: &Message) -> Vec<String> {
+    let version = message.args.first().and_then(Value::as_str);
+    if version != Some(VERSION) {
+        return vec![err(&message.tag, "bad handshake")];
+    }
+    let ok = Message::new(message.tag.as_str(), "ok").with("handshake ok");
+    vec![ok.to_string()]
+}
+
 fn exchange(session: &Session, connection: &Client, message: Message) -> Vec<String> {
     let Message { tag, command, args } = message;
     let args = if command == "nse" {
@@ -155,17 +186,10 @@ fn exchange(session: &Session, connection: &Client, message: Message) -> Vec<Str
     } else {
         args
     };
-    let reply = match connection.call(&command, args) {
+    let reply = match connection.call_as(tag.clone(), &command, args) {
         Ok(reply) => {
-            let mut state = session.state();
             if command == "nse" {
-                state.opened.extend(reply.values.first().cloned());
-            }
-            if SUBSCRIBING.contains(&command.as_str()) {
-                if state.tags.len() >= TAGS_MAX {
-                    state.tags.pop_front();
-                }
-                state.tags.push_back((reply.tag, tag.clone()));
+                session.state().opened.extend(reply.values.first().cloned());
             }
             let mut ok = Message::new(tag, "ok");
             ok.args = reply.values;
@@ -175,16 +199,17 @@ fn exchange(session: &Session, connection: &Client, message: Message) -> Vec<Str
         Err(why) => err(&tag, &why.to_string()),
     };
     let mut lines = vec![reply];
-    while lines.len() <= PUSHES_MAX
-        && let Ok(Some(mut push)) = connection.next_push(Duration::ZERO)
-    {
-        let state = session.state();
-        if let Some((_, tag)) = state.tags.iter().rev().find(|(own, _)| *own == push.tag) {
-            push.tag.clone_from(tag);
-        }
-        lines.push(push.to_string());
+    if !session.listens.load(Ordering::Acquire) {
+        lines.extend(pushes(connection));
     }
     lines
+}
+
+/// The pushes that wait.
+fn pushes(connection: &Client) -> impl Iterator<Item = String> + use<'_> {
+    let next = || connection.next_push(Duration::ZERO).ok().flatten();
+    let waiting = std::iter::from_fn(next).take(PUSHES_MAX);
+    waiting.map(|push| push.to_string())
 }
 
 /// Arguments of `nse`: what happens to its nets when the connection ends is decided by the session of the fleet.
@@ -234,6 +259,7 @@ mod tests {
         let session = |on_loss| Session {
             client: "panel".to_owned(),
             on_loss,
+            listens: AtomicBool::new(false),
             state: Mutex::default(),
         };
         let args = |on_loss, args: &[&str]| {
@@ -246,6 +272,15 @@ mod tests {
         assert_eq!(args(LossPolicy::Continue, &[]), ["panel", "keep"]);
         assert_eq!(args(LossPolicy::Cancel, &["weld", "keep"]), ["weld", "end"]);
         assert_eq!(args(LossPolicy::Stop, &["weld"]), ["weld", "end"]);
+    }
+
+    #[test]
+    fn handshake_is_that_of_the_version() {
+        let said = |line: &str| handshake(&Message::decode(line).unwrap()).concat();
+        assert_eq!(said("a=ver(\"2.0\")"), "a=ok(\"handshake ok\")");
+        for wrong in ["a=ver(\"1.0\")", "a=ver()", "a=ver(2.0)"] {
+            assert_eq!(said(wrong), "a=err(\"bad handshake\")", "{wrong}");
+        }
     }
 
     #[test]

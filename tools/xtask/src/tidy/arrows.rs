@@ -111,6 +111,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "takt-client",
             "takt-devices",
             "takt-embedded",
+            "takt-fleet",
             "takt-motion",
             "takt-net",
         ],

@@ -210,7 +210,10 @@ impl World {
                     self.known = Some((boot, session, nonce, Nanos(now_ns)));
                 }
             }
-            Answer::Opened { .. } | Answer::Reply(_) | Answer::Closed { .. } => {}
+            Answer::Opened { .. }
+            | Answer::Reply(_)
+            | Answer::Closed { .. }
+            | Answer::Notify { .. } => {}
         }
     }
 

@@ -13,6 +13,7 @@ use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Query as Sent;
 
+use super::notified::{self, Asked};
 use super::shared::{Shared, refuse, reply};
 use crate::command::{Answer, LossPolicy, Lost, Query, Reply, to_json};
 
@@ -50,6 +51,8 @@ struct Job {
 struct Open {
     /// To its thread, which ends when this is dropped.
     jobs: Sender<Job>,
+    /// To the thread that answers what it was notified of; `None` if the host has none left.
+    notified: Option<Sender<Asked>>,
     _token: Option<LivelinessToken>,
 }
 
@@ -133,6 +136,18 @@ impl Commands<'_> {
                 self.shared.cell.closed(session);
                 self.answer(&sent, &reply);
             }
+            Answer::Notify { session, from } => {
+                let open = self.open.get(&session);
+                let to = open.and_then(|open| open.notified.as_ref());
+                let asked = Asked { from, sent };
+                let unsent = match to {
+                    Some(to) => to.send(asked).err().map(|unsent| unsent.0),
+                    None => Some(asked),
+                };
+                if let Some(Asked { sent, .. }) = unsent {
+                    refuse(&sent, "the controller has no thread for this session");
+                }
+            }
             Answer::Execute {
                 session,
                 seq,
@@ -173,13 +188,23 @@ impl Commands<'_> {
         if let Err(why) = started {
             tracing::error!("no thread for session {session} of the fleet: {why}");
         }
+        let notified = notified::start(self.shared, session);
+        if let Err(why) = &notified {
+            tracing::error!("no thread for notifications of session {session} of the fleet: {why}");
+        }
         let key = self.shared.keys.session_alive(&session.to_string());
         let token = self.shared.session.liveliness().declare_token(key).wait();
         if let Err(why) = &token {
             tracing::warn!("session {session} of the fleet is not shown as alive: {why}");
         }
         let _token = token.ok();
-        self.open.insert(session, Open { jobs, _token });
+        let notified = notified.ok();
+        let open = Open {
+            jobs,
+            notified,
+            _token,
+        };
+        self.open.insert(session, open);
     }
 
     fn execute(&mut self, session: u32, job: Job) {

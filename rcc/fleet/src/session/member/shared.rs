@@ -65,6 +65,15 @@ pub trait Cell: Send + Sync + 'static {
     /// Executes a DirectIO line and returns its reply lines, in a thread of the session. It may take long: the session may meanwhile be
     /// lost or closed.
     fn execute(&self, session: u32, line: &str) -> Vec<String>;
+    /// Lines that a session was notified of by its subscriptions, in their order, and not yet with a reply; it waits at most so long for the
+    /// first. Once this was called, no reply has such lines any more. Called in a thread of the session.
+    ///
+    /// # Errors
+    /// Why the session is notified of nothing any more.
+    fn notifications(&self, session: u32, wait: Duration) -> Result<Vec<String>, String> {
+        let _ = (session, wait);
+        Err("this cell notifies of nothing".to_owned())
+    }
     /// A session was closed by its client.
     fn closed(&self, session: u32);
     /// A session was lost: its nets end as it demands.

@@ -18,6 +18,8 @@ use crate::config::{FleetMode, FleetRight, FleetRule, Observer, of_observer};
 use crate::keys::{ALL_ALIVE, cell_of_alive};
 use crate::session::observer::{Fleet, Seen};
 use crate::session::remote::Remote;
+use crate::session::tunnel;
+use takt_client::wire::Message;
 
 /// Upper bound for a reply that must arrive.
 const ARRIVES: Duration = Duration::from_secs(20);
@@ -37,6 +39,10 @@ struct Bench {
     is_real: bool,
     executed: Mutex<Vec<String>>,
     lost: Mutex<Vec<u32>>,
+    /// What sessions are notified of.
+    notices: Mutex<Vec<String>>,
+    /// Why they are notified of nothing any more.
+    mute: Mutex<Option<String>>,
     /// Devices whose joints are subscribed to.
     wanted: Mutex<Vec<String>>,
 }
@@ -92,7 +98,26 @@ impl Cell for Bench {
         if line == "second" {
             std::thread::sleep(Duration::from_secs(1));
         }
+        if let Ok(message) = Message::decode(line) {
+            let text = "x".repeat(if message.command == "long" {
+                1 << 20
+            } else {
+                1
+            });
+            return vec![Message::new(message.tag, "ok").with(text).to_string()];
+        }
         vec![format!("did {line}")]
+    }
+
+    fn notifications(&self, _session: u32, wait: Duration) -> Result<Vec<String>, String> {
+        if let Some(why) = self.mute.lock().unwrap().clone() {
+            return Err(why);
+        }
+        let lines = std::mem::take(&mut *self.notices.lock().unwrap());
+        if lines.is_empty() {
+            std::thread::sleep(wait / 20);
+        }
+        Ok(lines)
     }
 
     fn closed(&self, _session: u32) {}
@@ -372,6 +397,93 @@ fn remote_keeps_session_alive_and_executes_in_order() {
         let none = CellName::new("none").unwrap();
         let error = Remote::open(&fleet, &none, "panel", LossPolicy::Cancel).unwrap_err();
         assert!(error.to_string().contains("no answer from none"), "{error}");
+    });
+}
+
+#[test]
+fn client_in_tunnel_gets_replies_and_each_notification_in_order() {
+    takt_tests::steady(|| {
+        let endpoint = free_endpoint();
+        let bench = Arc::new(Bench {
+            is_real: true,
+            ..Bench::default()
+        });
+        let _cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
+        let fleet = Fleet::connect(&Observer {
+            connect: vec![endpoint],
+            tls: None,
+        });
+        let fleet = fleet.unwrap();
+        let name = CellName::new("cell-a").unwrap();
+        let connect = || tunnel::connect(&fleet, &name, "panel", LossPolicy::Cancel).unwrap();
+        let client = connect();
+        // 1000 notifications of 1 kB each exceed what fits into one reply.
+        let line = |number: usize| format!("s=net(\"{number}\",\"{}\")", "y".repeat(1000));
+        for hundred in 0..10 {
+            let lines = (100 * hundred..100 * (hundred + 1)).map(line);
+            bench.notices.lock().unwrap().extend(lines);
+            assert_eq!(client.call("nin", ["a"]).unwrap().text(), Some("x"));
+        }
+        for number in 0..1000 {
+            let push = client.next_push(ARRIVES).unwrap().unwrap();
+            assert_eq!(push.to_string(), line(number));
+        }
+        // The program closes: nothing is lost.
+        drop(client);
+        let begin = std::time::Instant::now();
+        while begin.elapsed() < DENIED {
+            assert!(bench.lost.lock().unwrap().is_empty());
+            std::thread::sleep(DENIED / 10);
+        }
+        // A command that no message can take is rejected alone; a reply that none can take ends the connection.
+        let client = connect();
+        let error = client.call("nin", ["z".repeat(2 << 20)]).unwrap_err();
+        assert!(error.to_string().contains("at most"), "{error}");
+        client.call("nin", ["a"]).unwrap();
+        let error = client.call("long", ["a"]).unwrap_err();
+        assert!(error.to_string().contains("fleet.message_kib"), "{error}");
+        // So does a session that is notified of nothing any more.
+        let client = connect();
+        *bench.mute.lock().unwrap() = Some("65536 notifications wait unread".to_owned());
+        let error = loop {
+            if let Err(error) = client.next_push(ARRIVES) {
+                break error.to_string();
+            }
+        };
+        assert!(error.contains("wait unread"), "{error}");
+    });
+}
+
+#[test]
+fn client_in_tunnel_learns_that_its_cell_is_gone() {
+    takt_tests::steady(|| {
+        let endpoint = free_endpoint();
+        let bench = Arc::new(Bench {
+            is_real: true,
+            ..Bench::default()
+        });
+        let cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
+        let fleet = Fleet::connect(&Observer {
+            connect: vec![endpoint],
+            tls: None,
+        });
+        let fleet = fleet.unwrap();
+        let name = CellName::new("cell-a").unwrap();
+        let client = tunnel::connect(&fleet, &name, "panel", LossPolicy::Cancel).unwrap();
+        drop(cell);
+        let error = loop {
+            if let Err(error) = client.next_push(ARRIVES) {
+                break error.to_string();
+            }
+        };
+        assert!(
+            error.contains("cell-a closed the connection after"),
+            "{error}"
+        );
+        assert!(
+            error.contains("is lost") || error.contains("no session"),
+            "{error}"
+        );
     });
 }
 

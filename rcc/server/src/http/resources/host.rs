@@ -1,4 +1,4 @@
-//! `/host/` and `/devices/<d>/jog`: what the program that runs the server adds.
+//! `/host/`, `/fleet/` and `/devices/<d>/jog`: what the program that runs the server adds.
 
 use super::super::Response;
 use super::{Handler, Outcome};
@@ -8,16 +8,29 @@ impl Handler<'_> {
     fn host_program(&self) -> Result<&dyn HostProgram, Response> {
         self.site.program.as_deref().ok_or_else(|| {
             Response::not_found(
-                "the program that runs this controller offers neither findings nor jogs",
+                "the program that runs this controller offers neither findings nor jogs nor a fleet",
             )
         })
     }
 
-    /// The findings of the host check.
-    pub(super) fn host_findings(&self) -> Outcome {
+    /// The findings of the host check, or the cells of the fleet.
+    pub(super) fn of_host_program(&self, part: &str) -> Outcome {
+        if part == "fleet" {
+            return self.fleet();
+        }
         let found = self.host_program()?.findings();
         let found = found.map_err(Response::conflict)?;
         Ok(Response::of_kind("application/json", found))
+    }
+
+    /// The cells of the fleet.
+    fn fleet(&self) -> Outcome {
+        let cells = self.host_program()?.cells().map_err(Response::conflict)?;
+        let none = || r#"{"own":null,"cells":[]}"#.to_owned();
+        Ok(Response::of_kind(
+            "application/json",
+            cells.unwrap_or_else(none),
+        ))
     }
 
     /// The net that jogs an arm, by `kind` and `speed`.

@@ -13,12 +13,17 @@ use crate::host_program::{HostProgram, JogKind};
 const NET: &str = "{a=Core::Clock(),o=Core::DoubleNetcommOut(inValue=a.outValue,Key='time'),\
     x=Cancel(),outTerminate=x.outCancel}";
 
+/// A program with these cells.
 #[derive(Debug)]
-struct Program;
+struct Program(Option<&'static str>);
 
 impl HostProgram for Program {
     fn findings(&self) -> Result<String, String> {
         Ok(r#"{"version":1,"conditions":[]}"#.to_owned())
+    }
+
+    fn cells(&self) -> Result<Option<String>, String> {
+        Ok(self.0.map(str::to_owned))
     }
 
     fn jog_net(&self, arm: &str, kind: JogKind, speed: f64) -> Result<String, String> {
@@ -28,13 +33,17 @@ impl HostProgram for Program {
 
 /// The response to a request to a server with a program.
 fn ask(controller: &Controller, path: &str) -> String {
+    ask_of(Program(None), controller, path)
+}
+
+fn ask_of(program: Program, controller: &Controller, path: &str) -> String {
     let request = format!("GET {path} HTTP/1.1\r\n\r\n");
     let Some((_, Action::Serve(request))) = parse(request.as_bytes(), false) else {
         panic!("{path}");
     };
     let gate = crate::access::Gate::new(None, None);
     let site = Site {
-        program: Some(Arc::new(Program)),
+        program: Some(Arc::new(program)),
         ..Site::new(controller.clone(), gate, crate::LogBook::default())
     };
     respond(&site, &request).to_string()
@@ -99,6 +108,22 @@ fn findings_need_a_host_program() {
     holds(&get(&controller, "/host/"), &["404 Not Found"]);
     let parts = ["200 OK", "application/json", r#""conditions":[]"#];
     holds(&ask(&controller, "/host/"), &parts);
+}
+
+#[test]
+fn fleet_is_listed_if_controller_is_in_one() {
+    let controller = controller();
+    holds(&get(&controller, "/fleet/"), &["404 Not Found"]);
+    holds(
+        &ask(&controller, "/fleet/"),
+        &["200 OK", r#"{"own":null,"cells":[]}"#],
+    );
+    let cells = r#"{"own":"a","cells":[]}"#;
+    holds(
+        &ask_of(Program(Some(cells)), &controller, "/fleet/"),
+        &["200 OK", "application/json", cells],
+    );
+    holds(&post(&controller, "/fleet/", ""), &["405"]);
 }
 
 #[test]
