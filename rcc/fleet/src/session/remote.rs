@@ -94,6 +94,8 @@ struct Link {
     keys: CellKeys,
     boot: Boot,
     number: u32,
+    /// Most bytes of a query; longer ones are lost on the way.
+    message_bytes_max: usize,
     granted: Mutex<Granted>,
     ends: AtomicBool,
 }
@@ -131,6 +133,7 @@ impl Remote {
         let Reply::Hello {
             boot,
             nonce_life_ns: life_ns,
+            message_bytes_max,
             ..
         } = hello
         else {
@@ -158,6 +161,7 @@ impl Remote {
             keys,
             boot,
             number,
+            message_bytes_max,
             granted: Mutex::new(granted),
             ends: AtomicBool::new(false),
         });
@@ -223,13 +227,20 @@ impl Remote {
                 not_after_ns: granted.expires_ns,
                 line: line.to_owned(),
             };
+            let request = to_json(&request);
+            let (found, bound) = (request.len(), link.message_bytes_max);
+            if found > bound {
+                let reason = Refusal::TooLong { found, bound };
+                let (cell, text) = (cell.to_string(), reason.to_string());
+                return Err(RemoteError::Refused { cell, reason, text });
+            }
             let left = until.saturating_duration_since(Instant::now());
             let waited = timeout;
             if left.is_zero() {
                 let cell = cell.to_string();
                 return Err(RemoteError::Unknown { cell, seq, waited });
             }
-            match ask(&link.session, cell, &key, &to_json(&request), left)? {
+            match ask(&link.session, cell, &key, &request, left)? {
                 Some(Reply::Done { lines, omitted, .. }) => {
                     self.seq = seq;
                     return Ok((lines, omitted));

@@ -196,13 +196,13 @@ pub(super) fn answer<T: Send + 'static>(
         let queue = queue.clone();
         let take = move |query: Query| {
             // The query shares its reply channel with its clone.
-            if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
-                queue.try_send(event(query.clone()))
-            {
-                refuse(
+            match queue.try_send(event(query.clone())) {
+                Ok(()) => {}
+                Err(TrySendError::Full(_)) => refuse(
                     &query,
                     "too many queries wait\nhint: send it again later, and fewer at a time",
-                );
+                ),
+                Err(TrySendError::Disconnected(_)) => refuse(&query, "the cell leaves the fleet"),
             }
         };
         let queryable = shared.session.declare_queryable(key).callback(take);
