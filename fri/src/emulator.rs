@@ -32,7 +32,7 @@ pub(crate) use served::served;
 pub(crate) use status::Snapshot;
 pub use status::{Served, Status};
 pub(crate) use surroundings::Sensor;
-pub use surroundings::{Flange, Sensing, Surroundings};
+pub use surroundings::{Carried, Flange, Sensing, Surroundings};
 pub use window::Timing;
 pub(crate) use window::Window;
 

@@ -1,5 +1,6 @@
-//! `takt arm`: what the controller makes of an arm that a file describes.
+//! `takt arm`: what the controller makes of an arm that a file describes, and what an arm carries.
 
+mod identify;
 mod survey;
 
 use std::fs;
@@ -17,10 +18,11 @@ use crate::Verdict;
 use crate::output::say;
 use survey::{Load, Survey};
 
-/// Arms that files describe.
+/// Arms: the files that describe them, and what they carry.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Arm {
     Check(Check),
+    Identify(identify::Identify),
 }
 
 /// Check the arm of a URDF: its joints and limits, how its inverse is computed and how often that succeeds, its reach and
@@ -49,6 +51,7 @@ impl Arm {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         match self {
             Self::Check(check) => check.run(),
+            Self::Identify(identify) => identify.run(),
         }
     }
 }

@@ -253,7 +253,7 @@ impl Move {
 }
 
 /// Asks before an arm moves, unless the controller simulates it.
-fn confirm_arm(arm: &Arm, is_confirmed: bool) -> anyhow::Result<()> {
+pub(crate) fn confirm_arm(arm: &Arm, is_confirmed: bool) -> anyhow::Result<()> {
     let it = arm.description();
     confirm_device("moving", &it.name, &it.kind, is_confirmed)
 }

@@ -26,9 +26,9 @@ use crate::screen::Screen;
 pub(crate) use picture::Picture;
 pub(crate) use source::Source;
 use trigger::Trigger;
+pub(crate) use wire::{Event, Mode, Request};
 #[cfg(feature = "fleet")]
-pub(crate) use wire::{Event, Frame, Group, Rejected};
-pub(crate) use wire::{Mode, Request};
+pub(crate) use wire::{Frame, Group, Rejected};
 
 /// How long the controller may take to answer.
 const TIMEOUT: Duration = Duration::from_secs(5);

@@ -1,10 +1,14 @@
-//! `takt arm check` on files that describe an arm and files that do not.
+//! `takt arm check` on files that describe an arm and files that do not; `takt arm identify` with an emulated LWR over its wire.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
+mod common;
+
 use std::process::{Command, Output};
 
+use common::{Cell, Process, alone, complaint, expect_status, run};
 use serde_json::Value;
+use takt_tests::steady;
 
 const TX90: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
@@ -78,4 +82,38 @@ fn arm_check_of_file_without_arm_names_line() {
     let output = check(&["/no/such.urdf"]);
     assert_eq!(output.status.code(), Some(2));
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+/// What the arm of a cell with this load carries, by the tool.
+fn identified(load: [&str; 4]) -> Value {
+    let mut cell = Cell::start();
+    let arm = [&["emulate", "lwr", "--connect", &cell.udp][..], &load].concat();
+    let _arm = Process::start(&arm);
+    cell.process.wait_for("now=operational");
+    let at = ["--connect", &cell.tcp];
+    let bent = ["0", "35deg", "0", "-70deg", "0", "50deg", "0"];
+    let go = [&["move", "left", "ptp"], &bent[..], &["--yes"], &at].concat();
+    expect_status(&run(&go), 0);
+    let mut identify = vec!["arm", "identify", "left", "--json", "--http", &cell.http];
+    identify.extend(at);
+    let asked = run(&identify);
+    assert!(complaint(&asked).contains("--yes"), "{}", complaint(&asked));
+    expect_status(&asked, 2);
+    identify.extend(["--yes", "--speed", "0.3", "--swing", "20deg"]);
+    serde_json::from_str(&expect_status(&run(&identify), 0)).unwrap()
+}
+
+#[test]
+fn load_of_emulated_arm_is_identified() {
+    let _alone = alone();
+    steady(|| {
+        let found = identified(["--carries", "2.5", "--tool", "120mm"]);
+        assert_eq!(found["has_load"], true, "{found}");
+        let number = |value: &Value| value.as_f64().unwrap();
+        assert!((number(&found["mass_kg"]) - 2.5).abs() < 0.05, "{found}");
+        for (at, expected) in [0.0, 0.0, 0.12].into_iter().enumerate() {
+            let at = number(&found["centre_of_mass_m"][at]);
+            assert!((at - expected).abs() < 0.005, "{found}");
+        }
+    });
 }

@@ -9,7 +9,7 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use std::time::Duration;
 
 /// Of the earth, m/s2.
-const GRAVITY: f64 = 9.81;
+pub(super) const GRAVITY: f64 = 9.81;
 /// Integration step: short against the fastest joint on the stiffest contact.
 const STEP_S: f64 = 0.000_25;
 /// Effective inertia of each joint, kg m2: *assumption*.

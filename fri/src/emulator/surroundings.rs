@@ -1,6 +1,7 @@
 //! What an emulated arm meets, and how its controller senses it: the hook for a world around the arm, stated load, noise
 //! and delay of the estimated forces. No world is in this crate but one wall.
 
+use super::body::GRAVITY;
 use super::{AXES, Body};
 use std::fmt;
 use std::time::Duration;
@@ -29,6 +30,29 @@ pub trait Surroundings: Send + fmt::Debug {
     /// Force on the flange along x, y, z of the base frame, N, then its moment about the flange, Nm. Called with each step
     /// of the arm, at least once per cycle, with the time on the clock of the controller's owner; times never go back.
     fn wrench(&mut self, at: Duration, flange: &Flange) -> [f64; 6];
+}
+
+/// A load at the flange that the controller does not know: its weight alone, as for slow motions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Carried {
+    /// kg.
+    pub mass: f64,
+    /// Centre of mass in the frame of the flange, m.
+    pub centre: [f64; 3],
+}
+
+impl Surroundings for Carried {
+    fn wrench(&mut self, _at: Duration, flange: &Flange) -> [f64; 6] {
+        let mut lever = [0.0; 3];
+        for (axis, along) in flange.axes.iter().zip(self.centre) {
+            for (lever, part) in lever.iter_mut().zip(axis) {
+                *lever += part * along;
+            }
+        }
+        let force = -self.mass * GRAVITY;
+        let [x, y, _] = lever;
+        [0.0, 0.0, force, y * force, -x * force, 0.0]
+    }
 }
 
 /// How a controller estimates external forces.

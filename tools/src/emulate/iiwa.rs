@@ -189,7 +189,14 @@ impl Iiwa {
         let config = self.config()?;
         let link = connect(self.knobs.bind, self.connect, DEFAULT_PORT)?;
         let local = link.local_addr()?;
-        let robot = Robot::launch("cabinet", link, |start| Cabinet::new(config, start))?;
+        let load = self.knobs.carried();
+        let robot = Robot::launch("cabinet", link, move |start| {
+            let mut cabinet = Cabinet::new(config, start);
+            if let Some(load) = load {
+                cabinet.set_surroundings(load);
+            }
+            cabinet
+        })?;
         say(&format!(
             "iiwa sends messages to {} every {:?}, from {local}",
             self.connect, self.period

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use clap::Args;
-use takt_fri::lwr::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
+use takt_fri::lwr::emulator::{Carried, Contact, LineFaults, PowerOff, Shape, Timing};
 
 use crate::output::{positive_span, share, span};
 
@@ -48,6 +48,9 @@ pub(super) struct Knobs {
     /// Length of a tool along the flange's axis, such as 100mm: a contact at its tip has a moment about the flange.
     #[arg(long, value_name = "LENGTH", default_value = "0mm", value_parser = length)]
     tool: f64,
+    /// Mass at the tip of the tool that the controller does not know, kg, 0 to 100.
+    #[arg(long, value_name = "KG", default_value_t = 0.0, value_parser = mass)]
+    carries: f64,
     /// Address and port of the controller, from which its datagrams leave: for clients that connect to the robot.
     #[arg(long, alias = "listen", value_name = "IP:PORT")]
     pub(super) bind: Option<SocketAddr>,
@@ -60,6 +63,12 @@ pub(super) struct Knobs {
     /// End after this time; without it, at Ctrl-C.
     #[arg(long, value_name = "TIME", value_parser = positive_span)]
     pub(super) duration: Option<Duration>,
+}
+
+/// A mass, kg.
+fn mass(text: &str) -> Result<f64, String> {
+    let mass = text.parse().ok().filter(|kg| (0.0..=100.0).contains(kg));
+    mass.ok_or_else(|| "0 to 100 is expected, kg".to_owned())
 }
 
 /// An obstacle, as an option value.
@@ -114,6 +123,15 @@ impl Knobs {
         } else {
             tolerant
         }
+    }
+
+    /// What hangs at the tip of the tool.
+    pub(super) fn carried(&self) -> Option<Box<Carried>> {
+        let load = Carried {
+            mass: self.carries,
+            centre: self.tool_m(),
+        };
+        (load.mass > 0.0).then(|| Box::new(load))
     }
 
     /// Tip of the tool in the frame of the flange, m.

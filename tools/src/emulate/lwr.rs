@@ -82,7 +82,14 @@ impl Lwr {
         let link = connect(self.knobs.bind, self.connect, 0)?;
         let local = link.local_addr()?;
         let config = self.config();
-        let robot = Robot::launch("krc", link, |start| Krc::new(config, start))?;
+        let load = self.knobs.carried();
+        let robot = Robot::launch("krc", link, move |start| {
+            let mut krc = Krc::new(config, start);
+            if let Some(load) = load {
+                krc.set_surroundings(load);
+            }
+            krc
+        })?;
         say(&format!(
             "LWR sends measurements to {} every {:?}, from {local}",
             self.connect, self.period

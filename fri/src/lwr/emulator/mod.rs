@@ -18,8 +18,8 @@ mod status;
 #[cfg(target_os = "linux")]
 pub use crate::emulator::serve;
 pub use crate::emulator::{
-    Contact, ControllerCounters, Flange, LineFaults, PowerOff, Sensing, Served, Shape, Status,
-    Surroundings, Timing,
+    Carried, Contact, ControllerCounters, Flange, LineFaults, PowerOff, Sensing, Served, Shape,
+    Status, Surroundings, Timing,
 };
 pub use config::{Faults, KrcConfig, Limits, Script, Stiffness};
 pub use exit::ExitReason;

@@ -13,8 +13,8 @@ mod status;
 #[cfg(target_os = "linux")]
 pub use crate::emulator::serve;
 pub use crate::emulator::{
-    Contact, ControllerCounters, Flange, LineFaults, PowerOff, Sensing, Served, Shape, Status,
-    Surroundings, Timing,
+    Carried, Contact, ControllerCounters, Flange, LineFaults, PowerOff, Sensing, Served, Shape,
+    Status, Surroundings, Timing,
 };
 pub use cabinet::{Cabinet, Exit, StartError};
 pub use config::{CabinetConfig, Control, Faults, Io, Limits, Overlay, Program, Robot};

@@ -151,7 +151,7 @@ impl Torques {
         let count = motions.len();
         let mut beyond = [0.0; ARM_JOINTS_MAX];
         for (beyond, joint) in beyond.iter_mut().zip(0..count) {
-            let Some(torque) = self.estimated(joint).filter(|it| it.is_finite()) else {
+            let Some(torque) = self.unexplained(joint).filter(|it| it.is_finite()) else {
                 return;
             };
             *beyond = torque;
@@ -167,9 +167,14 @@ impl Torques {
     }
 
     /// What the model, with tools and payload, does not explain of it, Nm.
-    pub(crate) fn estimated(&self, joint: usize) -> Option<f64> {
+    fn unexplained(&self, joint: usize) -> Option<f64> {
         self.model.as_ref()?;
         Some(self.measured(joint)? - self.expected.get(joint)?)
+    }
+
+    /// The torque that the surroundings exert on a joint, Nm: the drive holds it by the opposite one.
+    pub(crate) fn estimated(&self, joint: usize) -> Option<f64> {
+        self.unexplained(joint).map(|torque| -torque)
     }
 
     /// The next feed-forward that was cut off, by joint.

@@ -1,12 +1,14 @@
 //! Feed-forward torques of an arm with a URDF on an emulated segment, in virtual time: six drives whose motors carry the links of the
 //! arm, with gravity, inertia and a payload. What the drives miss of their set-points, and what the arm reports of its torques.
 
+use takt_core::device::parts;
 use takt_ethercat::emulator::{Segment, ServoConfig, ServoDrive};
-use takt_motion::dynamics::{Down, Dynamics, Payload};
+use takt_motion::dynamics::{Down, Dynamics, Payload, Sample, weigh};
 use takt_motion::urdf::read_arm;
 
 use super::wire_tests::{Bench, config};
 use super::*;
+use takt_net::device::Layout;
 
 const URDF: &str = "../../../examples/cells/ur5e.urdf";
 /// Turns of a motor for one of its joint.
@@ -190,6 +192,48 @@ fn payload_heavier_than_stated_is_reported() {
             );
         }
     }
+}
+
+#[test]
+fn external_torques_are_those_of_what_the_cell_does_not_state() {
+    let config = cell(LOAD);
+    let mut plant = Plant::new(&config, load(5.0));
+    (0..500).for_each(|_| plant.cycle());
+    let description = describe(&config).remove(0);
+    let has = parts::lay(&description.parts, 6, &mut Layout::default());
+    let torques = has.torques.unwrap();
+    let mut samples = Vec::new();
+    // Each joint but the first swings alone, slowly.
+    for joint in 1..6 {
+        let from = plant.bench.position(joint);
+        for n in 0..2000_u32 {
+            let phase = f64::from(n) / 2000.0 * std::f64::consts::TAU;
+            plant.bench.want(joint, from + 0.5 * phase.sin(), 1);
+            plant.cycle();
+            let seen = plant.bench.devices[0].state.read_with(|state| {
+                let joints = state.joints.iter().take(6);
+                let motions =
+                    joints.map(|it| Some([it.commanded_position?, it.commanded_velocity?, 0.0]));
+                let exerted = torques.iter().map(|it| it.estimated.read(&state.signals));
+                Some((
+                    motions.collect::<Option<Vec<_>>>()?,
+                    exerted.collect::<Option<Vec<f64>>>()?,
+                ))
+            });
+            if n % 20 == 0
+                && let Some((motions, exerted)) = seen
+            {
+                // What holds them is the opposite.
+                let torques = exerted.into_iter().map(|torque| -torque).collect();
+                samples.push(Sample { motions, torques });
+            }
+        }
+    }
+    let model = description.model.unlimited().unwrap();
+    let found = weigh(&*model, None, &samples, &Down::default().gravity()).unwrap();
+    assert!((found.mass - 2.0).abs() < 0.15, "{found:?}");
+    let [x, y, z]: [f64; 3] = found.centre.into();
+    assert!(x.hypot(y) < 0.02 && (z - 0.08).abs() < 0.02, "{found:?}");
 }
 
 /// What a cell with this in its arm, and this joint table, is refused for.
