@@ -62,9 +62,9 @@ def test_program_commands_cells_by_their_names(endpoint: str) -> None:
         [left, other] = [cell.arm("left") for cell in (a, b)]
         first = other.ptp([0.2, *GOAL[1:]], speed=0.5).begin()
         second = other.ptp([0.4, *GOAL[1:]], speed=0.5).queue()
-        assert left.ptp(GOAL, speed=0.5).run() == "completed"
+        assert left.ptp(GOAL, speed=0.5).run() == takt.Outcome.Completed
         first.wait()
-        assert second.wait() == "completed"
+        assert second.wait() == takt.Outcome.Completed
         assert b.value(other.joint(0)) == pytest.approx(0.4, abs=1e-3)
 
 
