@@ -110,7 +110,8 @@ impl Ros2 {
             let path = self.description.clone().unwrap_or_default();
             format!("cannot use {}", path.display())
         })?;
-        let arms = names::arms(&cell, self.description.as_deref(), &self.chains)?;
+        let described = self.description.as_deref().zip(urdf.as_ref());
+        let arms = names::arms(&cell, described, &self.chains)?;
         let router = self.open_router()?;
         let node = Node::open(&NodeConfig {
             domain: self.domain,

@@ -386,25 +386,27 @@ fn assembly(fault: &[&str]) -> Value {
     good_demo(&[&args[..], fault].concat())
 }
 
-/// The program is a process of its own where it is killed. Two cells, beside each other.
 #[test]
-fn demo_assembly_program_killed_and_peg_missing_end_contained() {
+fn demo_assembly_peg_missing_ends_contained() {
     let _alone = alone();
-    std::thread::scope(|scope| {
-        let killed = scope.spawn(|| assembly(&["program-killed"]));
-        let missing = assembly(&["no-peg", "--unloaded"]);
-        let error = missing["error"].as_str().unwrap();
-        assert!(error.contains("box 1 has no peg"), "{missing}");
-        assert!(error.contains("hint:"), "{missing}");
-        assert_eq!(missing["held"], serde_json::json!(["socket"]), "{missing}");
-        assert_eq!(missing["dropped"], 0);
-        // The first state is too short to be seen.
-        let states = missing["states"].as_array().unwrap().iter();
-        let states = states.map(|state| state[0].as_str().unwrap());
-        let states: Vec<_> = states.filter(|state| *state != "Start").collect();
-        assert_eq!(states, ["Home", "Work", "Fault", "Recover", "Stop"]);
-        expect_box_in_both_hands(&killed.join().unwrap());
-    });
+    let missing = assembly(&["no-peg", "--unloaded"]);
+    let error = missing["error"].as_str().unwrap();
+    assert!(error.contains("box 1 has no peg"), "{missing}");
+    assert!(error.contains("hint:"), "{missing}");
+    assert_eq!(missing["held"], serde_json::json!(["socket"]), "{missing}");
+    assert_eq!(missing["dropped"], 0);
+    // The first state is too short to be seen.
+    let states = missing["states"].as_array().unwrap().iter();
+    let states = states.map(|state| state[0].as_str().unwrap());
+    let states: Vec<_> = states.filter(|state| *state != "Start").collect();
+    assert_eq!(states, ["Home", "Work", "Fault", "Recover", "Stop"]);
+}
+
+/// The program is a process of its own here.
+#[test]
+fn demo_assembly_program_killed_ends_contained() {
+    let _alone = alone();
+    expect_box_in_both_hands(&assembly(&["program-killed"]));
 }
 
 fn expect_box_in_both_hands(report: &Value) {

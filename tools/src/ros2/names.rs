@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use anyhow::Context as _;
 use takt_api::{Arm, Cell};
-use takt_motion::urdf::read_arm;
+use takt_motion::urdf::Urdf;
 
 /// An arm with the names that ROS knows it by.
 #[derive(Clone, Debug)]
@@ -54,10 +54,10 @@ pub(super) fn ros_name(name: &str) -> String {
     }
 }
 
-/// The arms of a cell. Without a description their joints are called as in recordings: `left.joint_1`.
+/// The arms of a cell, with a description by its file and content. Without one their joints are called as in recordings: `left.joint_1`.
 pub(super) fn arms(
     cell: &Cell,
-    description: Option<&Path>,
+    description: Option<(&Path, &Urdf)>,
     chains: &[Chain],
 ) -> anyhow::Result<Vec<RosArm>> {
     let all = cell.arms()?;
@@ -80,8 +80,9 @@ pub(super) fn arms(
         let links = chain.map(|chain| (Some(chain.base.as_str()), Some(chain.tip.as_str())));
         let links = links.or_else(|| is_one.then_some((None, None)));
         let (joints, links) = match description.zip(links) {
-            Some((path, (base, tip))) => {
-                let model = read_arm(path, base, tip)
+            Some(((path, urdf), (base, tip))) => {
+                let model = urdf
+                    .arm(base, tip)
                     .with_context(|| format!("{}: no arm for `{device}`", path.display()))?;
                 let names: Vec<_> = model.joints.iter().map(|it| it.name.clone()).collect();
                 anyhow::ensure!(

@@ -116,39 +116,62 @@ fn notify(mut notifications: Notifications, end: &End) {
 }
 
 /// Body of the thread that executes the program's lines, until it disconnects. The session is closed at the end.
-fn execute(mut remote: Remote, mut stream: UnixStream, end: &End) {
+fn execute(mut remote: Remote, stream: UnixStream, end: &End) {
+    match pass(&mut remote, stream, end) {
+        Ok(()) => end.close(),
+        Err(why) => end.fail(&why),
+    }
+}
+
+/// Executes lines until the program disconnects.
+fn pass(remote: &mut Remote, mut stream: UnixStream, end: &End) -> Result<(), RemoteError> {
     let mut reader = LineReader::default();
     let mut bytes = [0; 16 << 10];
     while !end.has_ended() {
         match stream.read(&mut bytes) {
             Ok(0) => break,
             Ok(count) => reader.push(bytes.get(..count).unwrap_or_default()),
-            Err(error) if error.kind() == ErrorKind::Interrupted => continue,
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
             Err(_) => break,
         }
-        while let Ok(Some(line)) = reader.poll_message() {
-            match remote.execute(&line, REPLY_TIMEOUT) {
-                Ok((lines, 0)) => end.send(&lines),
-                Ok((_, omitted)) => {
-                    let cell = remote.cell().to_string();
-                    let text = format!(
-                        "{omitted} lines of a reply are too long for a message of the fleet\nhint: raise fleet.message_kib of its cell file"
-                    );
-                    return end.fail(&RemoteError::Answer { cell, text });
-                }
-                // It was not begun: the session goes on.
-                Err(RemoteError::Refused {
-                    reason: Refusal::TooLong { .. },
-                    text,
-                    ..
-                }) => {
-                    let tag = Message::decode(&line).map(|message| message.tag);
-                    let tag = tag.unwrap_or_else(|_| "none".to_owned());
-                    end.send(&[Message::new(tag, "err").with(text).to_string()]);
-                }
-                Err(why) => return end.fail(&why),
-            }
+        loop {
+            let line = reader.poll_message();
+            let line = line.map_err(|why| unfit(remote, why.to_string()))?;
+            let Some(line) = line else {
+                break;
+            };
+            end.send(&reply(remote, &line)?);
         }
     }
-    end.close();
+    Ok(())
+}
+
+/// The reply to a line.
+fn reply(remote: &mut Remote, line: &str) -> Result<Vec<String>, RemoteError> {
+    match remote.execute(line, REPLY_TIMEOUT) {
+        Ok((lines, 0)) => Ok(lines),
+        Ok((_, omitted)) => {
+            let text = format!(
+                "{omitted} lines of a reply are too long for a message of the fleet\nhint: ask for less at once, or connect to the \
+                 controller itself"
+            );
+            Err(unfit(remote, text))
+        }
+        // It was not begun: the session goes on.
+        Err(RemoteError::Refused {
+            reason: Refusal::TooLong { .. },
+            text,
+            ..
+        }) => {
+            let tag = Message::decode(line).map(|message| message.tag);
+            let tag = tag.unwrap_or_else(|_| "none".to_owned());
+            Ok(vec![Message::new(tag, "err").with(text).to_string()])
+        }
+        Err(why) => Err(why),
+    }
+}
+
+fn unfit(remote: &Remote, text: String) -> RemoteError {
+    let cell = remote.cell().to_string();
+    RemoteError::Answer { cell, text }
 }

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use takt_client::client::VERSION;
 use takt_client::wire::{Message, Value};
 use takt_core::controller::{
     LoadRequest, NetInfo, RejectedInfo, RuleId, RuleRequest, RuleState, TapRecord, Taps,
@@ -21,9 +22,6 @@ use super::pace::Pushes;
 use super::rules::RuleWatch;
 use super::sessions::SessionWatch;
 use crate::access::Admission;
-
-/// The protocol version that a client must request.
-const VERSION: &str = "2.0";
 
 /// Fault number of a syntax error in the text of a net.
 const SYNTAX_FAULT: u32 = 12;
