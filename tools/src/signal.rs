@@ -45,6 +45,7 @@ impl Stop {
     }
 
     /// Requests it as a signal does.
+    #[cfg(feature = "fleet")]
     pub(crate) fn request(&self) {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
