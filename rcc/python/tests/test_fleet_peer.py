@@ -4,7 +4,6 @@ the right."""
 from __future__ import annotations
 
 import json
-import pathlib
 import queue
 import subprocess
 import time
