@@ -5,7 +5,7 @@
 //! It does not reconnect by itself: the nets of a session that was opened to end with its connection have then been
 //! cancelled, and only the program knows whether to start again.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream, ToSocketAddrs};
 use std::os::unix::net::UnixStream;
@@ -134,6 +134,8 @@ struct Inbox {
     commands: u32,
     /// Replies by tag of the command; `None` while it is awaited.
     replies: BTreeMap<String, Option<Message>>,
+    /// Tags of commands whose reply is not awaited any more and may still come: no other command has them.
+    overdue: BTreeSet<String>,
     pushes: VecDeque<Message>,
     /// The last error message that replies to no command.
     last_error: Option<String>,
@@ -248,7 +250,7 @@ impl Client {
             let reply = inbox.replies.get_mut(&tag)?.take();
             reply.map(Ok).or_else(|| inbox.end.clone().map(Err))
         });
-        shared.inbox().replies.remove(&tag);
+        shared.inbox().end_wait(&tag, reply.is_none());
         match reply {
             Some(Ok(reply)) if reply.command == "ok" => Ok(Reply {
                 tag,
@@ -288,7 +290,7 @@ impl Inbox {
         loop {
             let tag = format!("t{}", self.commands);
             self.commands = self.commands.wrapping_add(1);
-            if !self.replies.contains_key(&tag) {
+            if self.is_free(&tag) {
                 return tag;
             }
         }
@@ -296,15 +298,30 @@ impl Inbox {
 
     /// The reply to a command with this tag is awaited from now on, unless that to another one is.
     fn expect_reply(&mut self, tag: &str) -> bool {
-        let is_free = !self.replies.contains_key(tag);
+        let is_free = self.is_free(tag);
         if is_free {
             self.replies.insert(tag.to_owned(), None);
         }
         is_free
     }
 
+    fn is_free(&self, tag: &str) -> bool {
+        !self.replies.contains_key(tag) && !self.overdue.contains(tag)
+    }
+
+    /// The reply to a command is not awaited any more, because it was received or did not come in time.
+    fn end_wait(&mut self, tag: &str, is_overdue: bool) {
+        // It may have come at the last moment.
+        let came = self.replies.remove(tag).flatten().is_some();
+        if is_overdue && !came {
+            self.overdue.insert(tag.to_owned());
+        }
+    }
+
     fn handle(&mut self, message: Message) {
         match message.command.as_str() {
+            // Too late: the caller has reported that it did not come.
+            "ok" | "err" if self.overdue.remove(&message.tag) => {}
             "ok" | "err" if self.replies.contains_key(&message.tag) => {
                 self.replies.insert(message.tag.clone(), Some(message));
             }

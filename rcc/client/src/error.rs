@@ -40,7 +40,9 @@ pub enum Error {
         conflict: Option<Conflict>,
     },
     /// A command with this tag is in progress.
-    #[error("the tag `{tag}` is that of a command whose reply is awaited")]
+    #[error(
+        "the tag `{tag}` is that of a command whose reply has not come yet\nhint: use another tag for each command"
+    )]
     TagInUse { tag: String },
     /// The received line is not a message.
     #[error("received an invalid message: {0}")]

@@ -35,7 +35,7 @@ const MARGIN: f64 = 0.02;
 
 /// Find the mass and the centre of the load that an arm carries beyond the one that is stated.
 ///
-/// The arm swings all joints but the first to both sides of its present pose, slowly, in eight motions: begin in a bent pose with free space around,
+/// The arm swings all joints but the first to both sides of its present pose, slowly, in nine motions: begin in a bent pose with free space around,
 /// in position control, with nothing that touches the arm. It needs external torques: FRI arms estimate them, arms on drives with `rated_torque` and
 /// a URDF with masses. Inertia is not found. Ctrl-C brakes and ends. It asks before it moves.
 ///

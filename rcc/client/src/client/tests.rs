@@ -216,3 +216,21 @@ fn refusal_conflict_has_fields_beside_its_text() {
     assert_eq!(refused(), None);
     assert_eq!(refused(), None);
 }
+
+#[test]
+fn late_reply_is_taken_for_no_other_command() {
+    let mut inbox = Inbox::default();
+    assert!(inbox.expect_reply("f"));
+    assert!(!inbox.expect_reply("f"), "its reply is awaited");
+    inbox.end_wait("f", true);
+    assert!(!inbox.expect_reply("f"), "its reply may still come");
+    inbox.handle(Message::new("f", "ok").with("late"));
+    assert!(inbox.pushes.is_empty());
+    assert!(inbox.expect_reply("f"));
+    inbox.handle(Message::new("f", "ok").with("in time"));
+    inbox.end_wait("f", false);
+    assert!(inbox.expect_reply("f"));
+    // Own tags pass by those of the caller.
+    assert!(inbox.expect_reply("t0"));
+    assert_eq!(inbox.new_tag(), "t1");
+}

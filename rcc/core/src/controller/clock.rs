@@ -1,5 +1,5 @@
-//! The clocks of net threads: where their grid of cycles begins, and the device clock that they follow. The device's driver measures it; this module keeps the
-//! connection between driver and threads when drivers are added and removed.
+//! The clocks of net threads: where their grid of cycles begins, and the device clock that they follow. The device's driver measures it; this
+//! module keeps the connection between driver and threads when drivers are added and removed.
 
 use std::time::Duration;
 

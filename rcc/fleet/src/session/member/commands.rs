@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError, channel};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
@@ -14,7 +14,7 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Query as Sent;
 
 use super::notified::{self, Asked};
-use super::shared::{Shared, refuse, reply};
+use super::shared::{Shared, TOO_MANY, refuse, reply};
 use crate::command::{Answer, LossPolicy, Lost, Query, Reply, to_json};
 
 /// Longest wait for a query, after which losses of sessions are looked for.
@@ -22,6 +22,9 @@ const WAIT_MAX: Duration = Duration::from_millis(20);
 
 /// Refusals of one kind are logged again after a pause of this length only.
 const REFUSALS_PAUSE: Duration = Duration::from_secs(10);
+
+const NO_THREAD: &str =
+    "the controller has no thread for this session\nhint: close the session and open another";
 
 /// What the thread that admits commands takes from its queue.
 pub(super) enum Event {
@@ -52,7 +55,7 @@ struct Open {
     /// To its thread, which ends when this is dropped.
     jobs: Sender<Job>,
     /// To the thread that answers what it was notified of; `None` if the host has none left.
-    notified: Option<Sender<Asked>>,
+    notified: Option<SyncSender<Asked>>,
     _token: Option<LivelinessToken>,
 }
 
@@ -136,18 +139,7 @@ impl Commands<'_> {
                 self.shared.cell.closed(session);
                 self.answer(&sent, &reply);
             }
-            Answer::Notify { session, from } => {
-                let open = self.open.get(&session);
-                let to = open.and_then(|open| open.notified.as_ref());
-                let asked = Asked { from, sent };
-                let unsent = match to {
-                    Some(to) => to.send(asked).err().map(|unsent| unsent.0),
-                    None => Some(asked),
-                };
-                if let Some(Asked { sent, .. }) = unsent {
-                    refuse(&sent, "the controller has no thread for this session");
-                }
-            }
+            Answer::Notify { session, from } => self.notify(session, Asked { from, sent }),
             Answer::Execute {
                 session,
                 seq,
@@ -165,7 +157,20 @@ impl Commands<'_> {
         }
     }
 
-    /// Starts the thread of a session and shows it to the fleet.
+    /// Passes a request for notifications to the thread of its session.
+    fn notify(&self, session: u32, asked: Asked) {
+        let open = self.open.get(&session);
+        let Some(notified) = open.and_then(|open| open.notified.as_ref()) else {
+            return refuse(&asked.sent, NO_THREAD);
+        };
+        match notified.try_send(asked) {
+            Ok(()) => {}
+            Err(TrySendError::Full(asked)) => refuse(&asked.sent, TOO_MANY),
+            Err(TrySendError::Disconnected(asked)) => refuse(&asked.sent, NO_THREAD),
+        }
+    }
+
+    /// Starts the threads of a session and shows it to the fleet.
     fn begin(&mut self, session: u32) {
         let (jobs, from_jobs) = channel::<Job>();
         let (shared, queue) = (Arc::clone(self.shared), self.queue.clone());

@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use zenoh::query::Query as Sent;
@@ -14,6 +14,9 @@ use crate::command::{Reply, to_json};
 /// Longest wait for the first line. Shorter than the life of a nonce, so that a client sees that its session is lost.
 const WAIT_MAX: Duration = Duration::from_millis(200);
 
+/// Requests that wait: a client sends the next one when it has its reply, or when that does not come. More are refused.
+const WAITING_MAX: usize = 4;
+
 /// A request of the client: its first line, and where the reply goes.
 pub(super) struct Asked {
     pub(super) from: u64,
@@ -21,8 +24,11 @@ pub(super) struct Asked {
 }
 
 /// Starts the thread of a session. It ends when the sender is dropped.
-pub(super) fn start(shared: &Arc<Shared>, session: u32) -> Result<Sender<Asked>, std::io::Error> {
-    let (asked, from_asked) = channel();
+pub(super) fn start(
+    shared: &Arc<Shared>,
+    session: u32,
+) -> Result<SyncSender<Asked>, std::io::Error> {
+    let (asked, from_asked) = sync_channel(WAITING_MAX);
     let shared = Arc::clone(shared);
     let thread = std::thread::Builder::new().name(format!("fleet-n{session}"));
     thread.spawn(move || answer(&shared, session, &from_asked))?;
@@ -43,10 +49,21 @@ fn answer(shared: &Shared, session: u32, asked: &Receiver<Asked>) {
                 }
             }
         }
+        let lines = kept.fitting(bound);
+        if let Some(line) = kept.lines.front().filter(|_| lines.is_empty()) {
+            let bytes = line.len();
+            refuse(
+                &sent,
+                &format!(
+                    "a notification of {bytes} bytes is too long for a message of the fleet, at most {bound}"
+                ),
+            );
+            continue;
+        }
         let said = Reply::Notified {
             session,
             first: kept.first,
-            lines: kept.fitting(bound),
+            lines,
         };
         let key = shared.keys.cmd_session();
         if sent.key_expr().as_str() == key {
@@ -73,14 +90,14 @@ impl Kept {
         }
     }
 
-    /// As many lines as a reply takes, at least one.
+    /// As many lines as a reply takes; none if the first one is too long.
     fn fitting(&self, bound: usize) -> Vec<String> {
         let mut bytes = 0_usize;
-        let fits = self.lines.iter().enumerate().take_while(|(number, line)| {
+        let fits = self.lines.iter().take_while(|line| {
             bytes = bytes.saturating_add(line.len());
-            *number == 0 || bytes <= bound
+            bytes <= bound
         });
-        fits.map(|(_, line)| line.clone()).collect()
+        fits.cloned().collect()
     }
 }
 
@@ -100,7 +117,8 @@ mod tests {
         kept.confirm(5);
         assert_eq!((kept.first, kept.fitting(8).len()), (5, 3));
         kept.confirm(7);
-        assert_eq!((kept.first, kept.fitting(0)), (7, vec!["cc".to_owned()]));
+        assert_eq!((kept.first, kept.fitting(2)), (7, vec!["cc".to_owned()]));
+        assert!(kept.fitting(1).is_empty(), "it is refused, and kept");
         // Earlier and future numbers change nothing that was not sent.
         kept.confirm(2);
         assert_eq!((kept.first, kept.lines.len()), (7, 1));

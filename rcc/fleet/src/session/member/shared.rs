@@ -27,6 +27,10 @@ pub const LOG_LINES_KEPT: usize = 256;
 /// Queries that wait for a thread; more are refused.
 pub(super) const QUEUE: usize = 64;
 
+/// Why a query that finds no place is refused.
+pub(super) const TOO_MANY: &str =
+    "too many queries wait\nhint: send it again later, and fewer at a time";
+
 /// How long another cell of the same name has for its answer.
 const CLASH_TIMEOUT: Duration = Duration::from_millis(500);
 
@@ -198,10 +202,7 @@ pub(super) fn answer<T: Send + 'static>(
             // The query shares its reply channel with its clone.
             match queue.try_send(event(query.clone())) {
                 Ok(()) => {}
-                Err(TrySendError::Full(_)) => refuse(
-                    &query,
-                    "too many queries wait\nhint: send it again later, and fewer at a time",
-                ),
+                Err(TrySendError::Full(_)) => refuse(&query, TOO_MANY),
                 Err(TrySendError::Disconnected(_)) => refuse(&query, "the cell leaves the fleet"),
             }
         };

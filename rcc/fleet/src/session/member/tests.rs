@@ -41,6 +41,8 @@ struct Bench {
     lost: Mutex<Vec<u32>>,
     /// What sessions are notified of.
     notices: Mutex<Vec<String>>,
+    /// None of them is notified of anything until this is over.
+    holds: AtomicBool,
     /// Why they are notified of nothing any more.
     mute: Mutex<Option<String>>,
     /// Devices whose joints are subscribed to.
@@ -113,6 +115,9 @@ impl Cell for Bench {
         if let Some(why) = self.mute.lock().unwrap().clone() {
             return Err(why);
         }
+        while self.holds.load(Ordering::SeqCst) {
+            std::thread::yield_now();
+        }
         let lines = std::mem::take(&mut *self.notices.lock().unwrap());
         if lines.is_empty() {
             std::thread::sleep(wait / 20);
@@ -137,6 +142,15 @@ impl Cell for Bench {
     fn prepare_start(&self, nets: &[String]) -> Result<Box<dyn Held>, String> {
         self.starts.prepare(nets)
     }
+}
+
+/// A program at this endpoint.
+fn connected(endpoint: &str) -> Fleet {
+    Fleet::connect(&Observer {
+        connect: vec![endpoint.to_owned()],
+        tls: None,
+    })
+    .unwrap()
 }
 
 fn free_endpoint() -> String {
@@ -375,11 +389,7 @@ fn remote_keeps_session_alive_and_executes_in_order() {
             ..Bench::default()
         });
         let _cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
-        let fleet = Fleet::connect(&Observer {
-            connect: vec![endpoint],
-            tls: None,
-        });
-        let fleet = fleet.unwrap();
+        let fleet = connected(&endpoint);
         let name = CellName::new("cell-a").unwrap();
         let opened = Remote::open(&fleet, &name, "panel", LossPolicy::Cancel);
         let mut remote = opened.unwrap();
@@ -409,11 +419,7 @@ fn client_in_tunnel_gets_replies_and_each_notification_in_order() {
             ..Bench::default()
         });
         let _cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
-        let fleet = Fleet::connect(&Observer {
-            connect: vec![endpoint],
-            tls: None,
-        });
-        let fleet = fleet.unwrap();
+        let fleet = connected(&endpoint);
         let name = CellName::new("cell-a").unwrap();
         let connect = || tunnel::connect(&fleet, &name, "panel", LossPolicy::Cancel).unwrap();
         let client = connect();
@@ -445,15 +451,69 @@ fn client_in_tunnel_gets_replies_and_each_notification_in_order() {
             error.to_string().contains("too long for a message"),
             "{error}"
         );
-        // So does a session that is notified of nothing any more.
+        // So does a notification that none can take.
+        let client = connect();
+        *bench.notices.lock().unwrap() = vec![format!("s=net(\"{}\")", "y".repeat(1 << 20))];
+        let error = last_error(&client);
+        assert!(error.contains("too long for a message"), "{error}");
+        // And a session that is notified of nothing any more.
         let client = connect();
         *bench.mute.lock().unwrap() = Some("65536 notifications wait unread".to_owned());
-        let error = loop {
-            if let Err(error) = client.next_push(ARRIVES) {
-                break error.to_string();
-            }
-        };
+        let error = last_error(&client);
         assert!(error.contains("wait unread"), "{error}");
+    });
+}
+
+/// Why a client is disconnected, once it is.
+fn last_error(client: &takt_client::Client) -> String {
+    loop {
+        if let Err(error) = client.next_push(ARRIVES) {
+            return error.to_string();
+        }
+    }
+}
+
+#[test]
+fn requests_for_notifications_beyond_bound_are_refused() {
+    takt_tests::steady(|| {
+        let endpoint = free_endpoint();
+        let bench = Arc::new(Bench::default());
+        bench.holds.store(true, Ordering::SeqCst);
+        let _cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
+        let fleet = connected(&endpoint);
+        let name = CellName::new("cell-a").unwrap();
+        let remote = Remote::open(&fleet, &name, "panel", LossPolicy::Cancel).unwrap();
+        let (session, nonce) = remote.permission();
+        let request = SessionRequest::Notified {
+            boot: remote.boot(),
+            session,
+            nonce,
+            from: 0,
+        };
+        // One is looked at, four wait.
+        let (sender, replies) = std::sync::mpsc::channel();
+        for _ in 0..20 {
+            let sender = sender.clone();
+            let get = fleet.session().get("takt/cell-a/cmd/session");
+            let take = move |reply: zenoh::query::Reply| {
+                let text = match reply.result() {
+                    Ok(sample) => sample.payload().to_bytes().into_owned(),
+                    Err(error) => error.payload().to_bytes().into_owned(),
+                };
+                sender.send(String::from_utf8(text).unwrap()).unwrap();
+            };
+            let get = get.payload(to_json(&request)).timeout(ARRIVES);
+            get.callback(take).wait().unwrap();
+        }
+        for _ in 0..15 {
+            let refused = replies.recv_timeout(ARRIVES).unwrap();
+            assert!(refused.contains("too many queries wait"), "{refused}");
+        }
+        bench.holds.store(false, Ordering::SeqCst);
+        for _ in 0..5 {
+            let said = replies.recv_timeout(ARRIVES).unwrap();
+            assert!(said.contains("\"notified\""), "{said}");
+        }
     });
 }
 
@@ -466,19 +526,11 @@ fn client_in_tunnel_learns_that_its_cell_is_gone() {
             ..Bench::default()
         });
         let cell = joined("cell-a", &router(&endpoint), &bench).unwrap();
-        let fleet = Fleet::connect(&Observer {
-            connect: vec![endpoint],
-            tls: None,
-        });
-        let fleet = fleet.unwrap();
+        let fleet = connected(&endpoint);
         let name = CellName::new("cell-a").unwrap();
         let client = tunnel::connect(&fleet, &name, "panel", LossPolicy::Cancel).unwrap();
         drop(cell);
-        let error = loop {
-            if let Err(error) = client.next_push(ARRIVES) {
-                break error.to_string();
-            }
-        };
+        let error = last_error(&client);
         assert!(
             error.contains("cell-a closed the connection after"),
             "{error}"
@@ -498,11 +550,7 @@ fn watch_shows_history_log_tokens_and_loss() {
         ..FleetSettings::default()
     };
     let cell = joined("cell-b", &settings, &bench).unwrap();
-    let fleet = Fleet::connect(&Observer {
-        connect: vec![endpoint],
-        tls: None,
-    });
-    let fleet = fleet.unwrap();
+    let fleet = connected(&endpoint);
     let watch = fleet.watch("takt/cell-b/**").unwrap();
     let value = |rest: &str, text: &str| Seen::Value {
         key: format!("takt/cell-b/{rest}"),
