@@ -18,9 +18,11 @@ use takt_tests::steady;
 /// Keeps what a page offers for saving, as texts by their names.
 const KEEP_SAVED: &str = "window.saved = null; URL.createObjectURL = blob => { blob.text().then(text => { window.saved = text; }); return '#plots'; }; \
     HTMLAnchorElement.prototype.click = () => {}; true";
-/// A number that changes with the pixels of the 3-D view; 0 without one.
-const PIXELS: &str = "(() => { const canvas = document.querySelector('canvas.space'); if (!canvas) return 0; \
-    let sum = 1; for (const letter of canvas.toDataURL()) sum = (sum * 31 + letter.charCodeAt(0)) % 1000003; return sum; })()";
+/// A number that changes with the pixels of the next picture of the 3-D view; 0 without a picture within a second.
+const PIXELS: &str = "new Promise(done => { const end = performance.now() + 1000; const before = document.querySelector('canvas.space')?.dataset.frames; \
+    const look = () => { const canvas = document.querySelector('canvas.space'); if (performance.now() > end) return done(0); \
+    if (!canvas || canvas.dataset.frames === before) return requestAnimationFrame(look); \
+    let sum = 1; for (const letter of canvas.toDataURL()) sum = (sum * 31 + letter.charCodeAt(0)) % 1000003; done(sum); }; requestAnimationFrame(look); })";
 
 /// What the last picture of the 3-D view has.
 const CONTENTS: &str =
@@ -83,8 +85,12 @@ fn cell_view_moves_with_its_robot() {
             browser.value("!!document.querySelector('canvas.space')?.dataset.frames") == true;
         assert!(has_picture, "{}", browser.text(""));
         let (still, before) = (browser.value(PIXELS), browser.text("view"));
+        assert_ne!(still, 0, "no picture is drawn");
         let moving = motion(&cell);
-        wait(&mut browser, &format!("{PIXELS} !== {still}"));
+        wait(
+            &mut browser,
+            &format!("{PIXELS}.then(sum => sum !== {still})"),
+        );
         wait(
             &mut browser,
             "Number(document.querySelector('canvas.space').dataset.frames) > 5",

@@ -90,8 +90,21 @@ def test_cycles_nets_devices_and_log_are_shown(messages: dict[str, list[Any]]) -
     levels = {status.level for _, array in messages["/diagnostics"] for status in array.status}
     assert levels <= {b"\x00", b"\x01", b"\x02", 0, 1, 2}
     assert "the recording has begun" in [line.msg for _, line in messages["/rosout"]]
-    # The device was added while the controller ran.
-    assert 500 < len(messages["/plant/signals"]) <= len(cycles)
+
+
+def test_signals_are_steps_between_neighbouring_cycles(messages: dict[str, list[Any]]) -> None:
+    times = [time for time, _ in messages["/takt/thread"]]
+    before = dict(zip(times[1:], times))
+    signals = messages["/plant/signals"]
+    for (last, old), (time, new) in zip(signals, signals[1:]):
+        values = [str([*it.digital_inputs, *it.digital_outputs, *it.analogue_inputs, *it.analogue_outputs]) for it in (old, new)]
+        assert values[0] == values[1] or last == before[time]
+        assert time - last <= 1.1e9
+
+
+def test_frames_come_at_most_a_hundred_times_a_second(messages: dict[str, list[Any]]) -> None:
+    times = [time for time, list_ in messages["/tf"] if list_.transforms[0].child_frame_id == "left.flange"]
+    assert 50 < len(times) <= (times[-1] - times[0]) / 1e7 + 2
 
 
 def test_machine_states_are_shown(messages: dict[str, list[Any]]) -> None:

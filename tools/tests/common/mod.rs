@@ -114,6 +114,11 @@ impl Process {
         }
     }
 
+    /// Its number in the system.
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Waits for a line that contains `what`, of either stream.
     #[track_caller]
     pub(crate) fn wait_for(&mut self, what: &str) -> String {

@@ -33,13 +33,18 @@ impl Encoder {
             for (part, (words, last)) in
                 pairs.enumerate().filter(|(_, (words, last))| words != last)
             {
-                let mut changed = 0;
+                let (mut changed, mut end) = (0, self.message.len());
+                // Each is written, and the place of one that is the same is used again: a branch for each would take longer.
+                self.message.resize(end + words.len(), 0);
                 for (bit, (word, last)) in words.iter().zip(last).enumerate() {
-                    if word != last {
-                        changed |= 1 << bit;
-                        self.message.push(*word);
+                    let differs = word != last;
+                    changed |= u64::from(differs) << bit;
+                    if let Some(to) = self.message.get_mut(end) {
+                        *to = *word;
                     }
+                    end += usize::from(differs);
                 }
+                self.message.truncate(end);
                 if let Some(to) = self.message.get_mut(bits + part) {
                     *to = changed;
                 }

@@ -28,6 +28,9 @@ use crate::record::words::{Entry, Reader, start};
 /// Encoding of all messages.
 const ENCODING: &str = "cdr";
 
+/// Length of a chunk before its compression, bytes.
+const CHUNK: u64 = 512 << 10;
+
 /// A file that counts its bytes.
 struct Counted<W> {
     to: W,
@@ -153,6 +156,8 @@ impl<W: Write + Seek> Writer<W> {
             // Cycles that wait for the compression are lost: the fastest level, and no threads that compete with it.
             .compression_level(1)
             .compression_threads(0)
+            // As long as the window of that level: beyond it, the search for repetitions takes longer.
+            .chunk_size(Some(CHUNK))
             // A chunk is written as a whole, so that one that a crash cuts off is recognised.
             .disable_seeking(true)
             .profile("ros2")

@@ -52,10 +52,10 @@ export class Scene {
     this.thin = this.keep(renderer.loadLines(lines.thin));
     this.metre = this.keep(renderer.loadLines(lines.metre));
     this.axes = [0, 1, 2].map(axis => this.keep(renderer.loadLines([0, 0, 0, ...[0, 1, 2].map(it => it === axis ? AXIS : 0)])));
-    this.arrow = this.keep(renderer.load(arrow()));
+    this.arrow = this.keep(renderer.load(arrow(renderer.isSoftware)));
     this.parts = new Map(geometry.devices.map(device => [device.name, this.partsOf(device)]));
     this.objects = geometry.objects.map(object => {
-      const mesh = new Mesh();
+      const mesh = new Mesh(renderer.isSoftware);
       object.solids.forEach(solid => mesh.solid(solid));
       return { object, mesh: this.keep(renderer.load(mesh)) };
     });
@@ -95,7 +95,7 @@ export class Scene {
         continue;
       }
       const key = [solid.link, solid.role, solid.slide].join();
-      const part = parts.get(key) ?? { link: solid.link, role: solid.role, slide: solid.slide, mesh: new Mesh() };
+      const part = parts.get(key) ?? { link: solid.link, role: solid.role, slide: solid.slide, mesh: new Mesh(this.renderer.isSoftware) };
       part.mesh.solid(solid);
       parts.set(key, part);
     }

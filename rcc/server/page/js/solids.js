@@ -5,12 +5,14 @@ import { add, apply, beside, direct, length, subtract, unit } from "./math3.js";
 /** @typedef {import("./math3.js").Vector} Vector */
 /** @typedef {import("./geometry.js").Solid} Solid */
 
-/** Sides of what is round, and rings of a quarter of a sphere. */
-const SIDES = 20, RINGS = 5;
+/** Sides of what is round, and rings of a quarter of a sphere: fine ones, and those for browsers that draw in software. */
+const FINE = { sides: 20, rings: 5 }, COARSE = { sides: 10, rings: 2 };
 
 /** Triangles that grow solid by solid; at most 65,536 corners, as indices have 16 bits. */
 export class Mesh {
-  constructor() {
+  /** @param {boolean} isCoarse with fewer corners */
+  constructor(isCoarse) {
+    this.round = isCoarse ? COARSE : FINE;
     /** @type {number[]} */ this.positions = [];
     /** @type {number[]} */ this.normals = [];
     /** @type {number[]} */ this.indices = [];
@@ -28,9 +30,9 @@ export class Mesh {
   /** A ring of corners about a centre. @param {Vector} centre @param {Vector[]} sides two vectors across @param {number} radius
    * @param {Vector} up direction of the axis @param {number} slope of the normals along it, -1 to 1 @returns {number} its first corner */
   ring(centre, [x, y], radius, up, slope) {
-    const flat = Math.sqrt(1 - slope * slope), first = this.corners;
-    for (let side = 0; side <= SIDES; side++) {
-      const angle = 2 * Math.PI * side / SIDES, out = add(x.map(v => v * Math.cos(angle)), y, Math.sin(angle));
+    const flat = Math.sqrt(1 - slope * slope), first = this.corners, { sides } = this.round;
+    for (let side = 0; side <= sides; side++) {
+      const angle = 2 * Math.PI * side / sides, out = add(x.map(v => v * Math.cos(angle)), y, Math.sin(angle));
       this.corner(add(centre, out, radius), add(out.map(v => v * flat), up, slope));
     }
     return first;
@@ -38,7 +40,7 @@ export class Mesh {
 
   /** The band between two rings, the second above the first. @param {number} below @param {number} above */
   band(below, above) {
-    for (let side = 0; side < SIDES; side++) {
+    for (let side = 0; side < this.round.sides; side++) {
       const [a, b, c, d] = [below + side, below + side + 1, above + side, above + side + 1];
       this.indices.push(a, b, d, a, d, c);
     }
@@ -47,7 +49,7 @@ export class Mesh {
   /** A disc. @param {Vector} centre @param {Vector[]} sides @param {number} radius @param {Vector} up where it faces */
   disc(centre, sides, radius, up) {
     const middle = this.corner(centre, up), rim = this.ring(centre, sides, radius, up, 1);
-    for (let side = 0; side < SIDES; side++) this.indices.push(middle, rim + side, rim + side + 1);
+    for (let side = 0; side < this.round.sides; side++) this.indices.push(middle, rim + side, rim + side + 1);
   }
 
   /** A cone from a radius at one end to that at the other: a cylinder if they are equal.
@@ -67,10 +69,11 @@ export class Mesh {
     const up = length(subtract(to, from)) > 1e-9 ? unit(subtract(to, from)) : [0, 0, 1], sides = beside(up);
     /** @type {number | undefined} */
     let below;
-    for (let ring = -RINGS; ring <= RINGS; ring++) {
+    const { rings } = this.round;
+    for (let ring = -rings; ring <= rings; ring++) {
       // The middle ring is there twice, at both ends.
       for (const end of ring < 0 ? [from] : ring > 0 ? [to] : [from, to]) {
-        const slope = Math.sin(Math.PI / 2 * ring / RINGS), flat = Math.sqrt(Math.max(0, 1 - slope * slope));
+        const slope = Math.sin(Math.PI / 2 * ring / rings), flat = Math.sqrt(Math.max(0, 1 - slope * slope));
         const above = this.ring(add(end, up, radius * slope), sides, radius * flat, up, slope);
         if (below !== undefined) this.band(below, above);
         below = above;
@@ -106,9 +109,9 @@ export class Mesh {
   }
 }
 
-/** An arrow of length 1 along z. */
-export function arrow() {
-  const mesh = new Mesh();
+/** An arrow of length 1 along z. @param {boolean} isCoarse */
+export function arrow(isCoarse) {
+  const mesh = new Mesh(isCoarse);
   mesh.cone([0, 0, 0], [0, 0, 0.78], 0.035);
   mesh.cone([0, 0, 0.78], [0, 0, 1], 0.09, 0);
   return mesh;

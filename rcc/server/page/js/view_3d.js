@@ -121,6 +121,8 @@ class Mounted {
   }
 
   save() {
+    // The browser keeps what was drawn until this task ends.
+    this.draw();
     const link = /** @type {HTMLAnchorElement} */ (make("a"));
     link.href = this.canvas.toDataURL("image/png");
     link.download = "cell.png";

@@ -37,16 +37,26 @@ function link(gl, vertex, fragment) {
     normal: gl.getAttribLocation(/** @type {WebGLProgram} */ (program), "normal") };
 }
 
+/** Names of renderers that have no graphics processor. */
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+
+/** By the name of the renderer: not every browser that draws in software says that it is slow. */
+function drawsInSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl"), info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = gl?.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return SOFTWARE.test(String(name));
+}
+
 /** Least detail, and the factor of one step. */
 const DETAIL_MIN = 0.5, DETAIL_STEP = 0.8;
 
 export class Renderer {
   /** Throws if the browser has no WebGL. @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
-    // A browser that draws in software has no time for smooth edges.
-    const options = { preserveDrawingBuffer: true, powerPreference: /** @type {WebGLPowerPreference} */ ("low-power") };
-    const fast = canvas.getContext("webgl", { ...options, antialias: true, failIfMajorPerformanceCaveat: true });
-    const gl = fast ?? canvas.getContext("webgl", { ...options, antialias: false });
+    /** Whether the browser draws without a graphics processor: it has no time for smooth edges and many corners. */
+    this.isSoftware = drawsInSoftware();
+    const gl = canvas.getContext("webgl", { alpha: false, antialias: !this.isSoftware, powerPreference: "low-power" });
     if (!gl) throw new Error("This browser has no WebGL.\nhint: enable it, or use the tables of the other views");
     this.canvas = canvas;
     this.gl = gl;

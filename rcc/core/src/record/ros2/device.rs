@@ -14,6 +14,8 @@ use crate::record::ros2::{Sink, Stamp, Topics, or_nan, schemas};
 
 /// Time between two messages about a device whose state stays the same, ns.
 const DIAGNOSIS_NS: i64 = 1_000_000_000;
+/// Time between two messages about where a device is, ns: viewers draw no more pictures.
+const TRANSFORM_NS: i64 = 10_000_000;
 
 /// What a device reported in a cycle.
 #[derive(Clone, Copy, Debug)]
@@ -67,10 +69,12 @@ pub(super) struct DeviceTopics {
     states: Option<u16>,
     set_points: Option<u16>,
     wrench: Option<u16>,
-    io: Option<u16>,
+    io: Option<Signals>,
     figures: Option<u16>,
     /// The figures of the cycle before, and the second of the last message about them.
     figured: (Vec<u64>, Option<i64>),
+    /// When it was placed last, in [`TRANSFORM_NS`].
+    placed: Option<i64>,
     /// Status, faults and time of the last message about it.
     shown: Option<(DeviceStatus, u64, i64)>,
 }
@@ -117,9 +121,10 @@ impl DeviceTopics {
             states: of(has_joints, "joint_states", &schemas::JOINT_STATE)?,
             set_points: of(has_joints, "set_points", &schemas::JOINT_STATE)?,
             wrench: of(own.wrench.is_some(), "wrench", &schemas::WRENCH_STAMPED)?,
-            io: of(own.io.is_some(), "signals", &schemas::SIGNALS)?,
+            io: of(own.io.is_some(), "signals", &schemas::SIGNALS)?.map(Signals::new),
             figures,
             figured: (vec![0; own.figures.len()], None),
+            placed: None,
             own,
             shown: None,
         })
@@ -159,7 +164,7 @@ impl DeviceTopics {
             self.states,
             self.set_points,
             self.wrench,
-            self.io,
+            self.io.as_ref().map(|io| io.channel),
             self.figures,
         ];
         all.into_iter().flatten()
@@ -199,11 +204,8 @@ impl DeviceTopics {
             }
             to.message(channel, cdr.bytes(), at)?;
         }
-        if let (Some(channel), Some(io)) = (self.io, &self.own.io)
-            && to.wants(channel)
-        {
-            io_message(at.write(cdr.begin()), io, signals);
-            to.message(channel, cdr.bytes(), at)?;
+        if let (Some(topic), Some(io)) = (&mut self.io, &self.own.io) {
+            topic.reported(io, reported, (cdr, to), at)?;
         }
         self.figures(topics, to, reported, at)?;
         self.transforms(topics, to, reported, at)?;
@@ -262,19 +264,24 @@ impl DeviceTopics {
         to.message(channel, topics.cdr.bytes(), at)
     }
 
-    /// Where its flange is, or where it is itself.
+    /// Where its flange is, or where it is itself, in the first cycle of each hundredth of a second of the host's clock.
     fn transforms(
-        &self,
+        &mut self,
         topics: &mut Topics,
         to: &mut impl Sink,
-        Reported {
-            joints, signals, ..
-        }: Reported<'_>,
+        reported: Reported<'_>,
         at: Stamp,
     ) -> Result<(), Error> {
         let Some((parent, child)) = &self.frames else {
             return Ok(());
         };
+        let now = Some(reported.wall.div_euclid(TRANSFORM_NS));
+        if std::mem::replace(&mut self.placed, now) == now {
+            return Ok(());
+        }
+        let Reported {
+            joints, signals, ..
+        } = reported;
         let channel = topics.channel(to, "/tf", &schemas::TRANSFORMS)?;
         if !to.wants(channel) {
             return Ok(());
@@ -352,12 +359,79 @@ fn about(figure: &Figure) -> String {
     text.chars().filter(|c| !c.is_control()).collect()
 }
 
-fn io_message(cdr: &mut Cdr, io: &Io, signals: &[u64]) {
-    let bit = |value: Option<bool>| or_nan(value.map(|on| f64::from(u8::from(on))));
-    cdr.numbers(io.bool_in.iter().map(|it| bit(it.read(signals))));
-    cdr.numbers(io.bool_out.iter().map(|it| bit(it.state.read(signals))));
-    cdr.numbers(io.real_in.iter().map(|it| or_nan(it.read(signals))));
-    cdr.numbers(io.real_out.iter().map(|it| or_nan(it.state.read(signals))));
+/// The topic of the inputs and outputs of a device.
+#[derive(Debug)]
+struct Signals {
+    channel: u16,
+    /// Values of this cycle and of the one before.
+    values: Vec<f64>,
+    before: Vec<f64>,
+    /// The cycle before, if it has no message.
+    skipped: Option<Stamp>,
+    /// The second of the last message.
+    second: Option<i64>,
+}
+
+impl Signals {
+    const fn new(channel: u16) -> Self {
+        Self {
+            channel,
+            values: Vec::new(),
+            before: Vec::new(),
+            skipped: None,
+            second: None,
+        }
+    }
+
+    /// A message when one of them changes, after one with the values of the cycle before, so that a line through them is a step; and in
+    /// the first cycle of each second of the host's clock.
+    fn reported(
+        &mut self,
+        io: &Io,
+        Reported { signals, wall, .. }: Reported<'_>,
+        (cdr, to): (&mut Cdr, &mut impl Sink),
+        at: Stamp,
+    ) -> Result<(), Error> {
+        std::mem::swap(&mut self.values, &mut self.before);
+        let bit = |value: Option<bool>| or_nan(value.map(|on| f64::from(u8::from(on))));
+        let bool_in = io.bool_in.iter().map(|it| bit(it.read(signals)));
+        let bool_out = io.bool_out.iter().map(|it| bit(it.state.read(signals)));
+        let real_in = io.real_in.iter().map(|it| or_nan(it.read(signals)));
+        let real_out = io.real_out.iter().map(|it| or_nan(it.state.read(signals)));
+        self.values.clear();
+        self.values
+            .extend(bool_in.chain(bool_out).chain(real_in).chain(real_out));
+        let bits = |value: &f64| value.to_bits();
+        let before = self.before.iter().map(bits);
+        let has_changed = !self.values.iter().map(bits).eq(before);
+        let second = Some(wall.div_euclid(DIAGNOSIS_NS));
+        let is_due = std::mem::replace(&mut self.second, second) != second || has_changed;
+        let skipped = std::mem::replace(&mut self.skipped, (!is_due).then_some(at));
+        if !is_due || !to.wants(self.channel) {
+            return Ok(());
+        }
+        if let Some(skipped) = skipped.filter(|_| has_changed) {
+            Self::write(cdr, io, &self.before, skipped);
+            to.message(self.channel, cdr.bytes(), skipped)?;
+        }
+        Self::write(cdr, io, &self.values, at);
+        to.message(self.channel, cdr.bytes(), at)
+    }
+
+    fn write(cdr: &mut Cdr, io: &Io, mut values: &[f64], at: Stamp) {
+        at.write(cdr.begin());
+        let counts = [
+            io.bool_in.len(),
+            io.bool_out.len(),
+            io.real_in.len(),
+            io.real_out.len(),
+        ];
+        for count in counts {
+            let (group, rest) = values.split_at(count.min(values.len()));
+            cdr.numbers(group.iter().copied());
+            values = rest;
+        }
+    }
 }
 
 pub(super) fn transform(cdr: &mut Cdr, at: Stamp, (parent, child): (&str, &str), frame: &Frame) {
