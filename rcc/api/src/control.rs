@@ -9,8 +9,14 @@ use crate::motion::ArmDescription;
 use crate::net::{Net, Port};
 use crate::order::{Operation, Ports, Requests, Speed};
 
-/// Longest time until an arm has switched, s.
-const SWITCH_MAX_S: f64 = 10.0;
+/// Longest time until an arm has come to rest, s, and until it has switched.
+const REST_MAX_S: f64 = 10.0;
+const SWITCH_MAX_S: f64 = 20.0;
+/// An arm rests if no joint is farther than this from its mean, rad, over this time, s, for as long as the last, s. One that was a
+/// spring settles for seconds.
+const REST: f64 = 1e-4;
+const REST_MEAN_S: f64 = 0.3;
+const REST_S: f64 = 0.15;
 /// How long it follows again before it counts as switched, s.
 const STEADY_S: f64 = 0.1;
 /// How long the answer to a stiffness may be an error while the mode changes, s.
@@ -99,8 +105,8 @@ impl Control {
 }
 
 impl Arm {
-    /// Switches how the arm is controlled; it must be at rest where it is commanded. Some arms leave command mode for that
-    /// and come back: completed when the arm follows again. The mode stays until the arm switches again.
+    /// Switches how the arm is controlled, as soon as it rests. It must be where it is commanded. Some arms leave command mode for
+    /// that and come back: completed when the arm follows again. The mode stays until the arm switches again.
     pub fn switch_to(&self, control: Control) -> Activity {
         let arm = self.description().clone();
         Activity::new(self.session(), Switch { arm, control }, Speed::FULL)
@@ -115,6 +121,36 @@ struct Switch {
 }
 
 impl Switch {
+    /// Whether the arm has come to rest; true from then on.
+    fn rests(&self, net: &mut Net) -> Port {
+        let is_moving = (0..self.arm.joints.len()).map(|axis| {
+            let monitor = [
+                ("Robot", self.arm.name.as_str().into()),
+                ("Axis", axis.into()),
+            ];
+            let monitor = net.add("RobotArm::JointMonitor", monitor);
+            let position = monitor.out("outMeasuredPosition");
+            let mean = [
+                ("inValue", (&position).into()),
+                ("Duration", REST_MEAN_S.into()),
+            ];
+            let mean = net.add("Core::DoubleAverage", mean).out("outValue");
+            let apart = net.of_two("Core::DoubleSubtract", &position, &mean);
+            net.is_beyond(&apart, REST)
+        });
+        let is_moving: Vec<_> = is_moving.collect();
+        let always = [("Value", "true".into())];
+        let resting = match net.any(&is_moving) {
+            Some(moves) => net.of("Core::BooleanNot", &moves),
+            None => net.add("Core::BooleanValue", always).out("outValue"),
+        };
+        let resting = [("inValue", (&resting).into()), ("Duration", REST_S.into())];
+        let resting = net.add("Core::BooleanHistory", resting).out("outAll");
+        let (later, rests) = net.feedback(&resting);
+        net.close(&later, &rests);
+        rests
+    }
+
     /// Orders the parameters; returns the error number of each order.
     fn parameters(&self, net: &mut Net) -> Vec<Port> {
         let name = self.arm.name.as_str();
@@ -260,6 +296,10 @@ impl Operation for Switch {
         };
         let strategy = [("Value", self.control.strategy().into())];
         let strategy = net.add("Core::IntValue", strategy).out("outValue");
+        let rests = self.rests(net);
+        let moves = net.of("Core::BooleanNot", &rests);
+        let strategy = [("inValue", (&strategy).into()), ("inNull", (&moves).into())];
+        let strategy = net.add("Core::IntSetNull", strategy).out("outValue");
         let order = [("inStrategy", (&strategy).into()), ("Robot", name.into())];
         let order = net.add("KUKA::LWR::ControlStrategy", order);
         let orders = self.parameters(net);
@@ -293,12 +333,15 @@ impl Operation for Switch {
         }
         failures.extend(is_taken.map(|taken| self.refusal(net, &taken, &switched)));
         let clock = net.add("Core::Clock", []).out("outValue");
-        let late = [
-            ("inFirst", (&clock).into()),
-            ("Second", SWITCH_MAX_S.into()),
-        ];
-        let late = net.add("Core::DoubleGreater", late).out("outValue");
-        let cause = "it has not switched its control mode within 10 s";
+        let mut is_after = |limit_s: f64| {
+            let late = [("inFirst", (&clock).into()), ("Second", limit_s.into())];
+            net.add("Core::DoubleGreater", late).out("outValue")
+        };
+        let (restless, late) = (is_after(REST_MAX_S), is_after(SWITCH_MAX_S));
+        let restless = net.of_two("Core::BooleanAnd", &restless, &moves);
+        let cause = "it does not come to rest within 10 s, and cannot switch its control mode\nhint: does anything push it?";
+        failures.push((Failure::of("restless", name, cause), restless));
+        let cause = "it has not switched its control mode within 20 s";
         failures.push((Failure::of("late", name, cause), late));
         Ok(Ports {
             done: net.of_two("Core::BooleanOr", &steady, &requests.stop),

@@ -247,7 +247,7 @@ fn impedance_gives_way_and_position_returns() {
         assert!((pushed - shared).abs() < 1.5, "{pushed} N, not {shared} N");
         let above = Pose::xyz(0.0, 0.0, 0.02) * below;
         assert_eq!(arm.lin(above).run(), Ok(Outcome::Completed));
-        std::thread::sleep(Duration::from_millis(300));
+        // A spring still swings; the switch waits until it rests.
         let stiff = Control::position();
         assert_eq!(arm.switch_to(stiff).run(), Ok(Outcome::Completed));
         assert_eq!(arm.press(DOWN, FORCE).run(), Ok(Outcome::Maintaining));

@@ -67,15 +67,6 @@ class Station:
     def tip(self, arm: takt.Arm, beside: float) -> float:
         return float((arm.base * arm.pose() * takt.Pose.xyz(beside, 0.0, 0.16)).position[1])
 
-    def settle(self, arm: takt.Arm) -> None:
-        """Waits until an arm rests: its controller refuses to switch before. As a spring, its elbow takes seconds."""
-        for _ in range(60):
-            last = arm.positions()
-            time.sleep(0.15)
-            if abs(arm.positions() - last).max() < 1e-4:
-                return
-        raise RuntimeError(f"{arm.name} does not come to rest\nhint: does anything push it?")
-
     def start(self, is_unloaded: bool) -> None:
         """The base docks while the arms take their posture, and the hands open."""
         dock, back = (self.base.go_to(takt.Pose.xyz(x, 0.0, 0.0)) for x in (DOCK, DOCK + 0.1))
@@ -180,7 +171,6 @@ class Station:
         beside, up = HELD[0] + THREAD[0], HELD[2] + THREAD[1]
         before = (beside, SEATED - 0.02, up)
         perform("turn", bit.ptp_to(self.goal(before, FORTH)))
-        self.settle(bit)
         soft = takt.Control.cartesian([2000.0, 2000.0, 2000.0, 300.0, 300.0, 300.0], [0.7] * 6)
         perform("impedance", bit.switch_to(soft))
         tight = {"tight": self.driver.analogue_input(0) > TORQUE}
@@ -210,7 +200,6 @@ class Station:
                 raise RuntimeError(f"{text}\nhint: replace screw and socket")
             note("the screw is tight before its seat: it is turned back, and driven again")
         perform("leave the screw", self.lin(bit, (beside, SEATED - 0.15, up), FORTH))
-        self.settle(bit)
         perform("stiff", bit.switch_to(takt.Control.position()))
 
     def deliver(self) -> None:

@@ -62,10 +62,6 @@ const UNEVEN: f64 = 1.5;
 const WEIGHT: f64 = 11.0;
 /// Speed of a box that both arms carry, m/s: faster, an elbow does not keep up where the box passes the bases.
 const CARRY: f64 = 0.16;
-/// An arm rests whose joints move by less, rad, in this time. It is a spring while it drives the screw, and takes seconds then.
-const RESTS: f64 = 1e-4;
-const RESTS_FOR: Duration = Duration::from_millis(150);
-const RESTS_WITHIN: Duration = Duration::from_secs(10);
 /// What stops this far before its seat jams, m.
 const JAMMED: f64 = 0.003;
 /// Height of the fingers when the workpiece stands on its peg, m.
@@ -166,7 +162,6 @@ impl<'r> Station<'r> {
     /// After a fault: the screwdriver rests, and the arms are stiff where they are. Hands keep what they hold.
     pub(crate) fn recover(&self) -> Done {
         perform("driver off", self.driver.set_analogue(0, 0.0))?;
-        settle(&self.bit)?;
         perform("stiff", self.bit.switch_to(Control::position()))
     }
 
@@ -389,7 +384,6 @@ impl<'r> Station<'r> {
         perform("turn", bit.ptp_to(self.world.pose(before)))?;
         let [along, about] = STIFFNESS;
         let soft = Control::cartesian([along, along, along, about, about, about], [0.7; 6]);
-        settle(bit)?;
         perform("impedance", bit.switch_to(soft))?;
         let torque = self.driver.analogue_input(0)?;
         let driven = |speed| self.driver.set_analogue(0, speed);
@@ -433,7 +427,6 @@ impl<'r> Station<'r> {
         }
         let away = self.lin(bit, [beside, SEATED - 0.15, z], FORTH);
         perform("leave the screw", away)?;
-        settle(bit)?;
         perform("stiff", bit.switch_to(Control::position()))?;
         Ok(())
     }
@@ -482,27 +475,6 @@ fn ready(side: f64) -> Vec<f64> {
     let signs = [side, 1.0, side, 1.0, side, 1.0, side].map(f64::signum);
     let joints = READY.iter().zip(signs);
     joints.map(|(angle, sign)| deg(*angle) * sign).collect()
-}
-
-/// Waits until an arm rests: its controller refuses to switch before.
-fn settle(arm: &Arm) -> Done {
-    let until = Instant::now() + RESTS_WITHIN;
-    let mut last = arm.positions()?;
-    loop {
-        std::thread::sleep(RESTS_FOR);
-        let now = arm.positions()?;
-        if last.iter().zip(&now).all(|(a, b)| (a - b).abs() < RESTS) {
-            return Ok(());
-        }
-        if Instant::now() > until {
-            return Err(format!(
-                "{} does not come to rest\nhint: does anything push it?",
-                arm.description().name
-            )
-            .into());
-        }
-        last = now;
-    }
 }
 
 /// Limits of motions with another speed, m/s.

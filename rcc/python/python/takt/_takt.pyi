@@ -398,7 +398,7 @@ class Arm:
     def centre(self) -> MovingFrame:
         """Its motion centre as a frame that moves, where the arm is commanded."""
     def switch_to(self, control: Control, **options: Unpack[_Options]) -> Activity:
-        """Switches how the arm is controlled; it must be at rest. The mode stays until the arm switches again.
+        """Switches how the arm is controlled, as soon as it rests. The mode stays until the arm switches again.
 
         Some arms leave command mode for that and come back: completed when the arm follows again. Raises `Unsupported` if the
         arm or the program of its robot cannot, `Invalid` for a stiffness or damping out of its range.
