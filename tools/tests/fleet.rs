@@ -410,7 +410,9 @@ fn attempts() -> impl Iterator<Item = ()> {
 }
 
 /// Why a start on a host that stalls begins nowhere.
-const STALLED: [&str; 8] = [
+const STALLED: [&str; 9] = [
+    // Its keep-alives came too late.
+    "the session that prepared it has ended",
     "no answer from",
     "stalled",
     " ns late",

@@ -95,7 +95,12 @@ fn cell_view_moves_with_its_robot() {
             &mut browser,
             "Number(document.querySelector('canvas.space').dataset.frames) > 5",
         );
-        assert_ne!(browser.text("view"), before);
+        // The table follows four times a second.
+        let shown = "document.getElementById('view').innerText";
+        wait(
+            &mut browser,
+            &format!("{shown} !== {}", serde_json::Value::from(before)),
+        );
         for (name, width, is_dark) in [
             ("cell-light-1280", 1280, false),
             ("cell-dark-390", 390, true),

@@ -181,8 +181,9 @@ fn assert_part(live: &Collected, file: &Collected, values: &str) {
         ("/diagnostics", 1),
     ];
     for (topic, least) in least {
-        // What a device is when the stream begins; a recording has it from its own begin.
-        let first = if topic == "/diagnostics" { 2 } else { 0 };
+        // What and where a device is when the stream begins; a recording has it from its own begin.
+        let is_of_begin = ["/diagnostics", "/tf"].contains(&topic);
+        let first = if is_of_begin { 2 } else { 0 };
         let (live, file) = (&live.messages[topic][first..], &file.messages[topic]);
         assert!(live.len() >= least, "{topic}: {}", live.len());
         let is_part = file.windows(live.len()).any(|part| part == live);
