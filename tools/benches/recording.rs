@@ -7,10 +7,13 @@
     reason = "a benchmark prints its result and ends where it cannot go on"
 )]
 
+#[path = "../tests/common/mod.rs"]
+mod common;
+
 use std::fs;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
@@ -19,8 +22,6 @@ use serde_json::{Value, json};
 const PAIRS: usize = 3;
 /// Length of a run.
 const RUN: &str = "20s";
-/// Ticks of the processor times of the system in a second.
-const TICKS: f64 = 100.0;
 
 /// A run: latency and execution p99, ns, allocations, and the share of a processor of each thread.
 struct Run {
@@ -93,8 +94,9 @@ fn run(folder: &Path, record: Option<&PathBuf>) -> Run {
     let mut used = 0.0;
     let mut until = Duration::ZERO;
     while child.try_wait().unwrap().is_none() {
-        if let Some(ticks) = ticks_of(&child, "takt-record") {
-            (used, until) = (ticks / TICKS, begin.elapsed());
+        let writer = |name: &str| name == "takt-record";
+        if let Some(seconds) = common::processor_seconds(child.id(), writer) {
+            (used, until) = (seconds, begin.elapsed());
         }
         std::thread::sleep(Duration::from_millis(50));
     }
@@ -112,20 +114,4 @@ fn run(folder: &Path, record: Option<&PathBuf>) -> Run {
         report: report.unwrap_or(Value::Null),
         writer: used / until.as_secs_f64().max(1.0),
     }
-}
-
-/// Ticks of processor time that a thread of a process has taken, by its name.
-fn ticks_of(child: &Child, name: &str) -> Option<f64> {
-    let threads = fs::read_dir(format!("/proc/{}/task", child.id())).ok()?;
-    threads.flatten().find_map(|thread| {
-        let stat = fs::read_to_string(thread.path().join("stat")).ok()?;
-        let (head, rest) = stat.rsplit_once(") ")?;
-        if !head.ends_with(name) {
-            return None;
-        }
-        let fields: Vec<_> = rest.split(' ').collect();
-        let ticks = |field: usize| fields.get(field)?.parse::<f64>().ok();
-        // utime and stime, the 14th and 15th field.
-        Some(ticks(11)? + ticks(12)?)
-    })
 }

@@ -10,7 +10,6 @@
 #[path = "../tests/common/mod.rs"]
 mod common;
 
-use std::fs;
 use std::net::TcpListener;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -25,8 +24,6 @@ const PAIRS: usize = 3;
 const PHASE: Duration = Duration::from_secs(10);
 /// What follows a change is not measured.
 const SETTLED: Duration = Duration::from_secs(2);
-/// Ticks of the processor times of the system in a second.
-const TICKS: f64 = 100.0;
 /// Names of the threads of the fleet, and of zenoh's runtimes, begin so.
 const THREADS: [&str; 6] = ["fleet-", "acc-", "app-", "net-", "rx-", "tx-"];
 
@@ -102,28 +99,14 @@ fn net() -> String {
 
 /// Share of a processor of the threads of the fleet in a phase.
 fn share(process: u32) -> f64 {
+    let used = || {
+        let is_of_fleet = |name: &str| THREADS.iter().any(|begin| name.starts_with(begin));
+        common::processor_seconds(process, is_of_fleet).unwrap()
+    };
     std::thread::sleep(SETTLED);
-    let (begin, before) = (Instant::now(), ticks(process));
+    let (begin, before) = (Instant::now(), used());
     std::thread::sleep(PHASE);
-    (ticks(process) - before) / TICKS / begin.elapsed().as_secs_f64()
-}
-
-/// Ticks of processor time that the threads of the fleet in a process have taken.
-fn ticks(process: u32) -> f64 {
-    let threads = fs::read_dir(format!("/proc/{process}/task")).unwrap();
-    let ticks = threads.flatten().filter_map(|thread| {
-        let stat = fs::read_to_string(thread.path().join("stat")).ok()?;
-        let (head, rest) = stat.rsplit_once(") ")?;
-        let (_, name) = head.split_once('(')?;
-        if !THREADS.iter().any(|begin| name.starts_with(begin)) {
-            return None;
-        }
-        let fields: Vec<_> = rest.split(' ').collect();
-        let ticks = |field: usize| fields.get(field)?.parse::<f64>().ok();
-        // utime and stime, the 14th and 15th field.
-        Some(ticks(11)? + ticks(12)?)
-    });
-    ticks.sum()
+    (used() - before) / begin.elapsed().as_secs_f64()
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

@@ -89,7 +89,7 @@ fn cell_view_moves_with_its_robot() {
         let moving = motion(&cell);
         wait(
             &mut browser,
-            &format!("{PIXELS}.then(sum => sum !== {still})"),
+            &format!("{PIXELS}.then(sum => sum !== 0 && sum !== {still})"),
         );
         wait(
             &mut browser,

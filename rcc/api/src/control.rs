@@ -139,11 +139,11 @@ impl Switch {
             net.is_beyond(&apart, REST)
         });
         let is_moving: Vec<_> = is_moving.collect();
-        let always = [("Value", "true".into())];
-        let resting = match net.any(&is_moving) {
-            Some(moves) => net.of("Core::BooleanNot", &moves),
-            None => net.add("Core::BooleanValue", always).out("outValue"),
-        };
+        let never = [("Value", "false".into())];
+        let never = net.add("Core::BooleanValue", never).out("outValue");
+        let moves = net.any(&is_moving).unwrap_or(never);
+        // What was before the net counts as false: as moving.
+        let resting = net.of("Core::BooleanNot", &moves);
         let resting = [("inValue", (&resting).into()), ("Duration", REST_S.into())];
         let resting = net.add("Core::BooleanHistory", resting).out("outAll");
         let (later, rests) = net.feedback(&resting);

@@ -11,6 +11,7 @@ use takt_api::{
     Arm, CartesianLimits, Cell, Control, Direction, ErrorKind, ForceLimits, Handle,
     JointTrajectory, Outcome, Pose,
 };
+use takt_embedded::{Embedded, EmulatedCell};
 use takt_tests::steady;
 
 /// The flange points down.
@@ -252,6 +253,32 @@ fn impedance_gives_way_and_position_returns() {
         assert_eq!(arm.switch_to(stiff).run(), Ok(Outcome::Completed));
         assert_eq!(arm.press(DOWN, FORCE).run(), Ok(Outcome::Maintaining));
         cell.close().unwrap();
+    });
+}
+
+#[test]
+fn impedance_of_arm_that_never_rests_is_refused_with_remedy() {
+    steady(|| {
+        let embedded = Embedded::emulate(EmulatedCell::named("lwr_table").unwrap()).unwrap();
+        let address = embedded.address().to_string();
+        let cells = [(); 2].map(|()| Cell::connect(&address).unwrap());
+        let [arm, moved] = cells.each_ref().map(|cell| cell.arm("arm").unwrap());
+        assert_eq!(moved.ptp(ABOVE).run(), Ok(Outcome::Completed));
+        // Another program moves the arm for longer than the switch waits.
+        let mut away = ABOVE;
+        away[0] = 1.0;
+        let motion = moved.ptp(away).speed(0.04).begin().unwrap();
+        let soft = Control::cartesian([2000.0; 6], [0.7; 6]);
+        let error = arm.switch_to(soft).run().unwrap_err();
+        assert!(motion.outcome().is_none(), "{:?}", motion.outcome());
+        let text = error.to_string();
+        assert!(text.contains("does not come to rest"), "{text}");
+        assert!(text.contains("\nhint: does anything push it?"), "{text}");
+        motion.cancel();
+        for cell in cells {
+            cell.close().unwrap();
+        }
+        embedded.stop().unwrap();
     });
 }
 

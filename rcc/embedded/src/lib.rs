@@ -18,4 +18,4 @@ pub use machines::Machines;
 pub use surroundings::{CellWorld, Mounted};
 pub use takt_core::CellConfig;
 pub use takt_world as world;
-pub use watch::{Figures, INTERNAL_LOST_N, Moment, Record, set_points, watch};
+pub use watch::{Figures, Moment, Record, set_points, watch};

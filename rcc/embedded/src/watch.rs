@@ -27,10 +27,6 @@ pub(crate) const AT_HOLE: f64 = 0.005;
 /// Height of the middle of a box above which it is in motion, m.
 pub(crate) const CARRIED: f64 = 0.16;
 
-/// Largest internal force of a box that two hands hold with 40 N each when an arm or a process is lost, N: the pads slide beyond
-/// 48 N across them, which is twice their friction of 0.6, and give way beyond the 40 N of the fingers; together 62 N.
-pub const INTERNAL_LOST_N: f64 = 62.5;
-
 /// A moment of an assembly.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Moment {

@@ -117,12 +117,12 @@ fn main() {
     let [tcp_us, zenoh_us, query_us, command_us] =
         [echoes, bares, queries, commands].map(quantiles);
     if as_json {
-        let of = |[p50, p99]: [f64; 2], [tcp, _]: [f64; 2]| json!({"p50_us": p50, "p99_us": p99, "ratio_p50": p50 / tcp});
+        let of = |[p50, p99]: [f64; 2]| json!({"p50_us": p50, "p99_us": p99, "ratio_p50": p50 / tcp_us[0], "ratio_zenoh_p50": p50 / zenoh_us[0]});
         let figures = json!({
-            "tcp": of(tcp_us, tcp_us),
-            "zenoh": of(zenoh_us, tcp_us),
-            "query": of(query_us, tcp_us),
-            "command": of(command_us, tcp_us),
+            "tcp": of(tcp_us),
+            "zenoh": of(zenoh_us),
+            "query": of(query_us),
+            "command": of(command_us),
         });
         println!("{}", json!({ "query": figures }));
         return;
@@ -133,8 +133,10 @@ fn main() {
         ("query", query_us),
         ("command", command_us),
     ] {
-        let ratio = p50 / tcp_us[0];
-        println!("{name:<9} p50 {p50:7.1} us, p99 {p99:7.1} us, {ratio:5.2} x the echo");
+        let [of_tcp, of_zenoh] = [tcp_us, zenoh_us].map(|[base, _]| p50 / base);
+        println!(
+            "{name:<9} p50 {p50:7.1} us, p99 {p99:7.1} us, {of_tcp:5.2} x the echo, {of_zenoh:5.2} x zenoh"
+        );
     }
 }
 

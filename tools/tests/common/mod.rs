@@ -75,6 +75,23 @@ pub(crate) fn complaint(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
+/// Processor time that the threads of a process with these names have taken, s; `None` without such a thread.
+pub(crate) fn processor_seconds(process: u32, is_wanted: impl Fn(&str) -> bool) -> Option<f64> {
+    /// Ticks of the processor times of the system in a second.
+    const TICKS: f64 = 100.0;
+    let threads = std::fs::read_dir(format!("/proc/{process}/task")).ok()?;
+    let seconds = threads.flatten().filter_map(|thread| {
+        let stat = std::fs::read_to_string(thread.path().join("stat")).ok()?;
+        let (head, rest) = stat.rsplit_once(") ")?;
+        let (_, name) = head.split_once('(')?;
+        let fields: Vec<_> = rest.split(' ').filter(|_| is_wanted(name)).collect();
+        let ticks = |field: usize| fields.get(field)?.parse::<f64>().ok();
+        // utime and stime, the 14th and 15th field.
+        Some((ticks(11)? + ticks(12)?) / TICKS)
+    });
+    seconds.reduce(|sum, seconds| sum + seconds)
+}
+
 /// A process that goes on while the test does.
 pub(crate) struct Process {
     child: Child,

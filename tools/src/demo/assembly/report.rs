@@ -4,14 +4,15 @@ use serde::Serialize;
 use std::fmt::Write as _;
 use takt_core::Controller;
 use takt_embedded::world::Truth;
-use takt_embedded::{Fault, Figures, INTERNAL_LOST_N, Record};
+use takt_embedded::{Fault, Figures, Record};
 
 use super::program::Step;
 use super::supervisor::{States, Supervised};
 use crate::Verdict;
 
-/// Largest internal force of a box, N.
+/// Largest internal force of a box, N; and where an arm or a process is lost while both arms carry it.
 const INTERNAL: f64 = 15.0;
+const INTERNAL_LOST: f64 = 48.0;
 /// Largest change of the distance of the hands, mm.
 const GRASP: f64 = 0.2;
 /// Largest force on the peg, N.
@@ -221,11 +222,7 @@ impl Report {
 
 /// Forces and losses, which no fault excuses.
 fn judge_handling(is_outside: bool, figures: &Figures, check: &mut impl FnMut(bool, String)) {
-    let most = if is_outside {
-        INTERNAL_LOST_N
-    } else {
-        INTERNAL
-    };
+    let most = if is_outside { INTERNAL_LOST } else { INTERNAL };
     check(
         figures.internal_n <= most,
         format!(
