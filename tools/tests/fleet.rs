@@ -863,6 +863,9 @@ fn fleet_start_over_slow_lossy_and_split_network() {
     let loss = Loss::begin();
     let _begun = (0..5).find_map(|_| start());
     drop(loss);
+    // Connections recover from the loss, and starts begin again.
+    let recovered = attempts().find_map(|()| start());
+    recovered.expect("no start after the loss");
 
     // Split in motion: both sides end their nets by the policy, and nothing begins again when the network is back.
     let (a, b) = (format!("weld3={hold}"), format!("glue1={hold}"));

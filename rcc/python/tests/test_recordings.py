@@ -20,12 +20,14 @@ import takt
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
-    """A recording of a motion of the left arm."""
+    """A recording of a motion of the left arm and of an output that is set and reset."""
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
     process = subprocess.Popen([program("controller"), str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdin is not None and process.stdout is not None
     with takt.connect(process.stdout.readline().strip()) as cell:
         assert cell.arm("left").ptp(BENT).run() == takt.Outcome.Completed
+        for value in (True, False):
+            assert cell.io("plant").set(3, value).run() == takt.Outcome.Completed
     process.stdin.close()
     assert process.wait(timeout=60.0) == 0
     return path
@@ -82,7 +84,8 @@ def test_cycles_nets_devices_and_log_are_shown(messages: dict[str, list[Any]]) -
     assert max(cycle.nets for cycle in cycles) == 1
     events = [(event.event, event.cause) for _, event in messages["/takt/net_events"]]
     assert [event for event, _ in events][0] == "started" and events[-1] == ("ended", "terminated")
-    (net,) = {event.net for _, event in messages["/takt/net_events"]}
+    net, *others = dict.fromkeys(event.net for _, event in messages["/takt/net_events"])
+    assert len(others) == 2, "one for each value of the output"
     progress = [value.progress for _, value in messages[f"/takt/nets/{net}"]]
     assert progress == sorted(progress) and progress[-1] == pytest.approx(1.0)
     shown = Counter(status.name for _, array in messages["/diagnostics"] for status in array.status)
@@ -100,6 +103,9 @@ def test_signals_are_steps_between_neighbouring_cycles(messages: dict[str, list[
         values = [str([*it.digital_inputs, *it.digital_outputs, *it.analogue_inputs, *it.analogue_outputs]) for it in (old, new)]
         assert values[0] == values[1] or last == before[time]
         assert time - last <= 1.1e9
+    outputs = [signal.digital_outputs[3] for _, signal in signals]
+    steps = [(old, new) for old, new in zip(outputs, outputs[1:]) if old != new and not math.isnan(new - old)]
+    assert steps == [(0.0, 1.0), (1.0, 0.0)]
 
 
 def test_frames_come_at_most_a_hundred_times_a_second(messages: dict[str, list[Any]]) -> None:
