@@ -698,7 +698,7 @@ fn delay(listen: &str, to: &'static str, by: std::time::Duration) {
                 continue;
             };
             // An end that has gone already has no use for it.
-            let _ = near.set_nodelay(true).and(far.set_nodelay(true));
+            let _ = near.set_nodelay(true).and_then(|()| far.set_nodelay(true));
             for (from, to) in [(&near, &far), (&far, &near)] {
                 let (from, to) = (from.try_clone().unwrap(), to.try_clone().unwrap());
                 pass_on(from, to, by);

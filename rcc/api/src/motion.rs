@@ -19,14 +19,14 @@ mod trajectory;
 use std::sync::Arc;
 use std::time::Duration;
 
-use takt_motion::plan::FrameBounds;
+use takt_motion::plan::{Bounds, FrameBounds};
 use takt_motion::{Model, URDF};
 use takt_net::device::Kinematics;
 
 use crate::engine::Failure;
 use crate::error::ErrorKind;
 use crate::net::{Argument, Net, Port, Primitive, array};
-use crate::plan::{bounds, joint_bounds};
+use crate::plan::joint_bounds;
 use crate::pose::Pose;
 pub(crate) use centre::Centre;
 pub(crate) use coupled::{CoupledMotion, Holder};
@@ -106,40 +106,49 @@ impl Default for CartesianLimits {
 }
 
 impl CartesianLimits {
-    /// The longest time that braking takes at a part of the speed, s.
+    /// The longest time that braking from a part of the speed takes, s.
     pub(crate) fn braking_s(&self, speed: f64) -> f64 {
         let FrameBounds {
             translation,
             rotation,
-        } = self.bounds(speed);
-        let time = |it: takt_motion::plan::Bounds| {
-            it.velocity / it.acceleration + it.acceleration / it.jerk
+        } = self.bounds();
+        let time = |it: Bounds| {
+            let velocity = it.velocity * speed;
+            if velocity * it.jerk < it.acceleration * it.acceleration {
+                // The acceleration is not reached.
+                return 2.0 * (velocity / it.jerk).sqrt();
+            }
+            velocity / it.acceleration + it.acceleration / it.jerk
         };
         f64::max(time(translation), time(rotation))
     }
 
-    /// Limits at a part of the speed, which scales time.
-    pub(crate) fn bounds(&self, speed: f64) -> FrameBounds {
-        let rotation = [self.rot_velocity, self.rot_acceleration, self.rot_jerk];
+    /// The limits as those of plans.
+    pub(crate) const fn bounds(&self) -> FrameBounds {
         FrameBounds {
-            translation: bounds([self.velocity, self.acceleration, self.jerk], speed),
-            rotation: bounds(rotation, speed),
+            translation: Bounds {
+                velocity: self.velocity,
+                acceleration: self.acceleration,
+                jerk: self.jerk,
+            },
+            rotation: Bounds {
+                velocity: self.rot_velocity,
+                acceleration: self.rot_acceleration,
+                jerk: self.rot_jerk,
+            },
         }
     }
 
     /// Parameters of the primitives that move frames.
-    fn arguments(&self, speed: f64) -> [(&'static str, Argument); 6] {
-        let FrameBounds {
-            translation,
-            rotation,
-        } = self.bounds(speed);
+    fn arguments(&self, speed: f64) -> [(&'static str, Argument); 7] {
         [
-            ("Velocity", translation.velocity.into()),
-            ("Acceleration", translation.acceleration.into()),
-            ("Jerk", translation.jerk.into()),
-            ("RotVelocity", rotation.velocity.into()),
-            ("RotAcceleration", rotation.acceleration.into()),
-            ("RotJerk", rotation.jerk.into()),
+            ("Velocity", self.velocity.into()),
+            ("Acceleration", self.acceleration.into()),
+            ("Jerk", self.jerk.into()),
+            ("RotVelocity", self.rot_velocity.into()),
+            ("RotAcceleration", self.rot_acceleration.into()),
+            ("RotJerk", self.rot_jerk.into()),
+            ("Speed", speed.into()),
         ]
     }
 
@@ -262,11 +271,11 @@ impl ArmDescription {
         self.joints.iter().map(limits).collect()
     }
 
-    /// Velocity, acceleration and jerk of each joint at a part of the speed, as arrays.
-    pub(crate) fn limit_texts(&self, speed: f64) -> [String; 3] {
+    /// Velocity, acceleration and jerk of each joint, as arrays.
+    pub(crate) fn limit_texts(&self) -> [String; 3] {
         let joints = self.joints.iter();
-        let bounds: Vec<_> = joints.map(|joint| joint_bounds(joint, speed)).collect();
-        let of = |limit: &dyn Fn(&takt_motion::plan::Bounds) -> f64| {
+        let bounds: Vec<_> = joints.map(|joint| joint_bounds(joint, 1.0)).collect();
+        let of = |limit: &dyn Fn(&Bounds) -> f64| {
             let limits: Vec<_> = bounds.iter().map(limit).collect();
             array(&limits)
         };
@@ -391,7 +400,7 @@ impl ArmDescription {
         let positions = self.joint_array(net, "outCommandedPosition");
         let velocities = self.joint_array(net, "outCommandedVelocity");
         let accelerations = self.joint_array(net, "outCommandedAcceleration");
-        let [velocity, acceleration, jerk] = self.limit_texts(speed);
+        let [velocity, acceleration, jerk] = self.limit_texts();
         let over = net.override_in();
         net.add(
             "Motion::Track",
@@ -405,6 +414,7 @@ impl ArmDescription {
                 ("Velocity", velocity.into()),
                 ("Acceleration", acceleration.into()),
                 ("Jerk", jerk.into()),
+                ("Speed", speed.into()),
             ],
         )
     }

@@ -182,21 +182,12 @@ fn positions(sample: &JointSample) -> Vec<f64> {
 /// be slower than that of the controller, and the last stage before the wire holds back what is then too fast.
 const VELOCITY_PART_MAX: f64 = 0.999;
 
-/// Limits of a joint at a part of the speed.
+/// Limits of a joint at a part of the speed, which scales time.
 pub(crate) fn joint_bounds(joint: &JointLimits, speed: f64) -> Bounds {
-    let bounds = bounds([joint.velocity, joint.acceleration, joint.jerk], speed);
     Bounds {
-        velocity: bounds.velocity.min(joint.velocity * VELOCITY_PART_MAX),
-        ..bounds
-    }
-}
-
-/// Limits at a part of the speed, which scales time.
-pub(crate) fn bounds([velocity, acceleration, jerk]: [f64; 3], speed: f64) -> Bounds {
-    Bounds {
-        velocity: velocity * speed,
-        acceleration: acceleration * speed * speed,
-        jerk: jerk * speed * speed * speed,
+        velocity: joint.velocity * VELOCITY_PART_MAX * speed,
+        acceleration: joint.acceleration * speed * speed,
+        jerk: joint.jerk * speed * speed * speed,
     }
 }
 

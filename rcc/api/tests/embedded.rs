@@ -268,6 +268,27 @@ fn emulated_cell_unknown_name_lists_known_ones() {
 }
 
 #[test]
+fn slow_motion_stops_within_whole_limits() {
+    steady(|| {
+        let cell = Cell::emulated("two_lwr").unwrap();
+        let left = cell.arm("left").unwrap();
+        left.ptp(BENT).run().unwrap();
+        let mut far = BENT;
+        far[0] = 2.0;
+        let handle = left.ptp(far).speed(0.1).begin().unwrap();
+        let at = |index: usize| left.commanded().unwrap()[index];
+        while at(0) < BENT[0] + 0.3 {}
+        let before = at(0);
+        handle.cancel();
+        handle.wait_to_end().unwrap();
+        // Within limits that are slowed as it is, it would go on as far as from full speed.
+        let way = at(0) - before;
+        assert!(way < 0.04, "{way} rad");
+        cell.close().unwrap();
+    });
+}
+
+#[test]
 fn emulated_cell_dropped_ends_its_controller() {
     steady(|| {
         let cell = Cell::emulated("two_lwr").unwrap();

@@ -70,7 +70,7 @@ impl Centre {
         let (at_in, at) = net.state("World::Frame", &begin.frame);
         let (velocity_in, velocity) = net.state("World::Vector", &parts.out("outTransVel"));
         let (rotation_in, rotation) = net.state("World::Vector", &parts.out("outRotVel"));
-        let bounds = self.limits.bounds(1.0);
+        let bounds = self.limits.bounds();
         Moving {
             at_in,
             velocity_in,

@@ -102,7 +102,7 @@ impl CoupledMotion {
         let start = in_base * self.start(begins)?;
         let route = self.route.moved(&in_base);
         let object: MotionPlan<FrameSample> = route
-            .plan(&start, self.limits.bounds(speed), arm.period)
+            .plan(&start, (&self.limits, speed), arm.period)
             .map_err(|error| unplanned(arm, error))?;
         let grasp = holder.grasp.isometry();
         let joints = object.joints(&*kinematics, &arm.limits(), &begin.joints, grasp);

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use takt_motion::plan::{self, FrameBounds, FrameSample, FrameState, PlanError, plan_frame};
+use takt_motion::plan::{self, FrameSample, FrameState, PlanError, plan_frame_at};
 
 use super::{ArmDescription, CartesianLimits};
 use crate::error::ErrorKind;
@@ -93,11 +93,11 @@ impl Route {
         }
     }
 
-    /// Plans it from rest at a start.
+    /// Plans it from rest at a start, at a part of the speed.
     pub(crate) fn plan(
         &self,
         start: &Pose,
-        bounds: FrameBounds,
+        (limits, speed): (&CartesianLimits, f64),
         period: Duration,
     ) -> Result<plan::Plan<FrameSample>, PlanError> {
         let from = *start.isometry();
@@ -116,7 +116,13 @@ impl Route {
                 }
             }
         };
-        plan_frame(&FrameState::at_rest(from), &route, bounds, period)
+        plan_frame_at(
+            &FrameState::at_rest(from),
+            &route,
+            limits.bounds(),
+            speed,
+            period,
+        )
     }
 
     /// Writes the primitive that moves the frame, from where it is in motion, else from `start`; `None` if the path needs

@@ -104,7 +104,7 @@ impl Operation for ArmMotion {
         };
         let kinematics = arm.kinematics().ok_or_else(|| arm.no_model())?;
         let start = Pose::from(kinematics.forward(&begin.joints)) * self.tool;
-        let frames = route.plan(&start, self.limits.bounds(speed), arm.period);
+        let frames = route.plan(&start, (&self.limits, speed), arm.period);
         let frames = frames.map_err(|error| unplanned(arm, error))?;
         let flange = self.tool.isometry().inverse();
         let limits = arm.limits();
@@ -191,7 +191,7 @@ impl ArmMotion {
         let velocities = arm.joint_array(net, "outCommandedVelocity");
         let accelerations = arm.joint_array(net, "outCommandedAcceleration");
         let over = net.override_in();
-        let [velocity, acceleration, jerk] = arm.limit_texts(requests.speed);
+        let [velocity, acceleration, jerk] = arm.limit_texts();
         let ptp = net.add(
             "Motion::Ptp",
             [
@@ -204,6 +204,7 @@ impl ArmMotion {
                 ("Velocity", velocity.into()),
                 ("Acceleration", acceleration.into()),
                 ("Jerk", jerk.into()),
+                ("Speed", requests.speed.into()),
             ],
         );
         Ok(Course {

@@ -82,7 +82,7 @@ fn arc_begins_where_the_arm_is() {
 fn line_needs_no_known_start() {
     let text = net(along(Route::Line(flange())), &Begins::new()).unwrap();
     assert!(
-        text.contains("Join='0'") && text.contains("Velocity='0.125'"),
+        text.contains("Join='0'") && text.contains("Velocity='0.25'"),
         "{text}"
     );
 }
@@ -201,18 +201,16 @@ fn coupled_net_outlives_a_failure_until_rest() {
         )),
         "{text}"
     );
-    // At half the speed, braking takes up to 0.7 s.
-    assert!(lost.contains("Time='1.4'"), "{lost}");
-    let mut fast = coupled();
-    fast.limits.acceleration = 4.0;
-    fast.limits.jerk = 1000.0;
-    fast.limits.rot_jerk = 1000.0;
-    let text = net(fast, &begins).unwrap();
-    assert!(text.contains("DeviceFailure(Time='1')"), "{text}");
-    let mut slow = coupled();
-    slow.limits.jerk = 0.01;
-    let text = net(slow, &begins).unwrap();
-    assert!(text.contains("DeviceFailure(Time='10')"), "{text}");
+    // From half the speed, braking takes up to 0.225 s.
+    assert!(lost.contains("Time='1'"), "{lost}");
+    for (acceleration, jerk, time) in [(0.2, 10.0, "1.29"), (1.0, 0.5, "2"), (1.0, 0.01, "10")] {
+        let mut slow = coupled();
+        slow.limits.acceleration = acceleration;
+        slow.limits.jerk = jerk;
+        let text = net(slow, &begins).unwrap();
+        let lost = format!("DeviceFailure(Time='{time}')");
+        assert!(text.contains(&lost), "{text}");
+    }
 }
 
 #[test]
@@ -290,9 +288,29 @@ fn stream_nets_track_goals_once_written() {
 
 #[test]
 fn full_speed_leaves_room_for_device_clock() {
-    for (speed, velocity) in [(1.0, 2.0 * 0.999), (0.9995, 2.0 * 0.999), (0.5, 1.0)] {
-        let [text, ..] = arm("left").limit_texts(speed);
-        assert_eq!(text, array(&[velocity; 7]), "{speed}");
+    let [text, ..] = arm("left").limit_texts();
+    assert_eq!(text, array(&[2.0 * 0.999; 7]));
+}
+
+/// What brakes a motion at a part of the speed has its whole limits: the primitive takes both.
+#[test]
+fn motions_at_part_of_speed_have_whole_limits() {
+    let begins = begins(&["left", "right"]);
+    let line = along(Route::Line(flange() * Pose::xyz(0.0, 0.0, 0.1)));
+    let joints = ArmMotion {
+        path: Ok(Path::Ptp(vec![0.5; 7])),
+        ..line.clone()
+    };
+    let [_, acceleration, jerk] = arm("left").limit_texts();
+    let of_joints = format!("Acceleration='{acceleration}', Jerk='{jerk}', Speed='0.5'");
+    let of_frame = "Velocity='0.25', Acceleration='1', Jerk='10', RotVelocity='0.5', RotAcceleration='2.5', RotJerk='25', Speed='0.5'";
+    for (text, limits) in [
+        (net(joints, &begins).unwrap(), of_joints.as_str()),
+        (net(line, &begins).unwrap(), of_frame),
+        (net(coupled(), &begins).unwrap(), of_frame),
+        (live_net(Hold { arm: arm("left") }), &of_joints),
+    ] {
+        assert!(text.contains(limits), "{limits}: {text}");
     }
 }
 

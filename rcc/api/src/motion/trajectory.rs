@@ -212,7 +212,7 @@ impl Operation for Along {
         let velocities = arm.joint_array(net, "outCommandedVelocity");
         let accelerations = arm.joint_array(net, "outCommandedAcceleration");
         let measured = arm.joint_array(net, "outMeasuredPosition");
-        let [velocity, acceleration, jerk] = arm.limit_texts(1.0);
+        let [velocity, acceleration, jerk] = arm.limit_texts();
         let tolerance = |list: &[f64]| array(if list.is_empty() { &[0.0] } else { list });
         let arguments = [
             ("inStop", (&requests.stop).into()),
