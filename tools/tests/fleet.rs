@@ -525,7 +525,7 @@ fn fleet_start_begins_on_two_controllers_in_one_cycle() {
         is_lost && line.contains("the nets are cancelled")
     });
     let (lines, status) = started.end();
-    assert_eq!(status, Some(1), "{lines:?}");
+    assert_eq!(status, Some(2), "{lines:?}");
     // A cell that is not there.
     let output = fleet(&endpoint, &["start", &a, "cell-x=rpinet0", "--yes"]);
     expect_status(&output, 2);

@@ -172,13 +172,19 @@ impl Start {
         }
         let until = self.duration.map(|duration| Instant::now() + duration);
         let mut is_cancelled = false;
+        let mut answered = Instant::now();
         let ended = loop {
+            let asked = Instant::now();
             let all = together.statuses(fleet)?;
-            let is_over = |status: &Option<Status>| {
-                let stage = status.as_ref().map(|it| it.stage);
-                matches!(stage, Some(Stage::Over | Stage::Failed) | None)
-            };
-            if all.iter().all(|(_, status)| is_over(status)) {
+            let stages = || all.iter().map(|(_, it)| it.as_ref().map(|it| it.stage));
+            if stages().all(|stage| matches!(stage, Some(Stage::Over | Stage::Failed))) {
+                break all;
+            }
+            if stages().all(|stage| stage.is_some()) {
+                answered = asked;
+            }
+            // A session that its cell misses meanwhile ends there, and the next answer says so.
+            if answered.elapsed() >= self.link.timeout {
                 break all;
             }
             let is_due = until.is_some_and(|until| Instant::now() >= until);
@@ -193,14 +199,14 @@ impl Start {
         }
         let mut verdict = Verdict::Good;
         for (cell, status) in &ended {
-            let why = match status {
-                None => Some("it does not answer any more\nhint: takt fleet list"),
-                Some(status) => status.why.as_deref(),
-            };
+            let why = status.as_ref().and_then(|it| it.why.as_deref());
             if let Some(why) = why {
                 complain(&format!("{cell}: {why}"));
                 verdict = Verdict::Failed;
             }
+        }
+        if let Some((cell, _)) = ended.iter().find(|(_, status)| status.is_none()) {
+            bail!("{cell}: it does not answer any more, or has restarted\nhint: takt fleet list");
         }
         Ok(verdict)
     }
