@@ -1,4 +1,4 @@
-//! Two arms assemble a workpiece: the program in `program.rs`, with and without blending. A table of its steps.
+//! Two arms assemble a workpiece: the program in `program.rs` with its station, with and without blending. A table of its steps.
 //! `cargo run -p takt-api --features embedded --example assembly`
 
 #![expect(
@@ -8,6 +8,7 @@
 )]
 
 #[allow(dead_code, reason = "here no machine supervises the program")]
+#[path = "program.rs"]
 mod program;
 
 use std::time::Duration;
