@@ -21,6 +21,7 @@ use takt_can::canopen::network::{
     AxisCommand, AxisFault, AxisPlan, Download, Event, Network, NetworkConfig, NetworkError,
     NodeFault, NodePlan, Phase, Supervision, Transfer,
 };
+use takt_can::canopen::pdo::Parameters;
 use takt_can::canopen::sdo::Outcome;
 use takt_can::canopen::{Emergency, emergency};
 use takt_cia402::dictionary::{Address, Mapped};
@@ -681,6 +682,62 @@ fn six_axis_drive_uses_identifiers_of_next_node() {
     };
     let refused = Network::new(NetworkConfig::default(), plans).unwrap_err();
     assert_eq!(refused, collision);
+}
+
+/// Its mode is written once, and one PDO in each direction holds position and torque.
+#[test]
+fn axis_with_constant_mode_exchanges_torques() {
+    let axis = |axis| AxisPlan {
+        axis,
+        set_point_period: Some(2 * MS),
+        mode: Some(CSP),
+        ..AxisPlan::default()
+    };
+    let plan = NodePlan::drives(node(1), &[axis(0), axis(1)]).unwrap();
+    let mapped = |pdos: &[(u16, Parameters)]| -> Vec<Vec<u16>> {
+        let of = |pdo: &Parameters| pdo.mapping.iter().map(|it| it.address.index).collect();
+        pdos.iter().map(|(_, pdo)| of(pdo)).collect()
+    };
+    let second = [[0x6840, 0x687A, 0x68B2], [0x6841, 0x6864, 0x6877]];
+    assert_eq!(mapped(&plan.rpdos), [[0x6040, 0x607A, 0x60B2], second[0]]);
+    assert_eq!(mapped(&plan.tpdos), [[0x6041, 0x6064, 0x6077], second[1]]);
+    let mut config = DriveNodeConfig::new(node(1));
+    config.axes = vec![config.axes[0].clone(); 2];
+    let mut bus = Bus::new(NetworkConfig::default(), vec![plan], vec![config]);
+    bus.master.start(bus.now);
+    bus.until(5 * SECOND, |bus| {
+        (bus.master.phase(node(1)) == Some(Phase::Running)).then_some(())
+    });
+    for n in 0..2 {
+        let axis = bus.master.axis_mut(node(1), n).unwrap();
+        axis.set_goal(Goal::OperationEnabled, CSP);
+    }
+    let state = |bus: &Bus, n| *bus.master.axis(node(1), n).unwrap().state();
+    bus.until(5 * SECOND, |bus| {
+        (0..2).all(|n| state(bus, n).follows).then_some(())
+    });
+    for (n, torque_offset) in [(0, 37), (1, -21)] {
+        let axis = bus.master.axis_mut(node(1), n).unwrap();
+        let command = AxisCommand {
+            torque_offset,
+            ..axis.commanded()
+        };
+        axis.command(command);
+    }
+    bus.run(SECOND / 10);
+    let states = [state(&bus, 0), state(&bus, 1)];
+    let objects = bus.drive(1).dictionary();
+    let word = |index| {
+        let bytes = objects.bytes(Address::new(index, 0)).unwrap();
+        i16::from_le_bytes(bytes.try_into().unwrap())
+    };
+    for (n, modes, offset, measured) in [(0, 0x6061, 0x60B2, 0x6077), (1, 0x6861, 0x68B2, 0x6877)] {
+        assert_eq!(objects.bytes(Address::new(modes, 0)).unwrap(), [8]);
+        assert_eq!(word(offset), [37, -21][n]);
+        assert!((states[n].torque - word(measured)).abs() < 10, "{n}");
+        assert_eq!(states[n].mode, None);
+    }
+    assert_eq!(bus.master.fault(node(1)), None);
 }
 
 /// The PDOs of the first axis are enabled at power-on and use the identifiers planned for the other axes.

@@ -284,6 +284,11 @@ impl Axis {
         self.command = command;
     }
 
+    /// Its command.
+    pub const fn commanded(&self) -> AxisCommand {
+        self.command
+    }
+
     /// Its last received state.
     pub const fn state(&self) -> &AxisState {
         &self.state

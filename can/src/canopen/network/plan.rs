@@ -97,6 +97,9 @@ pub struct AxisPlan {
     /// 6007h: reaction of the drive to the loss of its master (0 nothing, 1 fault, 2 disable voltage, 3 quick stop);
     /// `None` keeps the drive's value.
     pub on_link_loss: Option<i16>,
+    /// 6060h of an axis that never changes its mode of operation: written before the node runs, and torques (60B2h, 6077h) are
+    /// exchanged in its place by [`NodePlan::drives`]. `None` exchanges 6060h and 6061h.
+    pub mode: Option<i8>,
     /// 60A4h:01: maximum jerk of its own motions (profile position and velocity), user units/s^3; then the profile type
     /// (6086h) is the jerk-limited ramp. `None` keeps the drive's value.
     pub jerk_max: Option<u32>,
@@ -139,7 +142,10 @@ impl AxisPlan {
             let capacity = at(0x60C4, 2, &u32::from(capacity).to_le_bytes());
             [clear(0), capacity, at(0x60C4, 3, &[0]), clear(1)]
         });
-        let requested = jerk.chain(records).flatten();
+        let mode = self
+            .mode
+            .and_then(|mode| at(0x6060, 0, &mode.to_le_bytes()));
+        let requested = jerk.chain(records).flatten().chain(mode);
         optional
             .map(Download::where_present)
             .chain(requested)
@@ -174,6 +180,7 @@ impl Default for AxisPlan {
             homing: Duration::from_secs(60),
             set_point_period: None,
             on_link_loss: None,
+            mode: None,
             jerk_max: None,
             records: None,
             not_mirrored: Objects::default(),
@@ -262,7 +269,8 @@ impl NodePlan {
     }
 
     /// A drive with several axes whose positions are exchanged with every SYNC by one PDO per axis and direction:
-    /// 6040h, 6060h and 607Ah to it, 6041h, 6061h and 6064h from it. Each axis has its own 64 PDO numbers (CiA 402-3).
+    /// 6040h, 6060h and 607Ah to it, 6041h, 6061h and 6064h from it. An axis with a constant [`mode`](AxisPlan::mode) exchanges
+    /// torques instead of it: 6040h, 607Ah and 60B2h, 6041h, 6064h and 6077h. Each axis has its own 64 PDO numbers (CiA 402-3).
     /// The first four axes use the identifiers of the node's PDOs 1 to 4, further axes those of the next node number,
     /// which no other node of the network may then use. `None` without axes, with more than [`Self::AXES_MAX`], or if
     /// there is no next number.
@@ -276,13 +284,18 @@ impl NodePlan {
             let number = AXIS_PDOS * u16::from(axis.axis);
             let of = NodeId::new(id.raw() + slot / IDENTIFIERS).ok()?;
             let function = 0x100 * u16::from(slot % IDENTIFIERS);
-            let of_axis = |pdos: Vec<(u16, Parameters)>, first: u16| {
-                let pdo = pdos.into_iter().next().map(|(_, pdo)| pdo);
-                let cob = PdoCob::new(of.cob(first + function));
-                pdo.map(|pdo| (number, Parameters { cob, ..pdo }))
+            let of_axis = |pdos: Vec<(u16, Parameters)>, first: u16, torque: u16| {
+                let (_, mut pdo) = pdos.into_iter().next()?;
+                pdo.cob = PdoCob::new(of.cob(first + function));
+                if axis.mode.is_some() {
+                    pdo.mapping.retain(|entry| entry.bits > 8);
+                    let address = Address::new(torque, 0).on_axis(axis.axis)?;
+                    pdo.mapping.push(Mapped { address, bits: 16 });
+                }
+                Some((number, pdo))
             };
-            all.rpdos.extend(of_axis(one.rpdos, 0x200));
-            all.tpdos.extend(of_axis(one.tpdos, 0x180));
+            all.rpdos.extend(of_axis(one.rpdos, 0x200, 0x60B2));
+            all.tpdos.extend(of_axis(one.tpdos, 0x180, 0x6077));
             all.axes.push(*axis);
         }
         Some(all)

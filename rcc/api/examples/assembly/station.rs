@@ -202,16 +202,19 @@ pub(super) fn contact_limits() -> CartesianLimits {
 }
 
 /// Runs what is to be completed.
+#[track_caller]
 pub(super) fn perform(what: &str, activity: impl Into<Composite>) -> Done {
     expect(what, activity.into().run(), &Outcome::Completed)
 }
 
 /// Waits for what is to reach its goal, and to stay there.
+#[track_caller]
 pub(super) fn maintain(what: &str, begun: &Handle) -> Done {
     expect(what, begun.wait(), &Outcome::Maintaining)
 }
 
 /// Waits for what is to be completed.
+#[track_caller]
 pub(super) fn complete(what: &str, begun: &Handle) -> Done {
     expect(what, begun.wait(), &Outcome::Completed)
 }

@@ -82,21 +82,14 @@ pub fn check(config: &CanopenConfig) -> Result<(), String> {
             Err(error) => Err(error.to_string()),
         };
         drives::check(arm, drive).map_err(|what| format!("{name}: {what}"))?;
-        if let Some(joint) = arm.joints.iter().position(|it| it.rated_torque.is_some()) {
-            return Err(format!(
-                "{name}: arm {}: joint {joint}: torques (`rated_torque`, `feed_forward`) are not exchanged over CANopen: one PDO of an \
-                 axis has 8 bytes, and they are full\nhint: leave out both keys",
-                arm.name
-            ));
-        }
     }
     network(config)
         .map(drop)
         .map_err(|what| format!("{name}: {what}"))
 }
 
-/// The configuration of a network's master. An axis has one PDO in each direction, which suffices for six axes at 1
-/// Mbit/s and 2 ms.
+/// The configuration of a network's master. An axis has one PDO in each direction, with torques or with its mode, which suffices for
+/// six axes at 1 Mbit/s and 2 ms.
 fn network(config: &CanopenConfig) -> Result<Network, String> {
     let mut nodes: Vec<(NodeId, Vec<AxisPlan>)> = Vec::new();
     for joint in config.arms.iter().flat_map(|arm| &arm.joints) {
@@ -105,6 +98,7 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
             axis: joint.axis,
             set_point_period: Some(config.cycle),
             on_link_loss: on_link_loss(config.on_link_loss),
+            mode: joint.rated_torque.map(|_| CSP),
             not_mirrored: Objects::of(&joint.not_mirrored).unwrap_or_default(),
             options: joint.master_options(),
             ..AxisPlan::default()
@@ -563,15 +557,15 @@ fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Optio
     // An axis that follows keeps the target sent last, not its current position: the latter would give way to any
     // load.
     let position = match order.target {
-        None if state.follows => None,
-        target => Some(target.unwrap_or(state.position)),
+        None if state.follows => axis.commanded().position,
+        target => target.unwrap_or(state.position),
     };
-    if let Some(position) = position {
-        axis.command(AxisCommand {
-            position,
-            ..AxisCommand::default()
-        });
-    }
+    axis.command(AxisCommand {
+        position,
+        torque_offset: order.torque_offset,
+        ..AxisCommand::default()
+    });
+    let has_torques = axis.plan().mode.is_some();
     let refused = axis.proof().fault().is_some();
     Some(Feedback {
         refused,
@@ -581,7 +575,7 @@ fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Optio
         state: state.status.state().ok(),
         status: Some(state.status),
         increments: state.position,
-        torque: None,
+        torque: has_torques.then_some(state.torque),
     })
 }
 
@@ -593,5 +587,7 @@ fn since_start(time: Nanos) -> Duration {
     Duration::from_nanos(u64::try_from(time.0).unwrap_or_default())
 }
 
+#[cfg(test)]
+mod torque_tests;
 #[cfg(test)]
 mod wire_tests;

@@ -5,14 +5,16 @@ use std::sync::MutexGuard;
 
 use takt_can::AnyFrame;
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
+use takt_can::cia402::emulator::DriveConfig;
 use takt_can::link::{Link, LinkError, Received};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
 use super::*;
 use crate::plant::{Plant, Row, Wire, joint};
 use takt_core::device::driver::DeviceEnd;
-use takt_core::device::{DeviceCommand, DeviceState, DeviceStatus, SetPoint};
+use takt_core::device::{ARM_JOINTS_MAX, DeviceCommand, DeviceState, DeviceStatus, SetPoint};
 use takt_device_drives::DriveArm;
+use takt_net::JointState;
 
 const CYCLE: Duration = Duration::from_millis(4);
 /// Increments of a turn of a joint.
@@ -83,14 +85,14 @@ impl Link for Near {
 }
 
 /// The driver, its link and the nodes.
-struct Bench {
+pub(super) struct Bench {
     driver: Driver,
     near: Near,
-    nodes: Vec<DriveNode>,
+    pub(super) nodes: Vec<DriveNode>,
     command: LatestWriter<DeviceCommand>,
     state: LatestReader<DeviceState>,
-    given: DeviceCommand,
-    now: Nanos,
+    pub(super) given: DeviceCommand,
+    pub(super) now: Nanos,
     tick: u64,
     is_led: bool,
     is_ending: bool,
@@ -100,9 +102,14 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let config = config();
-        let network = network(&config).unwrap();
-        let (driver_state, state) = latest(1, DeviceState::default);
+        Self::of(&config(), |_| {})
+    }
+
+    /// With the arm of that network, whose joints are axes 0 of nodes 1, 2 and so on, operational.
+    pub(super) fn of(config: &CanopenConfig, adapt: impl Fn(&mut DriveConfig)) -> Self {
+        let network = network(config).unwrap();
+        let count = u8::try_from(config.arms[0].joints.len()).unwrap();
+        let (driver_state, state) = latest(1, || DeviceState::new(200));
         let (command, driver_command) = latest(1, DeviceCommand::default);
         let end = DeviceEnd {
             state: driver_state,
@@ -110,8 +117,9 @@ impl Bench {
             net_period: Duration::from_millis(1),
         };
         let id = |raw| NodeId::new(raw).unwrap();
-        let axes = [1, 2].map(|raw| Reached::new(&network, id(raw), 0).unwrap());
-        let arm = Arm::new(&config.arms[0], CYCLE, end, bus_figures());
+        let axes = (1..=count).map(|raw| Reached::new(&network, id(raw), 0).unwrap());
+        let axes = axes.collect();
+        let arm = Arm::new(&config.arms[0], config.cycle, end, bus_figures());
         let (events, _) = ring(EVENTS_MAX);
         let near = Near::default();
         let node = |raw| {
@@ -120,6 +128,7 @@ impl Bench {
             axis.quirks.missing_set_points = None;
             (axis.motor.negative_limit, axis.motor.positive_limit) = (-1e3, 1e3);
             axis.motor.stops = (-2e3, 2e3);
+            adapt(axis);
             DriveNode::power_on(node, Duration::ZERO).unwrap()
         };
         let (load, of_bus) = LoadMeter::new(&near, "near");
@@ -129,16 +138,16 @@ impl Bench {
                 of_bus: bus::BusLoad::new(of_bus),
                 link: Box::new(near.clone()),
                 network,
-                arms: vec![(arm, Vec::from(axes))],
+                arms: vec![(arm, axes)],
                 events,
-                cycle: CYCLE,
+                cycle: config.cycle,
                 started: false,
                 shared: Arc::default(),
                 errors: Arc::default(),
                 stop_by: None,
             },
             near,
-            nodes: vec![node(1), node(2)],
+            nodes: (1..=count).map(node).collect(),
             command,
             state,
             given: DeviceCommand::default(),
@@ -157,7 +166,15 @@ impl Bench {
         panic!("not operational");
     }
 
-    fn status(&mut self) -> DeviceStatus {
+    pub(super) fn joints(&mut self) -> [JointState; ARM_JOINTS_MAX] {
+        self.state.read_with(|state| state.joints)
+    }
+
+    pub(super) fn signals(&mut self) -> Vec<u64> {
+        self.state.read_with(|state| state.signals.to_vec())
+    }
+
+    pub(super) fn status(&mut self) -> DeviceStatus {
         self.state.read_with(|state| state.status)
     }
 
@@ -191,9 +208,10 @@ impl Bench {
         }
     }
 
-    fn cycle(&mut self) {
+    pub(super) fn cycle(&mut self) {
+        let cycle = self.driver.cycle;
         self.tick += 1;
-        self.now += CYCLE.into();
+        self.now += cycle.into();
         let now = self.now;
         let tick = Tick {
             index: self.tick,
@@ -211,7 +229,7 @@ impl Bench {
         let begin = since_start(now);
         self.driver.send_cycle(begin);
         self.exchange(begin);
-        self.exchange(begin + CYCLE / 2);
+        self.exchange(begin + cycle / 2);
         let _ = self.driver.lead(&tick, self.is_ending);
     }
 
