@@ -10,7 +10,7 @@ use crate::watch::{AT_HOLE, CARRIED};
 
 /// How far the base docks beside its place, m: twice the tolerance of its switch.
 const BESIDE: f64 = 0.008;
-/// Friction of oiled pads: 40 N do not hold a box with them, 80 N do.
+/// Friction of oiled pads: 38 N do not hold a box with them, 80 N do.
 const OILED: f64 = 0.09;
 /// Friction of pads that hold no box at all.
 const SOAKED: f64 = 0.01;

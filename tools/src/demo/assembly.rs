@@ -30,7 +30,7 @@ use crate::run::{Access, FleetView, print_grants, start_server, stop_channel, st
 use crate::signal::Stop;
 use plot::Span;
 use program::{Order, Progress, Step};
-use report::Report;
+use report::{Cycles, Report};
 use supervisor::Supervised;
 
 /// Its picture and its recording, unless others are named.
@@ -143,7 +143,7 @@ impl Demo {
         let inserts = set_points(&controller, RIGHT)?;
         // Until they are killed.
         let alive = Mutex::new(Some((server, controller)));
-        let (log, child) = (Mutex::new(Log::default()), Mutex::new(None));
+        let (log, child, mut killed) = (Mutex::new(Log::default()), Mutex::new(None), None);
         let work = || {
             let ended = self.work(&address.to_string(), &log, &child, &stop);
             lock(&log).end(takt_rt::monotonic().as_secs_f64());
@@ -156,7 +156,10 @@ impl Demo {
             Some(Fault::ControllerKilled) => {
                 cut(&machines, |_| true);
                 std::thread::sleep(CUT);
-                lock(&alive).take().into_iter().for_each(end);
+                if let Some(parts) = lock(&alive).take() {
+                    killed = Some(Cycles::of(&parts.1));
+                    end(parts);
+                }
             }
             _ => {}
         });
@@ -172,8 +175,12 @@ impl Demo {
         let drawn = plot::draw(&svg, &seen, &log.spans);
         let alive = alive.into_inner().unwrap_or_else(PoisonError::into_inner);
         let mut recorded = None;
+        let cycles = alive.as_ref().map(|(_, controller)| Cycles::of(controller));
+        cycles
+            .or(killed)
+            .into_iter()
+            .for_each(|cycles| report.take_controller(cycles));
         if let Some((server, controller)) = alive {
-            report.take_controller(&controller);
             match controller.finish_recording() {
                 Ok(cycles) => recorded = cycles,
                 Err(error) => report.fail(error.to_string()),

@@ -50,7 +50,7 @@ pub(super) const DRIVER: f64 = 18.0;
 pub(super) const SCREW_WITHIN: Duration = Duration::from_secs(10);
 /// Grasping, N, at first and after a slip. A little lift, m, shows a slip: one arm carries so much more than the other, N, or both less
 /// than a box weighs.
-pub(super) const GRASP: [f64; 2] = [40.0, 80.0];
+pub(super) const GRASP: [f64; 2] = [38.0, 80.0];
 pub(super) const LIFT: f64 = 0.012;
 pub(super) const UNEVEN: f64 = 1.5;
 pub(super) const WEIGHT: f64 = 11.0;

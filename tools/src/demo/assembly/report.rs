@@ -64,12 +64,27 @@ pub(super) struct Report {
 
 /// Figures of the controller.
 #[derive(Debug, Serialize)]
-struct Cycles {
+pub(super) struct Cycles {
     cycles: u64,
     overruns: u64,
+    /// Longest time from the begin of a cycle until its net thread was woken: the host stalled so long.
+    woken_late_ns_max: i64,
     rt_allocations: u64,
     /// Longest time between handing the set-points of one cycle to the first and to the last arm.
     sync_error_ns_max: i64,
+}
+
+impl Cycles {
+    pub(super) fn of(controller: &Controller) -> Self {
+        let stats = controller.stats();
+        Self {
+            cycles: stats.cycles,
+            overruns: stats.overruns,
+            woken_late_ns_max: stats.latency.max.0,
+            rt_allocations: takt_rt::alloc::real_time_allocations(),
+            sync_error_ns_max: controller.hand_over().max.0,
+        }
+    }
 }
 
 impl Report {
@@ -120,19 +135,13 @@ impl Report {
         }
     }
 
-    /// Adds the figures of a controller that is not killed.
-    pub(super) fn take_controller(&mut self, controller: &Controller) {
-        let stats = controller.stats();
-        let rt_allocations = takt_rt::alloc::real_time_allocations();
-        if rt_allocations > 0 {
-            self.fail(format!("{rt_allocations} allocations in real-time threads"));
+    /// Adds the figures of the controller.
+    pub(super) fn take_controller(&mut self, cycles: Cycles) {
+        let allocations = cycles.rt_allocations;
+        if allocations > 0 {
+            self.fail(format!("{allocations} allocations in real-time threads"));
         }
-        self.controller = Some(Cycles {
-            cycles: stats.cycles,
-            overruns: stats.overruns,
-            rt_allocations,
-            sync_error_ns_max: controller.hand_over().max.0,
-        });
+        self.controller = Some(cycles);
     }
 
     /// Adds what speaks against it.
@@ -204,10 +213,11 @@ impl Report {
         if let Some(controller) = &self.controller {
             let _ = writeln!(
                 text,
-                "cycle      2 ms, {} cycles, {} overruns; both arms had each set-point within {}\nallocations in real-time \
-                 threads: {}",
+                "cycle      2 ms, {} cycles, {} overruns, woken at most {} late; both arms had each set-point within {}\nallocations \
+                 in real-time threads: {}",
                 controller.cycles,
                 controller.overruns,
+                crate::output::time(controller.woken_late_ns_max),
                 crate::output::time(controller.sync_error_ns_max),
                 controller.rt_allocations
             );
