@@ -54,8 +54,8 @@ pub(crate) fn run(
     with_ratio: bool,
 ) -> anyhow::Result<bool> {
     let Scene::Assembly = scene;
-    // With an example, features are those of the tests: nothing is built twice.
-    let build = "build --workspace --all-features --bin takt --example begin";
+    // As users run it: without optimization, two processors are busy with the cell alone.
+    let build = "build --release --package takt-tools --features fleet --bin takt";
     if !Cargo::new(build).succeeds(root)? {
         return Ok(false);
     }
@@ -65,7 +65,7 @@ pub(crate) fn run(
     say(
         "run  seed        fault              verdict  cycle, s  internal, N  peg, N  braking, ms  screw, Nm",
     );
-    let takt = target.join("debug/takt");
+    let takt = target.join("release/takt");
     let (mut state, mut failed, mut repeated) = (seed, 0, 0);
     for number in 1..=runs {
         let seed = next(&mut state) >> 32;
