@@ -393,15 +393,18 @@ fn fleet_second_cell_of_a_name_and_lost_router_are_logged_once() {
     assert_eq!(count("the fleet is not reachable at"), 2, "{lines:?}");
 }
 
-/// Moves joint 0 of the arm within half a second, then ends by itself.
-const SWING: &str = "{clock=Core::Clock(),part=Core::Interval(inValue=clock.outValue,Max='0.5'),
-    smooth=Core::DoubleBezier(inValue=part.outValue,To='0.2'),
-    joint=RobotArm::JointPosition(inPosition=smooth.outValue,Robot='left',Axis='0'),
-    done=Core::DoubleGreater(inFirst=clock.outValue,Second='0.6'),outTerminate=done.outValue}";
+/// Moves joint 0 of the arm there and back within a second, then ends by itself.
+const SWING: &str = "{clock=Core::Clock(),
+    there=Core::Interval(inValue=clock.outValue,Max='0.5'),away=Core::DoubleBezier(inValue=there.outValue,To='0.2'),
+    back=Core::Interval(inValue=clock.outValue,Min='0.5',Max='1'),home=Core::DoubleBezier(inValue=back.outValue,To='0.2'),
+    swing=Core::DoubleSubtract(inFirst=away.outValue,inSecond=home.outValue),
+    joint=RobotArm::JointPosition(inPosition=swing.outValue,Robot='left',Axis='0'),
+    done=Core::DoubleGreater(inFirst=clock.outValue,Second='1.1'),outTerminate=done.outValue}";
 
-/// Holds joint 0 of the arm until it is cancelled.
-const HOLD: &str = "{joint=RobotArm::JointPosition(inPosition=zero.outValue,Robot='left',Axis='0'),
-    zero=Core::DoubleValue(Value='0'),x=Cancel(),outTerminate=x.outCancel}";
+/// Holds joint 0 of the arm where it is commanded until it is cancelled.
+const HOLD: &str = "{here=RobotArm::JointMonitor(Robot='left',Axis='0'),
+    joint=RobotArm::JointPosition(inPosition=here.outCommandedPosition,Robot='left',Axis='0'),
+    x=Cancel(),outTerminate=x.outCancel}";
 
 /// Attempts for as long as a very busy host may need.
 fn attempts() -> impl Iterator<Item = ()> {

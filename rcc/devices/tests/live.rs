@@ -129,9 +129,8 @@ fn live_stream_has_the_messages_of_recording() {
         let net = cell.load(&swing("left", 30.0));
         cell.controller.start_net(net).unwrap();
         // Both devices are diagnosed when the stream begins, and then each second.
-        let enough = |of: &Collected| {
-            count(of, "/left/set_points") >= 500 && count(of, "/diagnostics") >= 3
-        };
+        let enough =
+            |of: &Collected| count(of, "/left/set_points") >= 500 && count(of, "/diagnostics") >= 3;
         assert_eq!(poll(&mut stream, &mut live, enough), 0, "no row is lost");
         cell.controller
             .command_machine(&machine, "raise go")
