@@ -277,7 +277,8 @@ fn slow_motion_stops_within_whole_limits() {
         far[0] = 2.0;
         let handle = left.ptp(far).speed(0.1).begin().unwrap();
         let at = |index: usize| left.commanded().unwrap()[index];
-        while at(0) < BENT[0] + 0.3 {}
+        while at(0) < BENT[0] + 0.3 && handle.outcome().is_none() {}
+        assert!(handle.outcome().is_none(), "{:?}", handle.outcome());
         let before = at(0);
         handle.cancel();
         handle.wait_to_end().unwrap();

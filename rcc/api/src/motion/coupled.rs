@@ -143,8 +143,8 @@ impl CoupledMotion {
                 }
             }
         }
-        // The way of braking does not depend on the speed; the time for it does. Rounded down, so that the number that is shown
-        // fits.
+        // Way and time of braking shrink with the speed, and so does the mean velocity, in proportion to it. Rounded down, so that the
+        // number that is shown fits.
         let fits = |it: &TooFast| (speed / it.ratio * 1000.0).floor() / 1000.0;
         let Some(it) = fastest else {
             return too_fast.map_or(Ok(plan), Err);
