@@ -738,6 +738,23 @@ fn axis_with_constant_mode_exchanges_torques() {
         assert_eq!(states[n].mode, None);
     }
     assert_eq!(bus.master.fault(node(1)), None);
+    // Another mode and homing are refused, and the axis goes on; its power can be taken whatever the mode.
+    let fault = |planned, requested| Some(AxisFault::ConstantMode { planned, requested });
+    bus.master.axis_mut(node(1), 0).unwrap().home();
+    let other = bus.master.axis_mut(node(1), 1).unwrap();
+    other.set_goal(Goal::OperationEnabled, PV);
+    bus.run(SECOND / 10);
+    for (n, requested) in [(0, 6), (1, PV)] {
+        let axis = bus.master.axis(node(1), n).unwrap();
+        assert_eq!(axis.fault(), fault(CSP, requested));
+        assert!(axis.state().follows);
+    }
+    let other = bus.master.axis_mut(node(1), 1).unwrap();
+    other.set_goal(Goal::SwitchOnDisabled, 0);
+    bus.until(SECOND, |bus| {
+        let axis = bus.master.axis(node(1), 1).unwrap();
+        (!axis.state().follows).then_some(())
+    });
 }
 
 /// The PDOs of the first axis are enabled at power-on and use the identifiers planned for the other axes.

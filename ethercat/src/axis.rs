@@ -128,8 +128,6 @@ fn short(value: u32) -> u16 {
     u16::from_le_bytes([a, b])
 }
 
-/// Cycles without inputs after which an axis, a drive or a terminal counts as offline.
-pub const OFFLINE_AFTER: u32 = 4;
 /// Bit 4 of 6040h: start of homing.
 const HOMING_START: u16 = 0x0010;
 
@@ -234,7 +232,7 @@ impl Axis {
             position: signed(received.at(0x6064)),
         };
         let mut state = AxisState {
-            online: age <= OFFLINE_AFTER,
+            online: master.is_online(age),
             state: feedback.status.state().ok(),
             status: feedback.status,
             control: ControlWord::DISABLE_VOLTAGE,

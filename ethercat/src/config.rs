@@ -27,6 +27,9 @@ pub struct MasterConfig {
     pub goal: AlState,
     /// A second port at the end of the line.
     pub redundant: bool,
+    /// Consecutive lost frames after which all slaves count as absent, 1 or more; a slave whose inputs are missing for one
+    /// cycle more than that is offline.
+    pub lost_frames: u8,
     /// Datagrams of mailboxes and diagnosis in a cyclic frame once the segment runs; 1 or more.
     pub acyclic: u8,
     /// Distributed clocks.
@@ -44,6 +47,7 @@ impl Default for MasterConfig {
             slaves: Vec::new(),
             goal: AlState::Op,
             redundant: false,
+            lost_frames: 3,
             acyclic: 1,
             clocks: ClockConfig::default(),
             timeouts: Timeouts::default(),

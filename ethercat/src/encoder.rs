@@ -3,7 +3,7 @@
 
 use takt_cia402::dictionary::Address;
 
-use crate::axis::{NotMapped, OFFLINE_AFTER};
+use crate::axis::NotMapped;
 use crate::master::{Master, ProcessData};
 
 /// The objects of the first channel, of the newer kind and of the older.
@@ -150,7 +150,7 @@ impl Encoder {
     /// has a value, and that value until `arm` is taken back.
     pub fn cycle(&mut self, master: &mut Master, arm: bool) -> EncoderReading {
         let (inputs, age) = master.inputs(self.slave);
-        let online = age <= OFFLINE_AFTER;
+        let online = master.is_online(age);
         if !online {
             // What it counted meanwhile is unknown, and its firmware may have restarted.
             (self.latch, self.set) = (LatchState::Idle, SetState::Idle);

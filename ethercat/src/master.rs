@@ -433,6 +433,12 @@ impl Master {
     pub fn inputs(&self, slave: usize) -> (&[u8], u32) {
         self.image.inputs(slave)
     }
+
+    /// Whether inputs of that age, cycles, still count; a slave whose inputs are older is offline. One cycle more than
+    /// frames may be lost in a row.
+    pub fn is_online(&self, age: u32) -> bool {
+        age <= u32::from(self.config.lost_frames.max(1)) + 1
+    }
 }
 
 /// The requirement of a slave in the image; `None` if not known.

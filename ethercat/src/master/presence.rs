@@ -23,8 +23,6 @@ use crate::{Address, AlStatusCode, Command};
 
 /// Slaves inspected in one frame.
 const INSPECTED_MAX: usize = 16;
-/// Consecutive lost frames after which the whole segment counts as lost.
-const FRAMES_LOST: u8 = 3;
 /// Cycles between rounds of inspections without a change.
 const PAUSE: u8 = 16;
 /// Consecutive inspections that a slave may leave unanswered while the census is complete.
@@ -484,7 +482,9 @@ impl Master {
             self.presence.state = State::Calm;
         }
         // More than that if the last phase of the start was silent too.
-        if self.presence.frames_lost < FRAMES_LOST || self.scan.phase != Phase::Running {
+        if self.presence.frames_lost < self.config.lost_frames.max(1)
+            || self.scan.phase != Phase::Running
+        {
             return;
         }
         for unit in self.units.iter_mut().filter(|unit| unit.is_present()) {

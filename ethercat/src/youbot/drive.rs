@@ -24,7 +24,6 @@ use super::mailbox::{CallError, Mailbox};
 use super::tmcl::{Answer, Request, Version};
 use super::wire::{Command, Feedback, Flags, Mode};
 use super::{Firmware, parameters};
-use crate::axis::OFFLINE_AFTER;
 use crate::master::Master;
 
 /// Retry delay after a mailbox error.
@@ -293,7 +292,7 @@ impl Drive {
     ) {
         let slave = self.slave();
         let (bytes, age) = master.inputs(slave);
-        let online = master.is_exchanging() && age <= OFFLINE_AFTER && !bytes.is_empty();
+        let online = master.is_exchanging() && master.is_online(age) && !bytes.is_empty();
         let command = self.cycle(online.then_some(bytes), wanted, may_move, now);
         if let Some(outputs) = master.outputs_mut(slave).first_chunk_mut() {
             *outputs = command.encode();

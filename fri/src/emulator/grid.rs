@@ -4,6 +4,8 @@ use std::ops::RangeInclusive;
 use std::time::Duration;
 
 const PERIODS: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(100);
+/// Longest stall of the host through which the robot moves on.
+const MOVES_ON: Duration = Duration::from_millis(20);
 
 /// Cycles of one period since a start.
 #[derive(Debug, Clone)]
@@ -15,6 +17,8 @@ pub(crate) struct Grid {
     index: u64,
     is_late: bool,
     stalls: u64,
+    /// Cycles skipped before the one begun last.
+    skipped: u32,
     /// Nominal time of the cycle begun last.
     time: Duration,
     slower: f64,
@@ -31,6 +35,7 @@ impl Grid {
             index: 0,
             is_late: false,
             stalls: 0,
+            skipped: 0,
             time: Duration::ZERO,
             slower: 1.0 + drift_ppm.clamp(-1e5, 1e5) / 1e6,
         };
@@ -55,6 +60,7 @@ impl Grid {
         self.time += self.period * (missed + u32::from(!is_first));
         self.index += u64::from(missed) + 1;
         self.stalls += u64::from(missed);
+        self.skipped = missed;
         self.index
     }
 
@@ -71,6 +77,17 @@ impl Grid {
     /// When the cycle begun last was due, on the clock of the owner.
     pub(crate) fn now(&self) -> Duration {
         self.next.saturating_sub(self.span)
+    }
+
+    /// When the cycles were due through which the robot moved on while the host stalled, and the one begun last: a real
+    /// robot does not stall with the host. Of a stall longer than 20 ms these are the first cycles.
+    pub(crate) fn passed(&self) -> impl Iterator<Item = Duration> + use<> {
+        let (last, span, skipped) = (self.now(), self.span, self.skipped);
+        let moves_on = u32::try_from(MOVES_ON.as_nanos() / span.as_nanos()).unwrap_or(0);
+        let ago = (0..skipped).map(move |number| skipped - number);
+        let ago = ago.take(moves_on as usize);
+        ago.chain([0])
+            .map(move |ago| last.saturating_sub(span * ago))
     }
 
     /// When the next cycle is due.
@@ -96,6 +113,24 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn grid_robot_moves_on_through_skipped_cycles() {
+        let ms = Duration::from_millis;
+        let mut grid = Grid::new(ms(10), ms(4), 0.0);
+        for (now, passed) in [
+            (10, &[10][..]),
+            (15, &[14]),
+            (27, &[18, 22, 26]),
+            // Five cycles of 4 ms: more than 20 ms are not made up.
+            (60, &[30, 34, 38, 42, 46, 58]),
+            (62, &[62]),
+        ] {
+            grid.advance(ms(now));
+            let expected: Vec<_> = passed.iter().map(|it| ms(*it)).collect();
+            assert_eq!(grid.passed().collect::<Vec<_>>(), expected);
+        }
+    }
 
     #[test]
     fn grid_late_owner_keeps_phase() {

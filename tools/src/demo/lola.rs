@@ -11,6 +11,7 @@ use anyhow::Context as _;
 use takt_client::Value;
 use takt_core::Controller;
 use takt_core::controller::MachineInfo;
+use takt_core::device::driver::Severity;
 use takt_embedded::Machines;
 use takt_irl::System;
 use takt_machine::machine::Status;
@@ -130,7 +131,8 @@ pub(super) fn follow(
     if !failures.is_empty() {
         let devices = [STATION.name].into_iter().chain(AXES);
         let reports = devices.flat_map(|device| controller.device_reports(device));
-        failures.extend(reports.map(|report| report.event.text));
+        let faults = reports.filter(|report| report.event.severity > Severity::Info);
+        failures.extend(faults.map(|report| report.event.text));
         failures.dedup();
     }
     Ok(Ended {

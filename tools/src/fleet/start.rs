@@ -173,6 +173,7 @@ impl Start {
         let until = self.duration.map(|duration| Instant::now() + duration);
         let mut is_cancelled = false;
         let mut answered = Instant::now();
+        let mut silent: Vec<CellName> = Vec::new();
         let ended = loop {
             let asked = Instant::now();
             let all = together.statuses(fleet)?;
@@ -183,6 +184,17 @@ impl Start {
             if stages().all(|stage| stage.is_some()) {
                 answered = asked;
             }
+            let is_silent = |(cell, status): &(CellName, Option<Status>)| {
+                status.is_none().then(|| cell.clone())
+            };
+            let are_silent: Vec<_> = all.iter().filter_map(is_silent).collect();
+            for cell in are_silent.iter().filter(|cell| !silent.contains(cell)) {
+                complain(&format!(
+                    "{cell}: no answer; waiting up to {:?}",
+                    self.link.timeout
+                ));
+            }
+            silent = are_silent;
             // A session that its cell misses meanwhile ends there, and the next answer says so.
             if answered.elapsed() >= self.link.timeout {
                 break all;

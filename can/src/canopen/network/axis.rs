@@ -214,6 +214,8 @@ pub struct Axis {
     /// 607Ah of the last set-point of the handshake; `None` before the first one: then 607Ah is the commanded target.
     handed_over: Option<i32>,
     not_taken: Option<SetPointError>,
+    /// A request of another mode than the constant one of the plan.
+    refused_mode: Option<AxisFault>,
     /// Its TPDO was received since the last cycle.
     fresh: bool,
     /// A TPDO was received since its node runs.
@@ -245,6 +247,7 @@ impl Axis {
             hand_shake: HandShake::new(plan.options.state),
             handed_over: None,
             not_taken: None,
+            refused_mode: None,
             fresh: false,
             received: false,
             held_back: false,
@@ -259,8 +262,13 @@ impl Axis {
         &self.plan
     }
 
-    /// Sets the goal and the mode of operation (6060h). Releases an axis that was held back.
+    /// Sets the goal and the mode of operation (6060h). Releases an axis that was held back. An axis whose plan has a constant
+    /// mode is not enabled in another one, with [`AxisFault::ConstantMode`].
     pub fn set_goal(&mut self, goal: Goal, mode: i8) {
+        if goal == Goal::OperationEnabled && !self.takes(mode) {
+            return;
+        }
+        let mode = self.plan.mode.unwrap_or(mode);
         self.held_back = false;
         self.homing_failed = None;
         if (goal, mode) != (self.goal, self.mode) {
@@ -272,6 +280,13 @@ impl Axis {
             self.master.set_mode(mode);
         }
         self.master.set_goal(goal);
+    }
+
+    /// Whether the axis can have that mode; notes a refusal.
+    fn takes(&mut self, requested: i8) -> bool {
+        let planned = self.plan.mode.filter(|mode| *mode != requested);
+        self.refused_mode = planned.map(|planned| AxisFault::ConstantMode { planned, requested });
+        planned.is_none()
     }
 
     /// Its goal.
@@ -316,8 +331,12 @@ impl Axis {
     }
 
     /// Enables homing mode and runs the method in 6098h; afterwards it restores the mode of
-    /// operation and holds the new position until the target is close to it.
+    /// operation and holds the new position until the target is close to it. An axis whose plan has a constant mode does not
+    /// home, with [`AxisFault::ConstantMode`].
     pub fn home(&mut self) {
+        if !self.takes(HOMING_MODE) {
+            return;
+        }
         self.held_back = false;
         self.homing_failed = None;
         self.homing = Some(Homing::new(self.plan.homing));
@@ -473,6 +492,7 @@ impl Axis {
         } else if let Some(error) = self.not_taken {
             self.fault = self.fault.or(Some(AxisFault::SetPoint(error)));
         }
+        self.fault = self.fault.or(self.refused_mode);
         drive_command
     }
 

@@ -182,6 +182,14 @@ pub enum AxisFault {
     Homing(HomingError),
     /// A profile position set-point was not accepted.
     SetPoint(SetPointError),
+    /// Another mode of operation, or homing, was requested of an axis whose plan has a constant one; the request was
+    /// ignored.
+    ConstantMode {
+        /// 6060h of the plan.
+        planned: i8,
+        /// Requested 6060h.
+        requested: i8,
+    },
     /// It was lost while enabled; it is held back until its goal is set again.
     HeldBack,
 }
@@ -198,6 +206,11 @@ impl fmt::Display for AxisFault {
             ),
             Self::Homing(error) => error.fmt(f),
             Self::SetPoint(error) => error.fmt(f),
+            Self::ConstantMode { planned, requested } => write!(
+                f,
+                "mode of operation {requested} was requested, but its plan has the constant mode {planned} and no 6060h in its \
+                 process data: the request is ignored; plan it without `mode`"
+            ),
             Self::HeldBack => f.write_str(
                 "its node was lost while it was enabled: find the cause, then set its goal again",
             ),

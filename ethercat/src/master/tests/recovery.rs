@@ -161,6 +161,30 @@ fn single_lost_frames_affect_their_cycle_only() {
 }
 
 #[test]
+fn slaves_count_as_absent_after_configured_number_of_lost_frames() {
+    for lost_frames in [1, 3, 20] {
+        let config = MasterConfig {
+            lost_frames,
+            ..MasterConfig::default()
+        };
+        let (mut rig, _) = line(3, config);
+        rig.segment.faults.lose = u32::from(lost_frames) - 1;
+        rig.cycles(usize::from(lost_frames) + 6);
+        assert!(rig.events.is_empty(), "{lost_frames}: {:?}", rig.texts());
+        rig.segment.faults.lose = lost_frames.into();
+        rig.cycles(usize::from(lost_frames) + 6);
+        let texts = rig.texts();
+        assert!(
+            texts
+                .iter()
+                .any(|text| text.starts_with("the cable from the master to slave 0 port 0")),
+            "{lost_frames}: {texts:?}"
+        );
+        rig.until(3000, Master::is_operational);
+    }
+}
+
+#[test]
 fn optional_slave_is_hot_connected_and_removed() {
     let (tool, io) = ServoDrive::slave(ServoConfig::default()).unwrap();
     let _ = io;

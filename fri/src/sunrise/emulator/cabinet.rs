@@ -474,9 +474,9 @@ impl Cabinet {
     fn cycle(&mut self, now: Duration) {
         let began_late = self.grid.is_late();
         self.grid.advance(now);
-        self.arm.body.now = self.grid.now();
         if self.state == SessionState::Idle {
             self.inbox = None;
+            self.arm.body.now = self.grid.now();
             self.stop();
             if std::mem::take(&mut self.reports_close) {
                 self.send(now);
@@ -492,7 +492,10 @@ impl Cabinet {
         self.run_program();
         self.check_timing();
         self.check_drives();
-        self.move_joints();
+        for due in self.grid.passed() {
+            self.arm.body.now = due;
+            self.move_joints();
+        }
         self.send(now);
     }
 

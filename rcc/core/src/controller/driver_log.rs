@@ -22,7 +22,7 @@ pub(super) fn report(driver: &str, event: &DriverEvent) {
     }
 }
 
-/// Maximum number of reports kept per driver or device; the oldest are dropped first.
+/// Maximum number of reports kept per driver or device; the oldest of the least severity is dropped first.
 const REPORTS_KEPT: usize = 8;
 
 /// An event of a driver as programs see it.
@@ -60,7 +60,11 @@ impl DriverReports {
             times: 1,
         });
         if reports.len() > REPORTS_KEPT {
-            reports.pop_front();
+            // A fault stays readable behind what its recovery reports.
+            let older = reports.iter().take(REPORTS_KEPT).enumerate();
+            let least = older.min_by_key(|(_, it)| it.event.severity);
+            let dropped = least.map_or(0, |(number, _)| number);
+            reports.remove(dropped);
         }
     }
 
@@ -157,6 +161,21 @@ mod tests {
         assert_eq!(reports.counts()["left"], [0, 100, 2]);
         reports.retain(|name| name == "right");
         assert!(reports.counts().is_empty());
+    }
+
+    #[test]
+    fn driver_report_of_fault_stays_behind_its_recovery() {
+        let mut reports = DriverReports::default();
+        let mut note = |event| reports.note("arm", &event, Nanos(0));
+        note(DriverEvent::info("slave 0: OP".into()));
+        note(DriverEvent::error("slave 0 left OP".into()));
+        (1..20).for_each(|n| note(DriverEvent::info(format!("slave {n}: OP"))));
+        let kept: Vec<_> = reports.of("arm").map(|it| &it.event.text).collect();
+        assert_eq!(kept.len(), REPORTS_KEPT);
+        assert_eq!(
+            (&kept[0][..], &kept[7][..]),
+            ("slave 0 left OP", "slave 19: OP")
+        );
     }
 
     #[test]

@@ -36,6 +36,11 @@ pub struct EthercatConfig {
         deserialize_with = "span::text::deserialize"
     )]
     pub cycle: Duration,
+    /// Consecutive lost frames after which all slaves count as absent, and their devices stop, 1 to 250; a device without
+    /// inputs for one cycle more than that is offline. Slaves end operation by themselves after their process data
+    /// watchdog, usually 100 ms.
+    #[serde(default = "EthercatConfig::default_lost_frames")]
+    pub lost_frames: u8,
     /// Time from SYNC0 to the frame; `None` for half a cycle.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub phase: Option<Duration>,
@@ -83,6 +88,7 @@ impl Default for EthercatConfig {
             interface: String::new(),
             second: None,
             cycle: Self::default_cycle(),
+            lost_frames: Self::default_lost_frames(),
             phase: None,
             spin: Duration::ZERO,
             priority: Self::default_priority(),
@@ -102,6 +108,10 @@ impl Default for EthercatConfig {
 impl EthercatConfig {
     const fn default_cycle() -> Duration {
         Duration::from_millis(1)
+    }
+
+    const fn default_lost_frames() -> u8 {
+        3
     }
 
     /// Arms with an axis that has power while a net requests it: they are not operational before.

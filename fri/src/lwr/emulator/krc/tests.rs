@@ -481,6 +481,30 @@ fn krc_motion_through_stall_is_no_jump() {
 }
 
 #[test]
+fn krc_arm_moves_on_through_stall_as_without() {
+    let speed = 0.003;
+    let mut bench = cmd();
+    let mut position = 0.0;
+    for _ in 0..20 {
+        position += speed;
+        bench.cycle(|cmd| cmd.joints[0] = to_f32(position));
+    }
+    let next = bench.krc.poll_timeout();
+    let mut buf = [0; Msr::LEN];
+    let late = next + PERIOD * 7;
+    bench.krc.poll_transmit(late, &mut buf).unwrap();
+    // The answer to the last measurement, and seven cycles at its speed.
+    let expected = position + 7.0 * speed;
+    assert!((bench.krc.set_point()[0] - expected).abs() < 1e-5);
+    // Of a longer stall, 20 ms are made up.
+    let late = bench.krc.poll_timeout() + PERIOD * 100;
+    bench.krc.poll_transmit(late, &mut buf).unwrap();
+    let expected = expected + 11.0 * speed;
+    assert!((bench.krc.set_point()[0] - expected).abs() < 1e-5);
+    assert_eq!(bench.reason(), None);
+}
+
+#[test]
 fn krc_log_keeps_last_sixteen() {
     let mut bench = mon();
     for _ in 0..20 {

@@ -1,6 +1,7 @@
 //! Converts the cell's configuration of a segment to a master configuration and device descriptions. It opens
 //! nothing.
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use takt_cia402::dictionary::{Address, Mapped};
@@ -31,6 +32,8 @@ const YOUBOT_ACYCLIC: u8 = 4;
 const TORQUE_OFFSET: Address = Address::new(0x60B2, 0);
 /// Most bits of one device: the payload of a frame.
 const BITS_MAX: usize = 8 * IMAGE_MAX;
+/// Lost frames after which slaves may count as absent.
+const LOST_FRAMES: RangeInclusive<u8> = 1..=250;
 /// Longest watchdog: 65,535 steps of 100 us.
 const WATCHDOG_MAX: Duration = Duration::from_micros(6_553_500);
 /// Longest time of a brake: power is removed a second and a half after a shutdown request at the earliest.
@@ -113,6 +116,7 @@ pub fn master_config(config: &EthercatConfig) -> MasterConfig {
             .chain(youbot::specs(config))
             .collect(),
         redundant: config.second.is_some(),
+        lost_frames: config.lost_frames,
         acyclic: if config.youbot_arms.is_empty() && config.youbot_bases.is_empty() {
             1
         } else {
@@ -262,6 +266,14 @@ fn check_segment(config: &EthercatConfig) -> Result<(), String> {
         return Err(format!(
             "`spin` is {:?}; it must be at most half a cycle, {half:?}",
             config.spin
+        ));
+    }
+    if !LOST_FRAMES.contains(&config.lost_frames) {
+        return Err(format!(
+            "`lost_frames` is {}; it must be from {} to {}",
+            config.lost_frames,
+            LOST_FRAMES.start(),
+            LOST_FRAMES.end()
         ));
     }
     if config.clocks.window > CLOCK_MAX {

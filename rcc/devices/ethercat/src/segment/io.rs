@@ -16,7 +16,6 @@ use takt_core::device::driver::DeviceEnd;
 use takt_core::device::endpoint::Endpoint;
 use takt_core::device::on_end::OutputsOnEnd;
 use takt_core::device::parts::with_figures;
-use takt_ethercat::axis::OFFLINE_AFTER;
 
 /// A bit of a slave's process data.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +28,7 @@ impl Bit {
     /// Its input; `None` while its slave is lost or has no such bit.
     pub(super) fn read(self, master: &Master) -> Option<bool> {
         let (bytes, age) = master.inputs(self.slave);
-        let byte = bytes.get(self.bit / 8).filter(|_| age <= OFFLINE_AFTER)?;
+        let byte = bytes.get(self.bit / 8).filter(|_| master.is_online(age))?;
         Some(byte >> (self.bit % 8) & 1 != 0)
     }
 
@@ -318,10 +317,10 @@ impl InOut {
             let value = bytes
                 .get(bit.bit / 8)
                 .map(|byte| byte >> (bit.bit % 8) & 1 != 0);
-            offline |= age > OFFLINE_AFTER;
+            offline |= !master.is_online(age);
             place.report(
                 &mut self.end.reported.signals,
-                value.filter(|_| age <= OFFLINE_AFTER),
+                value.filter(|_| master.is_online(age)),
             );
         }
         for (port, (place, bit)) in io.bool_out.iter().zip(&self.outputs).enumerate() {
@@ -354,7 +353,7 @@ impl InOut {
         let mut offline = false;
         for (place, number) in io.real_in.iter().zip(&self.analogue_in) {
             let (bytes, age) = master.inputs(number.slave);
-            let value = number.read(bytes).filter(|_| age <= OFFLINE_AFTER);
+            let value = number.read(bytes).filter(|_| master.is_online(age));
             offline |= value.is_none();
             place.report(&mut self.end.reported.signals, value);
         }
