@@ -29,6 +29,7 @@ use takt_server::LogBook;
 
 use crate::Verdict;
 use crate::client::Client;
+use crate::logging::Logging;
 use crate::output::{check_writable, complain, is_terminal, positive_span, say, share};
 use crate::run::{Access, FleetView, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
@@ -104,12 +105,17 @@ impl Demo {
         check_writable(&svg)?;
         let stop = Stop::listen()?;
         let host = prepare(&HostConfig::default());
+        let book = LogBook::default();
+        let logging = Logging::keep(&book)?;
         let switch = StopSwitch::default();
         let channel = stop_channel(&cell, None, &switch)?;
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
+        if let Some((recorder, _)) = &recording {
+            logging.record_in(recorder);
+        }
         let controller = Controller::start_under(&cell, recording, switch)?;
         if !self.json {
             print_grants(&host, &controller);
@@ -118,7 +124,7 @@ impl Demo {
             &cell,
             &controller,
             Access::default(),
-            LogBook::default(),
+            book,
             Some(&channel),
             FleetView::default(),
         )?;

@@ -33,6 +33,7 @@ mod jitter;
 #[cfg(any(feature = "can", feature = "ethercat"))]
 mod jog;
 mod link;
+mod logging;
 mod machine;
 mod manual;
 mod motion;

@@ -3,7 +3,6 @@
 
 mod access;
 mod fleet;
-mod logging;
 mod page_program;
 mod reload;
 mod rest;
@@ -33,9 +32,9 @@ use takt_server::{LiveConfig, LogBook, ServerThreads};
 
 pub(crate) use self::access::Access;
 pub(crate) use self::fleet::FleetView;
-use self::logging::Logging;
 use self::page_program::PageProgram;
 use self::service::Service;
+use crate::logging::Logging;
 use crate::output::{chain, complain, say};
 use crate::quantity::size;
 use crate::{Verdict, token};
@@ -94,8 +93,7 @@ impl Run {
         });
         let recording = recording.transpose()?;
         if let Some((recorder, _)) = &recording {
-            let log = recorder.log();
-            logging.record(move |level, part, text| log.line(level, part, text));
+            logging.record_in(recorder);
         }
         let controller = Controller::start_under(&cell, recording, switch).map_err(judged)?;
         print_grants(&host, &controller);

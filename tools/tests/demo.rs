@@ -99,6 +99,8 @@ fn demo_lola_passes_all_states_and_replays() {
     let replay = run(&["demo", "--from", &recording]);
     let text = expect_status(&replay, 0);
     assert!(text.contains("every byte as recorded"), "{text}");
+    let info = expect_status(&run(&["record", "info", &recording]), 0);
+    assert!(info.contains("/rosout "), "the log is missing: {info}");
 }
 
 #[test]

@@ -450,11 +450,9 @@ fn machine_component_aborted_is_an_error() {
     });
     let info = controller.machine(&name).unwrap();
     assert_eq!(info.view.phases[0], Phase::RunTimeError);
-    assert!(
-        info.failure(0)
-            .unwrap()
-            .contains("the net of a component ended")
-    );
+    let failure = info.failure(0).unwrap();
+    let cause = format!(": {} ended: aborted\nhint: ", takt_core::NetId(net));
+    assert!(failure.contains(&cause), "{failure}");
 }
 
 #[test]

@@ -25,6 +25,7 @@ use takt_server::{LogBook, ServerThreads};
 use super::Demo;
 use super::show::{ANY, open};
 use crate::Verdict;
+use crate::logging::Logging;
 use crate::output::{check_writable, complain, say};
 use crate::run::{Access, FleetView, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
@@ -113,21 +114,23 @@ impl Demo {
         let mut faults = Faults::new(&world, &self.fault);
         let stop = Stop::listen()?;
         let host = prepare(&HostConfig::default());
+        let book = LogBook::default();
+        let logging = Logging::keep(&book)?;
         let switch = StopSwitch::default();
         let channel = stop_channel(&emulated.config, None, &switch)?;
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
-        let recording = Some(Recorder::start(&record)?);
-        let controller = Controller::start_under(&emulated.config, recording, switch)?;
+        let recording = Recorder::start(&record)?;
+        logging.record_in(&recording.0);
+        let controller = Controller::start_under(&emulated.config, Some(recording), switch)?;
         if !self.json {
             print_grants(&host, &controller);
         }
-        let (access, book) = (Access::default(), LogBook::default());
         let server = start_server(
             &emulated.config,
             &controller,
-            access,
+            Access::default(),
             book,
             Some(&channel),
             FleetView::default(),

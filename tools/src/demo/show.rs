@@ -18,6 +18,7 @@ use super::recovery::{HOME, RETURN, RETURN_SPEED};
 use super::{Demo, motion, recovery};
 use crate::Verdict;
 use crate::client::Client;
+use crate::logging::Logging;
 use crate::output::{complain, say};
 use crate::run::{Access, FleetView, print_grants, start_server, stop_channel, stop_server};
 use crate::signal::Stop;
@@ -63,6 +64,8 @@ impl Demo {
         let cell = emulated.config.clone();
         let stop = Stop::listen()?;
         let host = prepare(&HostConfig::default());
+        let book = LogBook::default();
+        Logging::keep(&book)?;
         let switch = StopSwitch::default();
         let channel = stop_channel(&cell, None, &switch)?;
         if self.guard {
@@ -70,12 +73,11 @@ impl Demo {
         }
         let controller = Controller::start_under(&cell, None, switch)?;
         print_grants(&host, &controller);
-        let (access, log) = (Access::default(), LogBook::default());
         let server = start_server(
             &cell,
             &controller,
-            access,
-            log,
+            Access::default(),
+            book,
             Some(&channel),
             FleetView::default(),
         )?;

@@ -11,11 +11,11 @@ use sd_notify::NotifyState;
 use takt_core::{CellConfig, Controller};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-use super::logging::Logging;
 use super::reload::apply;
 use super::rest::come_to_rest;
 use super::state_file::{LastState, StateFile};
 use super::watchdog::Watchdog;
+use crate::logging::Logging;
 use crate::output::complain;
 
 /// How often changes are polled.

@@ -236,9 +236,9 @@ impl Registry {
             let written = written.unwrap_or_default();
             tracing::warn!(net = %id, "net ended: {why}{written}\nlast values, all at /nets/{id}/last:\n{table}");
         }
-        self.nets.change(id, Change::End(why));
+        self.nets.change(id, Change::End(why.clone()));
         self.answer_rules(id);
-        self.component_ended(id);
+        self.component_ended(id, why);
     }
 
     /// Keeps the last values of a net that failed and of the devices that it commanded.

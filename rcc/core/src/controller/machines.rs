@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use takt_machine::machine::{Failure, Graph, Status};
+use takt_machine::machine::{Cause, Failure, Graph, Status};
 use takt_machine::{Configuration, Program};
 use takt_rt::latest::LatestReader;
 
@@ -65,6 +65,8 @@ pub struct MachineInfo {
     pub view: MachineView,
     /// Its cost bound.
     pub cost: MachineCost,
+    /// Why nets of components ended last, by component; of those that ended for a reason.
+    pub ends: BTreeMap<usize, String>,
 }
 
 impl MachineInfo {
@@ -98,11 +100,17 @@ impl MachineInfo {
     #[must_use]
     pub fn failure(&self, machine: usize) -> Option<String> {
         let failure = self.view.machines.get(machine)?.failure?;
-        Some(failure_text(&self.program, &self.text, machine, failure))
+        let text = failure_text(&self.program, &self.text, &self.ends, (machine, failure));
+        Some(text)
     }
 }
 
-fn failure_text(program: &Program, text: &str, machine: usize, failure: Failure) -> String {
+fn failure_text(
+    program: &Program,
+    text: &str,
+    ends: &BTreeMap<usize, String>,
+    (machine, failure): (usize, Failure),
+) -> String {
     let state = program.states(machine).nth(failure.state).unwrap_or("?");
     let before = text.get(..failure.at.0).unwrap_or_default();
     let line = before.matches('\n').count() + 1;
@@ -111,7 +119,19 @@ fn failure_text(program: &Program, text: &str, machine: usize, failure: Failure)
     } else {
         format!(" (line {line})")
     };
-    format!("in state {state}{place}: {}", failure.cause)
+    let end = if let Cause::Component(component) = failure.cause {
+        program.members().get(component).zip(ends.get(&component))
+    } else {
+        None
+    };
+    let cause = end.map_or_else(
+        || failure.cause.to_string(),
+        |(member, why)| {
+            let name = &member.name;
+            format!("component {name}: {why}\nhint: handle it with a transition `on error`")
+        },
+    );
+    format!("in state {state}{place}: {cause}")
 }
 
 /// A component of a loaded machine.
@@ -138,6 +158,8 @@ struct Loaded {
     /// Until when its final state may take, once its end has stopped it.
     stop_by: Option<Instant>,
     is_ending: bool,
+    /// Why nets of components ended last, by component.
+    ends: BTreeMap<usize, String>,
 }
 
 /// Work that a machine causes outside of its thread.
@@ -271,7 +293,7 @@ impl Machines {
             .read_with(|view| view.machines.first().and_then(|machine| machine.failure));
         match (status, failure) {
             (Status::Failed, Some(failure)) => {
-                let why = failure_text(&program, &text, 0, failure);
+                let why = failure_text(&program, &text, &loaded.ends, (0, failure));
                 tracing::warn!(
                     machine = name,
                     "machine failed, its components are stopped: {why}"
@@ -300,6 +322,7 @@ impl Loaded {
             text: Arc::clone(&self.text),
             view: self.view.read_with(MachineView::clone),
             cost: self.cost,
+            ends: self.ends.clone(),
         }
     }
 }

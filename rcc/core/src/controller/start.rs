@@ -117,7 +117,7 @@ impl Registry {
             self.nets.change(id, Change::Return(running));
             self.nets
                 .change(id, Change::GiveUp("its machine needs it no longer"));
-            self.component_ended(id);
+            self.component_ended(id, None);
             return;
         }
         let thread = self.nets.thread_of(id.0);

@@ -34,14 +34,14 @@ impl Registry {
         }
     }
 
-    /// A net of a component has ended.
-    pub(in crate::controller) fn component_ended(&mut self, net: NetId) {
-        if self
-            .nets
-            .get(net)
-            .is_some_and(|net| net.component_of.is_some())
-        {
-            self.machines.jobs.push_back(Job::Unload(net));
+    /// A net of a component has ended, by itself or for a reason.
+    pub(in crate::controller) fn component_ended(&mut self, net: NetId, why: Option<String>) {
+        let Some((machine, component)) = self.nets.get(net).and_then(|net| net.component_of) else {
+            return;
+        };
+        self.machines.jobs.push_back(Job::Unload(net));
+        if let (Some(loaded), Some(why)) = (self.machines.all.get_mut(&machine), why) {
+            loaded.ends.insert(component, format!("{net} ended: {why}"));
         }
     }
 
@@ -126,7 +126,7 @@ impl Registry {
             if matches!(state, NetState::Ready | NetState::Scheduled) {
                 let why = "its machine ended before it ran".to_owned();
                 self.nets.change(net, Change::End(Some(why)));
-                self.component_ended(net);
+                self.component_ended(net, None);
             }
         }
         self.nets.free_machine(id);

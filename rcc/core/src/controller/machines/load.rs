@@ -1,6 +1,7 @@
 //! Loading a machine: its text is compiled, the nets of all its components are loaded once, so that cost, devices and
 //! resources are known, and it is added to the thread that serves its devices. Nothing moves before it is activated.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -130,6 +131,7 @@ impl Controller {
             added: None,
             stop_by: None,
             is_ending: false,
+            ends: BTreeMap::new(),
         };
         registry.machines.all.insert(id, loaded);
         registry.threads.send(thread, Command::AddMachine(hosted))?;

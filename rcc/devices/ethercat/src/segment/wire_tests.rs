@@ -167,6 +167,11 @@ impl Bench {
         youbots.cycle(&mut self.master, &tick, is_ending);
     }
 
+    /// The next frames are lost.
+    pub(super) const fn lose(&mut self, frames: u32) {
+        self.segment.faults.lose = frames;
+    }
+
     /// The segment is without power for a while.
     pub(super) fn power_cycle(&mut self) {
         self.segment.set_power(0, false);

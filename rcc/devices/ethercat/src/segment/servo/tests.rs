@@ -456,6 +456,25 @@ fn servo_segment_lost_in_homing_does_not_resume() {
 }
 
 #[test]
+fn servo_homing_goes_on_through_as_many_lost_frames_as_configured() {
+    let text = format!("lost_frames = 20\n{}", cell());
+    let home = |frames| {
+        let mut cell = Cell::with(StationMotor::default(), &text, 0);
+        cell.home(0, true);
+        cell.run(700);
+        cell.bench.lose(frames);
+        let events = cell.home_for(0, 12_000);
+        (cell.is_homed(0), cell.failure(0), events)
+    };
+    let (is_homed, failure, events) = home(19);
+    assert!(is_homed && failure == 0, "{events}");
+    // The slaves count as absent.
+    let (is_homed, failure, events) = home(25);
+    let lost = i32::from(HomingError::PowerLost.number());
+    assert!(!is_homed && failure == lost, "{failure}: {events}");
+}
+
+#[test]
 fn servo_power_on_request_follows_its_net() {
     let mut cell = Cell::on_request();
     for _ in 0..2 {

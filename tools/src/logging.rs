@@ -7,6 +7,7 @@ use std::os::linux::fs::MetadataExt as _;
 use std::sync::{Arc, PoisonError, RwLock};
 
 use anyhow::Context as _;
+use takt_core::record::Recorder;
 use takt_server::LogBook;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
@@ -23,7 +24,7 @@ const DEFAULT: &str = "info";
 
 /// Changes what is logged.
 #[derive(Debug)]
-pub(super) struct Logging {
+pub(crate) struct Logging {
     filter: reload::Handle<EnvFilter, Registry>,
     recorded: Recorded,
 }
@@ -72,7 +73,16 @@ impl Visit for Line {
 
 impl Logging {
     /// Starts to log, also into `book`. `RUST_LOG` overrides the cell.
-    pub(super) fn start(cell: Option<&str>, book: &LogBook) -> anyhow::Result<Self> {
+    pub(crate) fn start(cell: Option<&str>, book: &LogBook) -> anyhow::Result<Self> {
+        Self::begin(cell, book, true)
+    }
+
+    /// Starts to log into `book` and recordings alone, for a program that shows something else.
+    pub(crate) fn keep(book: &LogBook) -> anyhow::Result<Self> {
+        Self::begin(None, book, false)
+    }
+
+    fn begin(cell: Option<&str>, book: &LogBook, is_shown: bool) -> anyhow::Result<Self> {
         let (filter, handle) = reload::Layer::new(filter(cell)?);
         let book = book.clone();
         // Colours are for terminals: readers of the kept lines split and show them as they are.
@@ -81,7 +91,7 @@ impl Logging {
         let recorded = Recorded::default();
         let log = tracing_subscriber::registry();
         let log = log.with(filter).with(kept).with(recorded.clone());
-        let journal = is_journal().then(tracing_journald::layer);
+        let journal = (is_shown && is_journal()).then(tracing_journald::layer);
         match journal {
             Some(Ok(journal)) => {
                 let journal = journal.with_field_prefix(Some(PREFIX.to_owned()));
@@ -90,7 +100,8 @@ impl Logging {
             text => {
                 let is_terminal = std::io::stderr().is_terminal();
                 let shown = fmt::layer().with_ansi(is_terminal);
-                log.with(shown.with_writer(std::io::stderr)).init();
+                let shown = is_shown.then(|| shown.with_writer(std::io::stderr));
+                log.with(shown).init();
                 if let Some(Err(error)) = text {
                     complain(&format!("warning: no journal, the log is text: {error}"));
                 }
@@ -103,15 +114,21 @@ impl Logging {
     }
 
     /// Gives lines to a recording too from now on.
-    pub(super) fn record(&self, sink: impl Fn(Level, &str, &str) + Send + Sync + 'static) {
+    pub(crate) fn record(&self, sink: impl Fn(Level, &str, &str) + Send + Sync + 'static) {
         let sinks = self.recorded.0.write();
         sinks
             .unwrap_or_else(PoisonError::into_inner)
             .push(Box::new(sink));
     }
 
+    /// Gives lines to that recording too from now on.
+    pub(crate) fn record_in(&self, recorder: &Recorder) {
+        let log = recorder.log();
+        self.record(move |level, part, text| log.line(level, part, text));
+    }
+
     /// Changes what is logged.
-    pub(super) fn change(&self, cell: Option<&str>) -> anyhow::Result<()> {
+    pub(crate) fn change(&self, cell: Option<&str>) -> anyhow::Result<()> {
         self.filter
             .reload(filter(cell)?)
             .context("cannot change what is logged")
