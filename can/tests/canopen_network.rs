@@ -738,6 +738,22 @@ fn axis_with_constant_mode_exchanges_torques() {
         assert_eq!(states[n].mode, None);
     }
     assert_eq!(bus.master.fault(node(1)), None);
+    // Another tool changes the mode: the axis no longer follows, until the drive shows its mode again.
+    for (mode, follows) in [(PV, false), (CSP, true)] {
+        let write = Transfer {
+            address: Address::new(0x6860, 0),
+            write: true,
+            data: vec![mode.cast_unsigned()],
+            ..Transfer::default()
+        };
+        bus.master.transfer(node(1), write).unwrap();
+        bus.run(3 * SECOND);
+        let axis = bus.master.axis(node(1), 1).unwrap();
+        assert_eq!(axis.state().follows, follows, "{mode}");
+        let text = axis.fault().map(|fault| fault.to_string());
+        assert_eq!(text.is_none(), follows, "{text:?}");
+        assert!(state(&bus, 0).follows, "the other axis goes on");
+    }
     // Another mode and homing are refused, and the axis goes on; its power can be taken whatever the mode.
     let fault = |planned, requested| Some(AxisFault::ConstantMode { planned, requested });
     bus.master.axis_mut(node(1), 0).unwrap().home();

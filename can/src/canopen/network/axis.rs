@@ -32,6 +32,20 @@ pub struct AxisCommand {
     pub mode_bits: u16,
 }
 
+/// Time between two uploads of 6061h of an axis with a constant mode of operation.
+const MODE_EVERY: Duration = Duration::from_secs(1);
+
+/// Watch of 6061h of an axis whose plan has a constant mode of operation, and which is not in its process data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ModeWatch {
+    /// Until then.
+    Idle(Duration),
+    /// An upload is due.
+    Due,
+    /// Its answer is awaited.
+    Sent,
+}
+
 /// Last received state of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisState {
@@ -216,6 +230,9 @@ pub struct Axis {
     not_taken: Option<SetPointError>,
     /// A request of another mode than the constant one of the plan.
     refused_mode: Option<AxisFault>,
+    mode_watch: ModeWatch,
+    /// 6061h as uploaded last, if it is not the constant mode of the plan.
+    other_mode: Option<i8>,
     /// Its TPDO was received since the last cycle.
     fresh: bool,
     /// A TPDO was received since its node runs.
@@ -248,6 +265,8 @@ impl Axis {
             handed_over: None,
             not_taken: None,
             refused_mode: None,
+            mode_watch: ModeWatch::Idle(Duration::ZERO),
+            other_mode: None,
             fresh: false,
             received: false,
             held_back: false,
@@ -365,13 +384,46 @@ impl Axis {
         &self.proof
     }
 
-    /// The next object to upload for the proof.
+    /// Whether an upload is due.
+    pub(super) fn has_upload(&self) -> bool {
+        self.proof.has_upload() || self.mode_watch == ModeWatch::Due
+    }
+
+    /// The next object to upload, for the proof or the watch of its mode.
     pub(super) fn poll_upload(&mut self) -> Option<Address> {
-        self.proof.poll_upload()
+        let shown = || Address::new(0x6061, 0).on_axis(self.plan.axis);
+        match self.proof.poll_upload() {
+            None if self.mode_watch == ModeWatch::Due => {
+                self.mode_watch = ModeWatch::Sent;
+                shown()
+            }
+            proof => proof,
+        }
     }
 
     pub(super) fn handle_upload(&mut self, answer: Result<&[u8], Denied>, now: Duration) {
-        self.proof.handle_upload(answer, now);
+        if self.mode_watch != ModeWatch::Sent {
+            return self.proof.handle_upload(answer, now);
+        }
+        self.mode_watch = ModeWatch::Idle(now + MODE_EVERY);
+        // A drive that does not answer is watched by its heartbeat.
+        if let Ok([shown, ..]) = answer {
+            let shown = Some(shown.cast_signed());
+            self.other_mode = shown.filter(|_| shown != self.plan.mode);
+        }
+    }
+
+    /// Has 6061h uploaded once a second while the axis is enabled: before, drives may show no mode.
+    fn watch_mode(&mut self, now: Duration) {
+        let is_enabled = self.state.status.state() == Ok(State::OperationEnabled);
+        if !is_enabled {
+            self.other_mode = None;
+        } else if let ModeWatch::Idle(until) = self.mode_watch
+            && self.plan.mode.is_some()
+            && now >= until
+        {
+            self.mode_watch = ModeWatch::Due;
+        }
     }
 
     fn prove(&mut self, image: &Dictionary, fresh: bool, now: Duration) {
@@ -397,7 +449,7 @@ impl Axis {
     fn read(&mut self, image: &Dictionary) {
         let (k, state) = (&self.keys, &mut self.state);
         state.status = StatusWord::new(get(image, k.status).unwrap_or(0));
-        state.mode = get(image, k.shown);
+        state.mode = get(image, k.shown).or(self.other_mode);
         state.position = get(image, k.position_actual).unwrap_or(0);
         state.velocity = get(image, k.velocity_actual).unwrap_or(0);
         state.torque = get(image, k.torque_actual).unwrap_or(0);
@@ -410,6 +462,7 @@ impl Axis {
         self.held_back |= wanted;
         self.received = false;
         self.homing = None;
+        (self.mode_watch, self.other_mode) = (ModeWatch::Idle(Duration::ZERO), None);
         self.discard_set_points();
         self.goal = Goal::SwitchOnDisabled;
         self.proof.restart();
@@ -434,6 +487,7 @@ impl Axis {
             return false;
         }
         self.read(image);
+        self.watch_mode(now);
         self.parked = self.parked.or(Some(self.state.position));
         let fresh = std::mem::take(&mut self.fresh);
         self.state.missing = if fresh {

@@ -98,7 +98,7 @@ pub struct AxisPlan {
     /// `None` keeps the drive's value.
     pub on_link_loss: Option<i16>,
     /// 6060h of an axis that never changes its mode of operation: written before the node runs, and torques (60B2h, 6077h) are
-    /// exchanged in its place by [`NodePlan::drives`]. `None` exchanges 6060h and 6061h.
+    /// exchanged in its place by [`NodePlan::drives`]; 6061h is uploaded once a second. `None` exchanges 6060h and 6061h.
     pub mode: Option<i8>,
     /// 60A4h:01: maximum jerk of its own motions (profile position and velocity), user units/s^3; then the profile type
     /// (6086h) is the jerk-limited ramp. `None` keeps the drive's value.

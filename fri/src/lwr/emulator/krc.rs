@@ -89,9 +89,9 @@ struct Received {
 ///
 /// **Time.** The controller has its own clock: its grid starts at the time given to [`Krc::new`] and never shifts. If
 /// the owner calls a period or more too late, the missed measurements are skipped and counted as `stalls`; they are
-/// neither sent later nor numbered, but the arm moves on through them, for at most 20 ms. A cycle that began or ended more than a quarter period late and has no answer is
-/// excluded from the statistics: a real controller does not stall with the PC's processor, so counting it would report a
-/// fault that the real pair does not have.
+/// neither sent later nor numbered, but the arm moves on through them, for at most 20 ms. A cycle that began or ended
+/// more than a quarter period late and has no answer is excluded from the statistics: a real controller does not stall
+/// with the PC's processor, so counting it would report a fault that the real pair does not have.
 ///
 /// **Commands.** Each cycle uses the newest command received. A missing one is replaced by extrapolation at the last
 /// speed. Speed is the change between two received commands over the time between the measurements they reflect, so late

@@ -22,7 +22,7 @@ pub(super) fn report(driver: &str, event: &DriverEvent) {
     }
 }
 
-/// Maximum number of reports kept per driver or device; the oldest of the least severity is dropped first.
+/// Maximum number of reports kept per driver or device; the oldest information is dropped first, then the oldest report.
 const REPORTS_KEPT: usize = 8;
 
 /// An event of a driver as programs see it.
@@ -61,9 +61,9 @@ impl DriverReports {
         });
         if reports.len() > REPORTS_KEPT {
             // A fault stays readable behind what its recovery reports.
-            let older = reports.iter().take(REPORTS_KEPT).enumerate();
-            let least = older.min_by_key(|(_, it)| it.event.severity);
-            let dropped = least.map_or(0, |(number, _)| number);
+            let is_info = |it: &DriverReport| it.event.severity == Severity::Info;
+            let mut older = reports.iter().take(REPORTS_KEPT);
+            let dropped = older.position(is_info).unwrap_or(0);
             reports.remove(dropped);
         }
     }

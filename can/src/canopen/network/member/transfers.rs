@@ -7,7 +7,7 @@ use takt_cia402::proof::Denied;
 
 use super::{Member, Owner, QUIET_TIME};
 use crate::canopen::network::startup::{Action, Answer, Phase};
-use crate::canopen::network::{Outcome, TRANSFERS_MAX, Transfer};
+use crate::canopen::network::{Axis, Outcome, TRANSFERS_MAX, Transfer};
 use crate::canopen::sdo;
 
 impl Member {
@@ -28,7 +28,7 @@ impl Member {
 
     pub(super) fn has_sdo(&self) -> bool {
         let ready = self.may_transfer() && !self.waiting.is_empty();
-        let proves = self.is_running() && self.axes.iter().any(|axis| axis.proof().has_upload());
+        let proves = self.is_running() && self.axes.iter().any(Axis::has_upload);
         let next =
             self.client.is_idle() && (ready || proves || self.pending_request != Action::None);
         self.message.is_some() || next
