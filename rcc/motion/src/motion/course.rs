@@ -21,8 +21,9 @@ const LEAST: f64 = 0.1;
 /// Acceleration beside the path, relative to that along it, up to which a motion accelerates mostly along it.
 pub(super) const MOSTLY: f64 = 0.1;
 
-/// Part of the limits with which the way of a deviation to rest is found: with the rest it ends there for certain.
-const SETTLING: f64 = 0.9;
+/// Parts of the limit of jerk that the deviation gets where accelerations do not decide, and at most: so, motions take over from
+/// others in the shortest time.
+const JERK: [f64; 2] = [0.45, 0.85];
 
 /// Margin of a gentle deviation for its jerk.
 const GENTLE: f64 = 1.2;
@@ -421,32 +422,37 @@ fn share(path: &impl Geometry, from: &Departure<'_>, length: f64) -> [f64; 2] {
     let least = beside.clamp(LEAST, 1.0 - LEAST);
     let acceleration = 0.5_f64.min(1.0 - forwards).max(least);
     // The more of the acceleration one of them has, the more of the jerk ends it.
-    let jerk = 0.5 + (beside - forwards).clamp(-0.5 + LEAST, 0.5 - LEAST);
+    let [jerk, most] = JERK;
+    let jerk = (jerk + beside - forwards).clamp(LEAST, most);
     [acceleration, jerk]
 }
 
 /// How far each coordinate of a deviation moves until it is at rest, braking with its share of the limits. A path that
-/// begins there is one that the deviation ends on without a way back.
+/// begins there is one that the deviation ends on without a way back. It is no longer than that: on a longer way the deviation
+/// would not brake at once, and motions that replace each other often would never brake.
 pub(super) fn stopping_ways(path: &impl Geometry, from: &Departure<'_>, ways: &mut [f64]) {
     let (length, _) = path.along(WHOLE);
-    let share = share(path, from, length).map(|part| part * SETTLING);
+    let share = share(path, from, length);
     for (axis, (off, way)) in from.off.iter().zip(ways).enumerate() {
         *way = stopping(*off, axis_bounds(path, from.off, axis, share));
     }
 }
 
-/// The bounds with the least acceleration that stops a deviation on its way to zero there.
+/// The bounds with the least acceleration that stops a deviation on its way to zero there, if it can be less.
 fn gentle(off: State, bounds: Bounds) -> Bounds {
     let is_on_its_way = off.position * off.velocity < 0.0;
     let needed = off.velocity.powi(2) / (2.0 * off.position.abs());
     let acceleration = (needed * GENTLE).max(off.acceleration.abs());
-    if is_on_its_way && acceleration < bounds.acceleration {
-        return Bounds {
-            acceleration,
-            ..bounds
-        };
+    let gentle = Bounds {
+        acceleration,
+        ..bounds
+    };
+    let stops = stopping(off, gentle).abs() <= off.position.abs();
+    if is_on_its_way && acceleration < bounds.acceleration && stops {
+        gentle
+    } else {
+        bounds
     }
-    bounds
 }
 
 /// Bounds of one coordinate of a deviation: such that their norm keeps the limits of its group.

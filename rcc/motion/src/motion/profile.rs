@@ -164,21 +164,47 @@ impl Profile {
         if self.braking.jerk <= self.bounds.jerk {
             return self.make_plan(Some(goal), gentle);
         }
-        let hard = Bounds {
-            velocity,
-            ..self.braking
-        };
         // One that moves forwards only has no gentle plan where it cannot stop.
         let fits = self.goes_on_within(gentle);
         if fits && self.make_plan(Some(goal), gentle) {
             self.entering = None;
             return true;
         }
-        let is_planned = self.make_plan(Some(goal), hard);
-        if is_planned {
-            self.entering = Some(velocity);
+        if fits {
+            return self.come_down(goal, velocity);
         }
-        is_planned || (!fits && self.make_plan(Some(goal), gentle))
+        // Within the limits of a stop it brakes, but does not speed up.
+        let hard = Bounds {
+            velocity: velocity.min(self.carried()),
+            ..self.braking
+        };
+        if self.make_plan(Some(goal), hard) {
+            self.entering = Some(velocity);
+            return true;
+        }
+        self.come_down(goal, velocity) || self.make_plan(Some(goal), gentle)
+    }
+
+    /// The velocity at which it goes on if its acceleration ends as fast as it can.
+    fn carried(&self) -> f64 {
+        let State {
+            velocity,
+            acceleration,
+            ..
+        } = self.now;
+        let gained = acceleration * acceleration.abs() / (2.0 * self.braking.jerk);
+        (velocity + gained).abs()
+    }
+
+    /// Brakes as a stop does until it can go on to its goal within the limits: a plan for the goal within the limits of a stop
+    /// would speed up first. Returns whether it stops before the goal.
+    fn come_down(&mut self, goal: f64, velocity: f64) -> bool {
+        let stops = self.may_return() || stops_before(self.now, goal, self.braking);
+        if !stops || !self.make_plan(None, self.braking) {
+            return false;
+        }
+        (self.goal, self.entering) = (Some(goal), Some(velocity));
+        true
     }
 
     /// Goes to the same goal within the limits of a stop, at the same velocity.
@@ -260,7 +286,13 @@ impl Profile {
             return;
         }
         self.now = sample;
-        if has_ended {
+        if has_ended && self.entering.is_some() {
+            self.now = State::at_rest(sample.position);
+            self.enter();
+            if self.entering.take().is_some() {
+                self.reset(sample.position);
+            }
+        } else if has_ended {
             // The end of the plan has a rounding error.
             self.reset(self.goal.unwrap_or(sample.position));
         } else {

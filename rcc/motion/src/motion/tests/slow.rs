@@ -1,6 +1,9 @@
 //! Motions at a part of the speed: what they stop with, and how they come down from a faster motion before them.
 
 use super::*;
+use crate::motion::bounds::State;
+use crate::motion::course::{Course, Geometry as _, WHOLE};
+use crate::motion::ptp::JointLine;
 
 const SPEED: f64 = 0.08;
 /// Of the frame: 0.02 m/s at that speed.
@@ -194,4 +197,51 @@ fn coasting_joints_brake_from_commanded_positions() {
     // v²/2a and v a/2j.
     assert!((way - (0.031_25 + 0.012_5)).abs() < 1e-4, "{way}");
     assert!(last.abs() < 1e-12);
+}
+
+/// Two joints whose motion is replaced every so many cycles by one to a goal that swings between ±0.3 rad, so often a second, the
+/// second joint more often: how far they get.
+fn farthest_of_replaced(speed: f64, every: usize, swings: f64) -> f64 {
+    let whole = Bounds {
+        velocity: 1.963,
+        acceleration: 4.0,
+        jerk: 20.0,
+    };
+    let bounds = [whole.at_speed(speed); 2];
+    let (mut states, mut cycle) = ([State::default(); 2], 0_u32);
+    let mut farthest = 0.0_f64;
+    while cycle < 8_000 {
+        let turn = f64::from(cycle) * 1e-3 * swings * std::f64::consts::TAU;
+        let goal = [turn, 1.3 * turn].map(|turn| 0.3 * turn.sin());
+        let from = states.map(|state| state.position);
+        let mut line = JointLine::new(from.into(), goal.into(), bounds.into(), speed);
+        let course = Course::new(line.along(WHOLE), speed, 1e-3).expect("a plan");
+        let mut course = course.with_lead(2, 1e-3);
+        line.begin(&mut course, &states, 1.0);
+        for _ in 0..every {
+            let progress = course.step(1.0, false);
+            states = [0, 1].map(|joint| line.at(joint, progress, course.lead()));
+            let far = states.map(|state| state.position.abs());
+            farthest = far.into_iter().fold(farthest, f64::max);
+            cycle += 1;
+        }
+    }
+    farthest
+}
+
+/// Each begins in the state of the one before it, and brakes at once where its goal is behind.
+#[test]
+fn motions_that_replace_each_other_do_not_run_away() {
+    for swings in [0.1, 0.3, 0.6, 2.0] {
+        for speed in [1.0, 0.5, 0.3] {
+            for every in [1, 10, 20, 45, 100, 200] {
+                let far = farthest_of_replaced(speed, every, swings);
+                // A joint at 2 rad/s stops within 1 rad with half of its limits.
+                assert!(
+                    far < 0.7,
+                    "{swings} Hz at {speed}, each {every} cycles: {far:.3} rad"
+                );
+            }
+        }
+    }
 }
