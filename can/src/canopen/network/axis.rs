@@ -1,6 +1,9 @@
 //! Master side of one CiA 402 axis: cyclic command, state, and the conditions under which it
 //! follows its targets. Independent of the PDO mapping.
 
+mod command;
+mod mode;
+
 use std::time::Duration;
 
 use takt_cia402::dictionary::{Address, Dictionary, Key, Number};
@@ -12,39 +15,8 @@ use takt_cia402::{
 
 use super::AxisFault;
 use super::plan::AxisPlan;
-
-/// Cyclic command of an axis. Targets apply only while it follows.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct AxisCommand {
-    /// 607Ah, user units; in interpolated position the data record 60C1h:01.
-    pub position: i32,
-    /// 60FFh, user units/s.
-    pub velocity: i32,
-    /// 6071h, per mille of the rated torque.
-    pub torque: i16,
-    /// 60B0h, user units; added to the position.
-    pub position_offset: i32,
-    /// 60B1h, user units/s; added to the velocity.
-    pub velocity_offset: i32,
-    /// 60B2h, per mille of the rated torque.
-    pub torque_offset: i16,
-    /// Mode-specific bits 4 to 6, 8 (halt) and 9 of the controlword.
-    pub mode_bits: u16,
-}
-
-/// Time between two uploads of 6061h of an axis with a constant mode of operation.
-const MODE_EVERY: Duration = Duration::from_secs(1);
-
-/// Watch of 6061h of an axis whose plan has a constant mode of operation, and which is not in its process data.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum ModeWatch {
-    /// Until then.
-    Idle(Duration),
-    /// An upload is due.
-    Due,
-    /// Its answer is awaited.
-    Sent,
-}
+pub use command::AxisCommand;
+use mode::ConstantMode;
 
 /// Last received state of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -228,11 +200,7 @@ pub struct Axis {
     /// 607Ah of the last set-point of the handshake; `None` before the first one: then 607Ah is the commanded target.
     handed_over: Option<i32>,
     not_taken: Option<SetPointError>,
-    /// A request of another mode than the constant one of the plan.
-    refused_mode: Option<AxisFault>,
-    mode_watch: ModeWatch,
-    /// 6061h as uploaded last, if it is not the constant mode of the plan.
-    other_mode: Option<i8>,
+    constant: ConstantMode,
     /// Its TPDO was received since the last cycle.
     fresh: bool,
     /// A TPDO was received since its node runs.
@@ -264,9 +232,7 @@ impl Axis {
             hand_shake: HandShake::new(plan.options.state),
             handed_over: None,
             not_taken: None,
-            refused_mode: None,
-            mode_watch: ModeWatch::Idle(Duration::ZERO),
-            other_mode: None,
+            constant: ConstantMode::new(plan.mode),
             fresh: false,
             received: false,
             held_back: false,
@@ -284,7 +250,7 @@ impl Axis {
     /// Sets the goal and the mode of operation (6060h). Releases an axis that was held back. An axis whose plan has a constant
     /// mode is not enabled in another one, with [`AxisFault::ConstantMode`].
     pub fn set_goal(&mut self, goal: Goal, mode: i8) {
-        if goal == Goal::OperationEnabled && !self.takes(mode) {
+        if goal == Goal::OperationEnabled && !self.constant.takes(mode) {
             return;
         }
         let mode = self.plan.mode.unwrap_or(mode);
@@ -299,13 +265,6 @@ impl Axis {
             self.master.set_mode(mode);
         }
         self.master.set_goal(goal);
-    }
-
-    /// Whether the axis can have that mode; notes a refusal.
-    fn takes(&mut self, requested: i8) -> bool {
-        let planned = self.plan.mode.filter(|mode| *mode != requested);
-        self.refused_mode = planned.map(|planned| AxisFault::ConstantMode { planned, requested });
-        planned.is_none()
     }
 
     /// Its goal.
@@ -353,7 +312,7 @@ impl Axis {
     /// operation and holds the new position until the target is close to it. An axis whose plan has a constant mode does not
     /// home, with [`AxisFault::ConstantMode`].
     pub fn home(&mut self) {
-        if !self.takes(HOMING_MODE) {
+        if !self.constant.takes(HOMING_MODE) {
             return;
         }
         self.held_back = false;
@@ -386,43 +345,25 @@ impl Axis {
 
     /// Whether an upload is due.
     pub(super) fn has_upload(&self) -> bool {
-        self.proof.has_upload() || self.mode_watch == ModeWatch::Due
+        self.proof.has_upload() || self.constant.is_due()
     }
 
     /// The next object to upload, for the proof or the watch of its mode.
     pub(super) fn poll_upload(&mut self) -> Option<Address> {
-        let shown = || Address::new(0x6061, 0).on_axis(self.plan.axis);
-        match self.proof.poll_upload() {
-            None if self.mode_watch == ModeWatch::Due => {
-                self.mode_watch = ModeWatch::Sent;
-                shown()
-            }
-            proof => proof,
+        let proof = self.proof.poll_upload();
+        if proof.is_some() || !self.constant.take() {
+            return proof;
         }
+        Address::new(0x6061, 0).on_axis(self.plan.axis)
     }
 
     pub(super) fn handle_upload(&mut self, answer: Result<&[u8], Denied>, now: Duration) {
-        if self.mode_watch != ModeWatch::Sent {
-            return self.proof.handle_upload(answer, now);
-        }
-        self.mode_watch = ModeWatch::Idle(now + MODE_EVERY);
-        // A drive that does not answer is watched by its heartbeat.
-        if let Ok([shown, ..]) = answer {
-            let shown = Some(shown.cast_signed());
-            self.other_mode = shown.filter(|_| shown != self.plan.mode);
-        }
-    }
-
-    /// Has 6061h uploaded once a second while the axis is enabled: before, drives may show no mode.
-    fn watch_mode(&mut self, now: Duration) {
-        let is_enabled = self.state.status.state() == Ok(State::OperationEnabled);
-        if !is_enabled {
-            self.other_mode = None;
-        } else if let ModeWatch::Idle(until) = self.mode_watch
-            && self.plan.mode.is_some()
-            && now >= until
+        let shown = answer.ok().and_then(|bytes| bytes.first());
+        if !self
+            .constant
+            .answered(shown.map(|mode| mode.cast_signed()), now)
         {
-            self.mode_watch = ModeWatch::Due;
+            self.proof.handle_upload(answer, now);
         }
     }
 
@@ -449,7 +390,7 @@ impl Axis {
     fn read(&mut self, image: &Dictionary) {
         let (k, state) = (&self.keys, &mut self.state);
         state.status = StatusWord::new(get(image, k.status).unwrap_or(0));
-        state.mode = get(image, k.shown).or(self.other_mode);
+        state.mode = get(image, k.shown).or_else(|| self.constant.other());
         state.position = get(image, k.position_actual).unwrap_or(0);
         state.velocity = get(image, k.velocity_actual).unwrap_or(0);
         state.torque = get(image, k.torque_actual).unwrap_or(0);
@@ -462,7 +403,7 @@ impl Axis {
         self.held_back |= wanted;
         self.received = false;
         self.homing = None;
-        (self.mode_watch, self.other_mode) = (ModeWatch::Idle(Duration::ZERO), None);
+        self.constant.restart();
         self.discard_set_points();
         self.goal = Goal::SwitchOnDisabled;
         self.proof.restart();
@@ -487,7 +428,8 @@ impl Axis {
             return false;
         }
         self.read(image);
-        self.watch_mode(now);
+        let is_enabled = self.state.status.state() == Ok(State::OperationEnabled);
+        self.constant.step(is_enabled, now);
         self.parked = self.parked.or(Some(self.state.position));
         let fresh = std::mem::take(&mut self.fresh);
         self.state.missing = if fresh {
@@ -546,7 +488,7 @@ impl Axis {
         } else if let Some(error) = self.not_taken {
             self.fault = self.fault.or(Some(AxisFault::SetPoint(error)));
         }
-        self.fault = self.fault.or(self.refused_mode);
+        self.fault = self.fault.or_else(|| self.constant.refused());
         drive_command
     }
 
