@@ -18,8 +18,8 @@ use std::time::Duration;
 use bus::{Bus, MS, node, plan};
 use takt_can::canopen::emulator::DriveNodeConfig;
 use takt_can::canopen::network::{
-    AxisCommand, AxisFault, AxisPlan, Download, Event, Network, NetworkConfig, NetworkError,
-    NodeFault, NodePlan, Phase, Supervision, Transfer,
+    AxisCommand, AxisFault, AxisPlan, AxisState, Download, Event, Network, NetworkConfig,
+    NetworkError, NodeFault, NodePlan, Phase, Supervision, Transfer,
 };
 use takt_can::canopen::pdo::Parameters;
 use takt_can::canopen::sdo::Outcome;
@@ -685,25 +685,30 @@ fn six_axis_drive_uses_identifiers_of_next_node() {
 }
 
 /// Its mode is written once, and one PDO in each direction holds position and torque.
-#[test]
-fn axis_with_constant_mode_exchanges_torques() {
+/// Two axes of one drive with a constant mode.
+fn constant_mode() -> NodePlan {
     let axis = |axis| AxisPlan {
         axis,
         set_point_period: Some(2 * MS),
         mode: Some(CSP),
         ..AxisPlan::default()
     };
-    let plan = NodePlan::drives(node(1), &[axis(0), axis(1)]).unwrap();
-    let mapped = |pdos: &[(u16, Parameters)]| -> Vec<Vec<u16>> {
-        let of = |pdo: &Parameters| pdo.mapping.iter().map(|it| it.address.index).collect();
-        pdos.iter().map(|(_, pdo)| of(pdo)).collect()
-    };
-    let second = [[0x6840, 0x687A, 0x68B2], [0x6841, 0x6864, 0x6877]];
-    assert_eq!(mapped(&plan.rpdos), [[0x6040, 0x607A, 0x60B2], second[0]]);
-    assert_eq!(mapped(&plan.tpdos), [[0x6041, 0x6064, 0x6077], second[1]]);
+    NodePlan::drives(node(1), &[axis(0), axis(1)]).unwrap()
+}
+
+fn state_of(bus: &Bus, axis: u8) -> AxisState {
+    *bus.master.axis(node(1), axis.into()).unwrap().state()
+}
+
+/// The bus with these axes, which follow.
+fn constant_mode_following() -> Bus {
     let mut config = DriveNodeConfig::new(node(1));
     config.axes = vec![config.axes[0].clone(); 2];
-    let mut bus = Bus::new(NetworkConfig::default(), vec![plan], vec![config]);
+    let mut bus = Bus::new(
+        NetworkConfig::default(),
+        vec![constant_mode()],
+        vec![config],
+    );
     bus.master.start(bus.now);
     bus.until(5 * SECOND, |bus| {
         (bus.master.phase(node(1)) == Some(Phase::Running)).then_some(())
@@ -712,10 +717,23 @@ fn axis_with_constant_mode_exchanges_torques() {
         let axis = bus.master.axis_mut(node(1), n).unwrap();
         axis.set_goal(Goal::OperationEnabled, CSP);
     }
-    let state = |bus: &Bus, n| *bus.master.axis(node(1), n).unwrap().state();
     bus.until(5 * SECOND, |bus| {
-        (0..2).all(|n| state(bus, n).follows).then_some(())
+        (0..2).all(|n| state_of(bus, n).follows).then_some(())
     });
+    bus
+}
+
+#[test]
+fn axis_with_constant_mode_exchanges_torques() {
+    let plan = constant_mode();
+    let mapped = |pdos: &[(u16, Parameters)]| -> Vec<Vec<u16>> {
+        let of = |pdo: &Parameters| pdo.mapping.iter().map(|it| it.address.index).collect();
+        pdos.iter().map(|(_, pdo)| of(pdo)).collect()
+    };
+    let second = [[0x6840, 0x687A, 0x68B2], [0x6841, 0x6864, 0x6877]];
+    assert_eq!(mapped(&plan.rpdos), [[0x6040, 0x607A, 0x60B2], second[0]]);
+    assert_eq!(mapped(&plan.tpdos), [[0x6041, 0x6064, 0x6077], second[1]]);
+    let mut bus = constant_mode_following();
     for (n, torque_offset) in [(0, 37), (1, -21)] {
         let axis = bus.master.axis_mut(node(1), n).unwrap();
         let command = AxisCommand {
@@ -725,7 +743,7 @@ fn axis_with_constant_mode_exchanges_torques() {
         axis.command(command);
     }
     bus.run(SECOND / 10);
-    let states = [state(&bus, 0), state(&bus, 1)];
+    let states = [state_of(&bus, 0), state_of(&bus, 1)];
     let objects = bus.drive(1).dictionary();
     let word = |index| {
         let bytes = objects.bytes(Address::new(index, 0)).unwrap();
@@ -738,6 +756,11 @@ fn axis_with_constant_mode_exchanges_torques() {
         assert_eq!(states[n].mode, None);
     }
     assert_eq!(bus.master.fault(node(1)), None);
+}
+
+#[test]
+fn axis_with_constant_mode_refuses_others_and_is_watched() {
+    let mut bus = constant_mode_following();
     // Another tool changes the mode: the axis no longer follows, until the drive shows its mode again.
     for (mode, follows) in [(PV, false), (CSP, true)] {
         let write = Transfer {
@@ -752,7 +775,7 @@ fn axis_with_constant_mode_exchanges_torques() {
         assert_eq!(axis.state().follows, follows, "{mode}");
         let text = axis.fault().map(|fault| fault.to_string());
         assert_eq!(text.is_none(), follows, "{text:?}");
-        assert!(state(&bus, 0).follows, "the other axis goes on");
+        assert!(state_of(&bus, 0).follows, "the other axis goes on");
     }
     // Another mode and homing are refused, and the axis goes on; its power can be taken whatever the mode.
     let fault = |planned, requested| Some(AxisFault::ConstantMode { planned, requested });
