@@ -250,10 +250,12 @@ impl Axis {
     /// Sets the goal and the mode of operation (6060h). Releases an axis that was held back. An axis whose plan has a constant
     /// mode is not enabled in another one, with [`AxisFault::ConstantMode`].
     pub fn set_goal(&mut self, goal: Goal, mode: i8) {
-        if goal == Goal::OperationEnabled && !self.constant.takes(mode) {
+        // Without power the mode is of no interest: power can always be taken.
+        let constant = self.plan.mode.filter(|_| goal != Goal::OperationEnabled);
+        let mode = constant.unwrap_or(mode);
+        if !self.constant.takes(mode) {
             return;
         }
-        let mode = self.plan.mode.unwrap_or(mode);
         self.held_back = false;
         self.homing_failed = None;
         if (goal, mode) != (self.goal, self.mode) {

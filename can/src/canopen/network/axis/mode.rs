@@ -85,7 +85,7 @@ impl ConstantMode {
         is_due
     }
 
-    /// Takes the answer, if one is awaited; `None` if there is no value. A drive that does not answer is watched by its heartbeat.
+    /// Takes the answer, `None` if there is no value; returns whether one was awaited. A drive that does not answer is watched by its heartbeat.
     pub(super) fn answered(&mut self, shown: Option<i8>, now: Duration) -> bool {
         if self.upload != Upload::Sent {
             return false;
