@@ -23,6 +23,8 @@ mod nanos;
 #[cfg(not(loom))]
 pub mod servo;
 #[cfg(not(loom))]
+pub mod simulated;
+#[cfg(not(loom))]
 pub mod stats;
 #[cfg(not(loom))]
 pub mod tai;
@@ -33,7 +35,7 @@ pub mod thread;
 pub use self::{
     grant::{Grant, Outcome},
     linux::{
-        clock::{monotonic, read_tai, sleep_until},
+        clock::{may_wait, monotonic, read_tai, readable, sleep_until},
         ethtool, interface,
         usage::{Usage, thread_usage},
     },

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use takt_core::Controller;
 use takt_core::device::driver::DeviceDriver as _;
 use takt_core::record::Recorder;
@@ -42,6 +42,15 @@ use samples::{SAMPLE_EVERY, Samples};
 /// How long a robot may take to come into command mode, or to find its stops.
 const READY_WITHIN: Duration = Duration::from_mins(1);
 
+/// A time that emulated robots run in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Time {
+    /// It waits for threads that the host runs late
+    Simulated,
+    /// That of the host
+    Real,
+}
+
 /// Move emulated robots with nets.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
@@ -55,6 +64,9 @@ pub(crate) struct Demo {
     /// Print one JSON object instead of the report.
     #[arg(long)]
     json: bool,
+    /// Which time the emulated robots and their controller run in; `assembly`, which is judged, runs in simulated time unless told.
+    #[arg(long, value_enum, value_name = "TIME")]
+    time: Option<Time>,
     /// File of the plot [default: takt-demo.svg, or assembly.svg].
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
@@ -94,6 +106,13 @@ pub(crate) struct Demo {
 }
 
 impl Demo {
+    /// Before the first thread that has cycles; `usual` unless told.
+    fn begin_time(&self, usual: Time) {
+        if self.time.unwrap_or(usual) == Time::Simulated {
+            takt_rt::simulated::begin();
+        }
+    }
+
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         let nets = self.robots.nets(self.duration);
         if let Some(verdict) = self.run_without_nets(&nets)? {
@@ -112,6 +131,7 @@ impl Demo {
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
+        self.begin_time(Time::Real);
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
         if let Some((recorder, _)) = &recording {
             logging.record_in(recorder);

@@ -40,13 +40,13 @@ impl Link for CableEnd {
         buf: &mut [u8],
         timeout: Duration,
     ) -> io::Result<Option<(usize, Duration)>> {
-        let until = monotonic()? + timeout;
+        let until = takt_rt::monotonic() + timeout.into();
         let mut frames = self.inbound.lock();
         loop {
             if let Some(len) = pop(&mut frames, buf) {
                 return Ok(Some((len, monotonic()?)));
             }
-            let left = until.saturating_sub(monotonic()?);
+            let left = takt_rt::may_wait(until);
             if left.is_zero() {
                 return Ok(None);
             }

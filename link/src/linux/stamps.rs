@@ -83,7 +83,9 @@ fn address(from: &SockaddrStorage) -> Option<SocketAddr> {
 /// The instant of a stamp of the wall clock, on the monotonic clock.
 fn arrival(stamp: Option<Duration>) -> io::Result<Duration> {
     let mut now = monotonic()?;
-    let Some(stamp) = stamp else {
+    // Simulated time may have stood since: the wall clock has not.
+    let is_simulated = takt_rt::simulated::waited().is_some();
+    let Some(stamp) = stamp.filter(|_| !is_simulated) else {
         return Ok(now);
     };
     let mut wall = Duration::ZERO;

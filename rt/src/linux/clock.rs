@@ -1,4 +1,4 @@
-//! The only clock and the only sleep of the crate.
+//! The only clock and the only waits of the crate: of the host, or in [simulated time](crate::simulated).
 //!
 //! Not wall-clock time, which administrators and time servers step.
 //!
@@ -7,20 +7,34 @@
 //! then costs up to a microsecond.
 #![expect(unsafe_code, reason = "the safe wrappers lie in other pages of code")]
 
-use std::{io, ptr};
+use std::{io, os::fd::BorrowedFd, ptr, time::Duration};
 
-use nix::errno::Errno;
+use nix::{
+    errno::Errno,
+    poll::{PollFd, PollFlags, ppoll},
+    sys::time::TimeSpec,
+};
 
-use crate::{Nanos, tai::Reading};
+use crate::{Nanos, simulated, tai::Reading};
 
 const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
-/// Current time of `CLOCK_MONOTONIC`. No system call on common hosts (vDSO), no allocation.
+/// Current time of `CLOCK_MONOTONIC`, or [simulated](crate::simulated) time. No system call on common hosts (vDSO), no
+/// allocation.
 ///
 /// # Panics
 /// Never on Linux, where this clock always exists.
 #[inline]
 pub fn monotonic() -> Nanos {
+    let now = host_clock();
+    if simulated::is_on() {
+        return simulated::at(now);
+    }
+    now
+}
+
+#[inline]
+pub(crate) fn host_clock() -> Nanos {
     let mut now = libc::timespec {
         tv_sec: 0,
         tv_nsec: 0,
@@ -45,7 +59,7 @@ fn clock(id: libc::clockid_t) -> Option<Nanos> {
 }
 
 /// Reads `CLOCK_TAI` against `CLOCK_MONOTONIC`, and what the kernel knows of its time service. Not for real-time
-/// threads: it makes a system call.
+/// threads: it makes a system call. In simulated time both clocks are as far behind as [`monotonic`].
 ///
 /// # Errors
 /// If the kernel has no such clock or a system call filter rejects the call.
@@ -59,18 +73,19 @@ pub fn read_tai() -> io::Result<Reading> {
     }
     let mut narrowest = None;
     for _ in 0..TRIPLES {
-        let before = monotonic();
+        let before = host_clock();
         let tai = clock(libc::CLOCK_TAI).ok_or_else(io::Error::last_os_error)?;
-        let after = monotonic();
+        let after = host_clock();
         if narrowest.is_none_or(|(b, _, a): (Nanos, _, Nanos)| after - before < a - b) {
             narrowest = Some((before, tai, after));
         }
     }
     let (before, tai, after) = narrowest.unwrap_or_default();
+    let behind = simulated::waited().unwrap_or_default();
     Ok(Reading {
-        before,
-        tai,
-        after,
+        before: before - behind,
+        tai: tai - behind,
+        after: after - behind,
         tai_utc_s: kernel.tai,
         unsynchronised: kernel.status & libc::STA_UNSYNC != 0,
         max_error: Nanos::from_micros(kernel.maxerror),
@@ -86,7 +101,7 @@ pub(crate) fn processor() -> Option<usize> {
     usize::try_from(number).ok()
 }
 
-/// Sleeps until `deadline` on `CLOCK_MONOTONIC`; signals do not shorten it. A past deadline still costs a
+/// Sleeps until `deadline` on the clock of [`monotonic`]; signals do not shorten it. A past deadline still costs a
 /// system call of up to 20 µs: a caller that knows the time should not call then.
 ///
 /// It uses an absolute `clock_nanosleep`, whose timer PREEMPT_RT handles in hard interrupt context for
@@ -96,6 +111,49 @@ pub(crate) fn processor() -> Option<usize> {
 /// If the kernel rejects the call, which only a system call filter does.
 #[inline]
 pub fn sleep_until(deadline: Nanos) -> io::Result<()> {
+    if !simulated::is_on() {
+        return sleep_on_host(deadline);
+    }
+    while let Some(until) = simulated::sleep(deadline) {
+        sleep_on_host(until)?;
+    }
+    Ok(())
+}
+
+/// How long the calling thread may wait for something else than the clock before it asks again, if its wait ends at `until`;
+/// zero once that has come. On the host's clock this is all that is left, in [simulated](crate::simulated) time a part.
+#[inline]
+pub fn may_wait(until: Nanos) -> Duration {
+    let left = if simulated::is_on() {
+        simulated::slice(until)
+    } else {
+        until - host_clock()
+    };
+    left.try_into().unwrap_or_default()
+}
+
+/// Sleeps until a descriptor is readable, at most `timeout`, with the resolution of the host's timers; returns whether it may
+/// be readable. A signal ends the wait early.
+///
+/// # Errors
+/// Of the operating system.
+pub fn readable(fd: BorrowedFd<'_>, timeout: Duration) -> io::Result<bool> {
+    let until = monotonic() + timeout.into();
+    let mut waits = [PollFd::new(fd, PollFlags::POLLIN)];
+    loop {
+        let left = may_wait(until);
+        match ppoll(&mut waits, Some(TimeSpec::from_duration(left)), None) {
+            Ok(0) if left.is_zero() => return Ok(false),
+            Ok(0) => {}
+            Ok(_) => return Ok(true),
+            Err(Errno::EINTR) => return Ok(false),
+            Err(error) => return Err(error.into()),
+        }
+    }
+}
+
+#[inline]
+fn sleep_on_host(deadline: Nanos) -> io::Result<()> {
     let deadline = deadline.max(Nanos::ZERO);
     let request = libc::timespec {
         tv_sec: deadline.0 / NANOS_PER_SECOND,

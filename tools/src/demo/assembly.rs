@@ -22,8 +22,8 @@ use takt_embedded::{CellWorld, EmulatedCell, Fault, Faults, Machines, set_points
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::{LogBook, ServerThreads};
 
-use super::Demo;
 use super::show::{ANY, open};
+use super::{Demo, Time};
 use crate::Verdict;
 use crate::logging::Logging;
 use crate::output::{check_writable, complain, say};
@@ -67,6 +67,12 @@ impl Log {
         if !is_quiet {
             print(progress);
         }
+    }
+
+    /// How long a step took, s: in simulated time the program's clock is another.
+    fn took_s(&self, step: &Step) -> f64 {
+        let span = self.spans.iter().rfind(|span| span.name == step.name);
+        span.map_or(step.duration.as_secs_f64(), |span| span.to_s - span.from_s)
     }
 
     /// The last step ends here.
@@ -121,6 +127,7 @@ impl Demo {
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
+        self.begin_time(Time::Simulated);
         let recording = Recorder::start(&record)?;
         logging.record_in(&recording.0);
         let controller = Controller::start_under(&emulated.config, Some(recording), switch)?;
@@ -171,7 +178,7 @@ impl Demo {
         let mut report = Report::new(
             (self.seed, self.stopping),
             &self.fault,
-            (ended, &log.notes),
+            (ended, &log),
             &seen,
             &truth,
         );

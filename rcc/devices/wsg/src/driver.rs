@@ -3,6 +3,7 @@
 
 use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
+use std::os::fd::AsFd as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -189,7 +190,6 @@ impl Connection {
     fn open(address: SocketAddr, now: Duration) -> io::Result<Self> {
         let stream = TcpStream::connect_timeout(&address, CONNECT_MAX)?;
         stream.set_nodelay(true)?;
-        stream.set_read_timeout(Some(WAIT))?;
         stream.set_write_timeout(Some(CONNECT_MAX))?;
         Ok(Self {
             stream,
@@ -200,14 +200,11 @@ impl Connection {
     /// Receives for a moment, then sends what waits.
     fn exchange(&mut self) -> io::Result<()> {
         let mut bytes = [0; 512];
-        match self.stream.read(&mut bytes) {
-            Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
-            Ok(len) => {
-                let received = bytes.get(..len).unwrap_or_default();
-                self.session.handle_bytes(received, now());
-            }
-            Err(error) if is_timeout(&error) => {}
-            Err(error) => return Err(error),
+        if takt_rt::readable(self.stream.as_fd(), WAIT)? {
+            let len = self.stream.read(&mut bytes)?;
+            let received = bytes.get(..len).filter(|received| !received.is_empty());
+            let received = received.ok_or(ErrorKind::UnexpectedEof)?;
+            self.session.handle_bytes(received, now());
         }
         self.session.poll(now());
         if self.session.is_lost(now()) {
@@ -221,13 +218,6 @@ impl Connection {
         let len = self.session.transmit(&mut out);
         self.stream.write_all(out.get(..len).unwrap_or_default())
     }
-}
-
-fn is_timeout(error: &io::Error) -> bool {
-    matches!(
-        error.kind(),
-        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
-    )
 }
 
 /// Time since the start of the host.

@@ -6,6 +6,7 @@ use takt_core::Controller;
 use takt_embedded::world::Truth;
 use takt_embedded::{Fault, Figures, Record};
 
+use super::Log;
 use super::program::Step;
 use super::supervisor::{States, Supervised};
 use crate::Verdict;
@@ -58,6 +59,8 @@ pub(super) struct Report {
     dropped: usize,
     /// Bodies in hands at the end.
     held: Vec<String>,
+    /// How long simulated time waited for threads that the host ran late; `None` in real time.
+    time_waited_ms: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     controller: Option<Cycles>,
 }
@@ -91,7 +94,7 @@ impl Report {
     pub(super) fn new(
         (seed, is_stopping): (u64, bool),
         injected: &[Fault],
-        (ended, notes): (Supervised, &[&'static str]),
+        (ended, log): (Supervised, &Log),
         seen: &Record,
         truth: &Truth,
     ) -> Self {
@@ -101,14 +104,14 @@ impl Report {
             states,
             error,
         } = ended;
-        let mut faults = judge(injected, error.as_deref(), notes, &figures, truth);
+        let mut faults = judge(injected, error.as_deref(), &log.notes, &figures, truth);
         // Without blending, boxes stop in the air; so they do where a fault ends the assembly.
         if !is_stopping && error.is_none() && figures.stops > 0 {
             let stops = figures.stops;
             faults.push(format!("boxes stood still in the air {stops} times"));
         }
         let held = truth.bodies.iter().filter(|body| !body.held_by.is_empty());
-        let seconds = |step: &Step| (step.name, step.duration.as_secs_f64());
+        let seconds = |step: &Step| (step.name, log.took_s(step));
         let steps: Vec<_> = steps.iter().map(seconds).collect();
         Self {
             ok: faults.is_empty(),
@@ -116,7 +119,7 @@ impl Report {
             seed,
             injected: injected.iter().map(ToString::to_string).collect(),
             error,
-            notes: notes.to_vec(),
+            notes: log.notes.clone(),
             states,
             cycle_s: steps.iter().fold(0.0, |sum, (_, duration)| sum + duration),
             steps,
@@ -131,6 +134,7 @@ impl Report {
             stops: figures.stops,
             dropped: figures.dropped,
             held: held.map(|body| body.name.clone()).collect(),
+            time_waited_ms: takt_rt::simulated::waited().map(|it| it.as_secs_f64() * 1e3),
             controller: None,
         }
     }
@@ -210,6 +214,12 @@ impl Report {
             format!("; the hands hold {}", self.held.join(", "))
         };
         let _ = writeln!(text, "parts      {} dropped{held}", self.dropped);
+        if let Some(waited_ms) = self.time_waited_ms {
+            let _ = writeln!(
+                text,
+                "time       simulated; it waited {waited_ms:.0} ms for threads that the host ran late"
+            );
+        }
         if let Some(controller) = &self.controller {
             let _ = writeln!(
                 text,

@@ -11,7 +11,7 @@ const ALL: &[&str] = &["*"];
 /// cross layers, and the shared test crate.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("takt-rt", &[]),
-    ("takt-link", &[]),
+    ("takt-link", &["takt-rt"]),
     ("takt-cia402", &[]),
     ("takt-can", &["takt-cia402", "takt-link"]),
     ("takt-ethercat", &["takt-cia402", "takt-link"]),

@@ -2,6 +2,7 @@
 
 use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::os::fd::AsFd as _;
 use std::time::Duration;
 
 use super::Gripper;
@@ -73,7 +74,6 @@ impl Port {
             Ok((stream, _)) => {
                 stream.set_nonblocking(false)?;
                 stream.set_nodelay(true)?;
-                stream.set_read_timeout(Some(WAIT))?;
                 Ok(Some(stream))
             }
             Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(None),
@@ -87,12 +87,13 @@ impl Port {
             return false;
         };
         let mut bytes = [0; 512];
-        let received = match stream.read(&mut bytes) {
-            Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
-            Err(error) if [ErrorKind::WouldBlock, ErrorKind::TimedOut].contains(&error.kind()) => {
-                Ok(0)
-            }
-            received => received,
+        let received = match takt_rt::readable(stream.as_fd(), WAIT) {
+            Ok(false) => Ok(0),
+            Ok(true) => match stream.read(&mut bytes) {
+                Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
+                received => received,
+            },
+            Err(error) => Err(error),
         };
         let Ok(len) = received else {
             gripper.step(Self::now());
