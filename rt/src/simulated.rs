@@ -2,8 +2,12 @@
 //! move on and a controller misses cycles; emulated ones share its processors, and what they would show is the host's fault.
 //!
 //! It is a conservative synchronization of threads in the sense of Chandy and Misra: the time does not pass the instant until
-//! which a thread waits by more than [`SLACK`] before that thread has run. It runs as fast as the host's clock at most, so that
-//! programs outside of it see robots move as usual. Never for hardware: a real bus does not wait.
+//! which a thread waits by more than [`SLACK`] before that thread has run. Where no thread is late it runs at a factor of the
+//! host's clock: 1 for programs outside of it, which see robots move as usual, more for tests. Never for hardware: a real bus
+//! does not wait.
+//!
+//! Threads that wait by [`sleep_until`](crate::sleep_until), [`may_wait`](crate::may_wait) or [`readable`](crate::readable) take
+//! part by that: cycles, drivers and emulators over UDP, TCP and cables in memory. CAN sockets do not.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 
@@ -22,18 +26,35 @@ const STANDS: Nanos = Nanos::from_micros(200);
 /// A thread without a wait.
 const NEVER: i64 = i64::MAX;
 
+/// Smallest and largest real-time factor.
+pub const FACTORS: [f64; 2] = [0.1, 10.0];
+/// What a factor is a multiple of.
+const PER_MILLION: i64 = 1_000_000;
+
 static IS_ON: AtomicBool = AtomicBool::new(false);
 static CLOCK: Clock = Clock::new();
 
-/// From now on and to its end, [`monotonic`](crate::monotonic) of this process is simulated. It goes on from the host's.
-pub fn begin() {
+/// From now on and to its end, [`monotonic`](crate::monotonic) of this process is simulated, at most `factor` as fast as the
+/// host's (limited to [`FACTORS`]). It goes on from that. To be called once, before the first thread takes part.
+pub fn begin(factor: f64) {
+    CLOCK.start(factor, host_clock());
     IS_ON.store(true, Ordering::Release);
 }
 
-/// How long the time has waited for threads so far: it is that far behind the host's clock. `None` if it is not simulated.
+/// How long the time has waited for threads so far, on the host's clock. `None` if it is not simulated.
 #[must_use]
 pub fn waited() -> Option<Nanos> {
-    is_on().then(|| Nanos(CLOCK.behind.load(Ordering::Relaxed)))
+    is_on().then(|| CLOCK.on_host(Nanos(CLOCK.behind.load(Ordering::Relaxed))))
+}
+
+/// How far the time is ahead of the host's clock.
+pub(crate) fn ahead() -> Nanos {
+    let real = host_clock();
+    if is_on() {
+        at(real) - real
+    } else {
+        Nanos::ZERO
+    }
 }
 
 #[inline]
@@ -71,6 +92,7 @@ fn wait(until: Nanos, real: Nanos) -> Nanos {
             }
         })
         .unwrap_or_default();
+    let left = CLOCK.on_host(left);
     if stands && left > Nanos::ZERO {
         left.max(STANDS)
     } else {
@@ -129,7 +151,10 @@ impl Participant {
 
 /// The clock: wait-free, any thread may read it.
 struct Clock {
-    /// How far the time is behind the host's clock. It only grows.
+    /// Where it began, on both clocks.
+    began: AtomicI64,
+    factor_per_million: AtomicI64,
+    /// How long it has waited. It only grows.
     behind: AtomicI64,
     /// The latest time that anybody has read: it never goes back.
     read: AtomicI64,
@@ -139,6 +164,8 @@ struct Clock {
 impl Clock {
     const fn new() -> Self {
         Self {
+            began: AtomicI64::new(0),
+            factor_per_million: AtomicI64::new(PER_MILLION),
             behind: AtomicI64::new(0),
             read: AtomicI64::new(0),
             participants: [const {
@@ -149,6 +176,37 @@ impl Clock {
                 }
             }; THREADS_MAX],
         }
+    }
+
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "between the smallest and the largest factor"
+    )]
+    fn start(&self, factor: f64, real: Nanos) {
+        let [least, most] = FACTORS;
+        let factor = factor.clamp(least, most) * PER_MILLION as f64;
+        self.began.store(real.0, Ordering::Relaxed);
+        self.factor_per_million
+            .store(factor as i64, Ordering::Relaxed);
+    }
+
+    /// The time at `real` of the host's clock without waits.
+    fn unwaited(&self, real: Nanos) -> i64 {
+        let began = self.began.load(Ordering::Relaxed);
+        let factor = self.factor_per_million.load(Ordering::Relaxed);
+        let passed = real.0.saturating_sub(began);
+        if factor == PER_MILLION {
+            return real.0;
+        }
+        let passed = i128::from(passed) * i128::from(factor) / i128::from(PER_MILLION);
+        began.saturating_add(i64::try_from(passed).unwrap_or(i64::MAX))
+    }
+
+    /// A span of it on the host's clock.
+    fn on_host(&self, span: Nanos) -> Nanos {
+        let factor = self.factor_per_million.load(Ordering::Relaxed).max(1);
+        let span = i128::from(span.0) * i128::from(PER_MILLION) / i128::from(factor);
+        Nanos(i64::try_from(span).unwrap_or(i64::MAX))
     }
 
     fn take_part(&self) -> Option<usize> {
@@ -169,15 +227,16 @@ impl Clock {
 
     /// The time at `real` of the host's clock, and whether it stands: it does at the end of the slack of the latest thread.
     fn read(&self, real: Nanos) -> (Nanos, bool) {
+        let unwaited = self.unwaited(real);
+        let free = unwaited - self.behind.load(Ordering::Acquire);
         // Another thread may have read a later time meanwhile.
-        let free = real.0 - self.behind.load(Ordering::Acquire);
         let free = free.max(self.read.load(Ordering::Acquire));
         let ends = self.participants.iter().map(|it| it.end(real, free));
         let end = ends.fold(NEVER, i64::min);
         let now = self.read.fetch_max(free.min(end), Ordering::AcqRel);
         let now = now.max(free.min(end));
         if now < free {
-            self.behind.fetch_max(real.0 - now, Ordering::AcqRel);
+            self.behind.fetch_max(unwaited - now, Ordering::AcqRel);
         }
         (Nanos(now), end <= now)
     }
@@ -274,6 +333,31 @@ mod tests {
         assert_eq!(clock.now(ms(1)), ms(1));
         assert_eq!(clock.wait(0, ms(-5), ms(1)).0, ms(-6));
         assert_eq!(clock.now(ms(9)), ms(1) + SLACK);
+    }
+
+    #[test]
+    fn simulated_time_runs_at_its_factor_and_waits_are_on_clock_of_host() {
+        for (factor, passed) in [
+            (3.0, ms(6)),
+            (0.5, ms(1)),
+            (1.0, ms(2)),
+            (0.0, Nanos::from_micros(200)),
+        ] {
+            let clock = Clock::new();
+            clock.start(factor, ms(1_000));
+            assert_eq!(clock.now(ms(1_002)), ms(1_000) + passed, "{factor}");
+            assert_eq!(clock.on_host(passed), ms(2));
+        }
+        let late = clock(&[ms(2)]);
+        late.start(2.0, Nanos::ZERO);
+        let stands = ms(2) + SLACK;
+        assert_eq!(late.now(ms(10)), stands);
+        assert_eq!(late.wait(0, ms(4), ms(11)).0, ms(4) - stands);
+        assert_eq!(
+            late.now(ms(12)),
+            ms(4) + SLACK,
+            "the next instant, waited for"
+        );
     }
 
     #[test]

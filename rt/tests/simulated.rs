@@ -41,7 +41,7 @@ fn simulated_time_waits_for_stalled_threads_sockets_and_sleeps() {
     assert_eq!(simulated::waited(), None);
     let before = monotonic();
     let offset = read_tai().map(|reading| reading.offset());
-    simulated::begin();
+    simulated::begin(1.0);
     assert!(monotonic() >= before);
     let begin = (Instant::now(), monotonic());
     let threads = [37, 0, 50].map(|each| std::thread::spawn(move || missed(each)));

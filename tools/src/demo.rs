@@ -51,6 +51,16 @@ enum Time {
     Real,
 }
 
+fn factor(text: &str) -> Result<f64, String> {
+    let [least, most] = takt_rt::simulated::FACTORS;
+    let factor: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
+    if (least..=most).contains(&factor) {
+        Ok(factor)
+    } else {
+        Err(format!("must be {least} to {most}"))
+    }
+}
+
 /// Move emulated robots with nets.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
@@ -67,6 +77,9 @@ pub(crate) struct Demo {
     /// Which time the emulated robots and their controller run in; `assembly`, which is judged, runs in simulated time unless told.
     #[arg(long, value_enum, value_name = "TIME")]
     time: Option<Time>,
+    /// How fast simulated time runs while the host keeps up, in parts of the host's.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor)]
+    real_time_factor: f64,
     /// File of the plot [default: takt-demo.svg, or assembly.svg].
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
@@ -107,10 +120,16 @@ pub(crate) struct Demo {
 
 impl Demo {
     /// Before the first thread that has cycles; `usual` unless told.
-    fn begin_time(&self, usual: Time) {
+    fn begin_time(&self, usual: Time) -> anyhow::Result<()> {
         if self.time.unwrap_or(usual) == Time::Simulated {
-            takt_rt::simulated::begin();
+            takt_rt::simulated::begin(self.real_time_factor);
+        } else if self.real_time_factor != 1.0 {
+            anyhow::bail!(
+                "--real-time-factor {} in real time, whose factor is 1\nhint: add --time simulated",
+                self.real_time_factor
+            );
         }
+        Ok(())
     }
 
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
@@ -131,7 +150,7 @@ impl Demo {
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
-        self.begin_time(Time::Real);
+        self.begin_time(Time::Real)?;
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
         if let Some((recorder, _)) = &recording {
             logging.record_in(recorder);

@@ -59,7 +59,8 @@ fn clock(id: libc::clockid_t) -> Option<Nanos> {
 }
 
 /// Reads `CLOCK_TAI` against `CLOCK_MONOTONIC`, and what the kernel knows of its time service. Not for real-time
-/// threads: it makes a system call. In simulated time both clocks are as far behind as [`monotonic`].
+/// threads: it makes a system call. In simulated time both clocks are as far from the host's as
+/// [`monotonic`].
 ///
 /// # Errors
 /// If the kernel has no such clock or a system call filter rejects the call.
@@ -81,11 +82,11 @@ pub fn read_tai() -> io::Result<Reading> {
         }
     }
     let (before, tai, after) = narrowest.unwrap_or_default();
-    let behind = simulated::waited().unwrap_or_default();
+    let ahead = simulated::ahead();
     Ok(Reading {
-        before: before - behind,
-        tai: tai - behind,
-        after: after - behind,
+        before: before + ahead,
+        tai: tai + ahead,
+        after: after + ahead,
         tai_utc_s: kernel.tai,
         unsynchronised: kernel.status & libc::STA_UNSYNC != 0,
         max_error: Nanos::from_micros(kernel.maxerror),

@@ -55,17 +55,21 @@ impl Log {
     /// Prints what the program reports, and keeps it.
     fn take(&mut self, progress: Progress<'_>, is_quiet: bool) {
         let now_s = takt_rt::monotonic().as_secs_f64();
+        let mut took_s = None;
         match progress {
             Progress::Begins(name) => self.spans.push(Span {
                 name,
                 from_s: now_s,
                 to_s: now_s,
             }),
-            Progress::Ended(_) => self.end(now_s),
+            Progress::Ended(step) => {
+                self.end(now_s);
+                took_s = Some(self.took_s(step));
+            }
             Progress::Note(text) => self.notes.push(text),
         }
         if !is_quiet {
-            print(progress);
+            print(progress, took_s);
         }
     }
 
@@ -83,11 +87,13 @@ impl Log {
     }
 }
 
-fn print(progress: Progress<'_>) {
+/// Prints what the program reports; a step took as long as it says, unless that is known better.
+fn print(progress: Progress<'_>, took_s: Option<f64>) {
     match progress {
         Progress::Begins(_) => {}
         Progress::Ended(Step { name, duration }) => {
-            complain(&format!("{name:20} {:5.1} s", duration.as_secs_f64()));
+            let took_s = took_s.unwrap_or(duration.as_secs_f64());
+            complain(&format!("{name:20} {took_s:5.1} s"));
         }
         Progress::Note(text) => complain(&format!("note: {text}")),
     }
@@ -127,7 +133,7 @@ impl Demo {
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
-        self.begin_time(Time::Simulated);
+        self.begin_time(Time::Simulated)?;
         let recording = Recorder::start(&record)?;
         logging.record_in(&recording.0);
         let controller = Controller::start_under(&emulated.config, Some(recording), switch)?;
@@ -281,7 +287,7 @@ impl Demo {
         let cell = Cell::connect(address)?;
         let report = |progress: Progress<'_>| {
             if !self.json {
-                print(progress);
+                print(progress, None);
             }
         };
         let ended = supervisor::run(&cell, address, self.order(), &report);
