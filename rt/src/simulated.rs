@@ -9,6 +9,7 @@
 //! Threads that wait by [`sleep_until`](crate::sleep_until), [`may_wait`](crate::may_wait) or [`readable`](crate::readable) take
 //! part by that: cycles, drivers and emulators over UDP, TCP and cables in memory. CAN sockets do not.
 
+use std::sync::Once;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 
 use crate::{Nanos, linux::clock::host_clock};
@@ -16,7 +17,7 @@ use crate::{Nanos, linux::clock::host_clock};
 /// How late a thread may run before the time waits for it: what an idle host does is part of an emulation.
 pub const SLACK: Nanos = Nanos::from_micros(500);
 /// The time waits no longer for a thread, on the host's clock: that waits for something else than the clock.
-pub const PATIENCE: Nanos = Nanos::from_millis(500);
+pub const PATIENCE: Nanos = Nanos::from_millis(2_000);
 /// A thread that waits for something else besides the clock looks at both this often.
 const SLICE: Nanos = Nanos::from_micros(500);
 /// Threads that the time waits for; it does not wait for more.
@@ -31,14 +32,17 @@ pub const FACTORS: [f64; 2] = [0.1, 10.0];
 /// What a factor is a multiple of.
 const PER_MILLION: i64 = 1_000_000;
 
+static BEGIN: Once = Once::new();
 static IS_ON: AtomicBool = AtomicBool::new(false);
 static CLOCK: Clock = Clock::new();
 
 /// From now on and to its end, [`monotonic`](crate::monotonic) of this process is simulated, at most `factor` as fast as the
-/// host's (limited to [`FACTORS`]). It goes on from that. To be called once, before the first thread takes part.
+/// host's (limited to [`FACTORS`]). It goes on from that. Further calls change nothing.
 pub fn begin(factor: f64) {
-    CLOCK.start(factor, host_clock());
-    IS_ON.store(true, Ordering::Release);
+    BEGIN.call_once(|| {
+        CLOCK.start(factor, host_clock());
+        IS_ON.store(true, Ordering::Release);
+    });
 }
 
 /// How long the time has waited for threads so far, on the host's clock. `None` if it is not simulated.

@@ -51,16 +51,6 @@ enum Time {
     Real,
 }
 
-fn factor(text: &str) -> Result<f64, String> {
-    let [least, most] = takt_rt::simulated::FACTORS;
-    let factor: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
-    if (least..=most).contains(&factor) {
-        Ok(factor)
-    } else {
-        Err(format!("must be {least} to {most}"))
-    }
-}
-
 /// Move emulated robots with nets.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
@@ -78,7 +68,7 @@ pub(crate) struct Demo {
     #[arg(long, value_enum, value_name = "TIME")]
     time: Option<Time>,
     /// How fast simulated time runs while the host keeps up, in parts of the host's.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     real_time_factor: f64,
     /// File of the plot [default: takt-demo.svg, or assembly.svg].
     #[arg(long, value_name = "FILE.svg")]
@@ -122,7 +112,7 @@ impl Demo {
     /// Before the first thread that has cycles; `usual` unless told.
     fn begin_time(&self, usual: Time) -> anyhow::Result<()> {
         if self.time.unwrap_or(usual) == Time::Simulated {
-            takt_rt::simulated::begin(self.real_time_factor);
+            takt_embedded::simulate_time(self.real_time_factor)?;
         } else if self.real_time_factor != 1.0 {
             anyhow::bail!(
                 "--real-time-factor {} in real time, whose factor is 1\nhint: add --time simulated",

@@ -11,6 +11,18 @@ use crate::cell::Cell;
 use crate::error::{Error, ErrorKind};
 use crate::session::Session;
 
+/// Lets the emulated cells of this program run in simulated time from now on and to its end: the time waits for threads that
+/// the host runs late, so robots and controller miss no cycle on a host that is busy or stalls. For tests and demonstrations;
+/// not beside real robots ([`Cell::embedded`]). Where the host keeps up, the time runs `real_time_factor` times as fast as the
+/// host's, 0.1 to 10; above 1, the program is that much later for its robots. Further calls change nothing.
+///
+/// # Errors
+/// [`ErrorKind::Invalid`] if the factor is out of its range.
+#[track_caller]
+pub fn simulate_time(real_time_factor: f64) -> Result<(), Error> {
+    Ok(takt_embedded::simulate_time(real_time_factor).map_err(ErrorKind::from)?)
+}
+
 impl Cell {
     /// Starts a controller with emulated robots in this program and connects to it. It needs neither hardware nor root, and
     /// ends when the last [`Cell`], [`Arm`](crate::Arm) and [`Handle`](crate::Handle) is dropped. Any number of cells,
@@ -85,7 +97,10 @@ fn chain(error: &dyn std::error::Error) -> String {
 
 impl From<takt_embedded::Error> for ErrorKind {
     fn from(error: takt_embedded::Error) -> Self {
-        let is_of_the_caller = matches!(error, takt_embedded::Error::UnknownCell { .. });
+        let is_of_the_caller = matches!(
+            error,
+            takt_embedded::Error::UnknownCell { .. } | takt_embedded::Error::RealTimeFactor { .. }
+        );
         let text = chain(&error);
         if is_of_the_caller {
             Self::Invalid(text)

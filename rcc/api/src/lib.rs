@@ -46,6 +46,8 @@ pub use compose::{Composite, Event, either, together, when};
 pub use control::Control;
 pub use cost::Cost;
 pub use coupled::{Coupled, coupled};
+#[cfg(feature = "embedded")]
+pub use embedded::simulate_time;
 pub use error::{Error, ErrorKind};
 pub use explain::Explanation;
 pub use expression::{Condition, Number};

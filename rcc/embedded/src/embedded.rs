@@ -9,6 +9,7 @@ use takt_client::Token;
 use takt_core::device::driver::DeviceDriver as _;
 use takt_core::{CellConfig, Controller};
 use takt_devices::ethercat::Ethercat;
+use takt_rt::simulated::{FACTORS, begin};
 use takt_server::{Loopback, Server, ServerConfig, ServerThreads};
 
 use crate::cell::{ANY_PORT, EmulatedCell};
@@ -39,6 +40,24 @@ struct Parts {
     server: ServerThreads,
     controller: Controller,
     machines: Machines,
+}
+
+/// Lets emulated cells of this program run in simulated time from now on and to its end: the time waits for threads that the
+/// host runs late, so robots and controller miss no cycle on a host that is busy or stalls. For tests and demonstrations; not
+/// beside real robots. Where the host keeps up, the time runs `real_time_factor` times as fast as the host's, 0.1 to 10; above
+/// 1, the program is that much later for its robots. Further calls change nothing.
+///
+/// # Errors
+/// [`Error::RealTimeFactor`] if the factor is out of its range.
+pub fn simulate_time(real_time_factor: f64) -> Result<(), Error> {
+    let [least, most] = FACTORS;
+    if !(least..=most).contains(&real_time_factor) {
+        return Err(Error::RealTimeFactor {
+            factor: real_time_factor,
+        });
+    }
+    begin(real_time_factor);
+    Ok(())
 }
 
 impl Embedded {

@@ -16,6 +16,14 @@ pub enum Error {
         /// The names that exist.
         known: String,
     },
+    /// Simulated time cannot run as fast or slow as that.
+    #[error(
+        "simulated time at {factor} times that of the host\nhint: 0.1 to 10 times is possible, and 1 is usual"
+    )]
+    RealTimeFactor {
+        /// The factor.
+        factor: f64,
+    },
     /// The controller did not start.
     #[error(transparent)]
     Controller(#[from] takt_core::Error),

@@ -11,7 +11,7 @@ mod surroundings;
 mod watch;
 
 pub use cell::{EmulatedCell, NAMES};
-pub use embedded::Embedded;
+pub use embedded::{Embedded, simulate_time};
 pub use error::Error;
 pub use faults::{Fault, Faults};
 pub use machines::Machines;

@@ -48,6 +48,15 @@ pub(crate) fn emulate(py: Python<'_>, name: String) -> PyResult<Cell> {
     Cell::opened(py, call(py, move || api::Cell::emulated(&name))?)
 }
 
+/// Lets emulated cells of the program run in a time that waits for late threads.
+#[cfg(feature = "embedded")]
+#[pyfunction]
+#[pyo3(signature = (real_time_factor=1.0))]
+pub(crate) fn simulate_time(py: Python<'_>, real_time_factor: f64) -> PyResult<()> {
+    call(py, move || api::simulate_time(real_time_factor))?
+        .map_err(|error| error::raise_here(py, &error))
+}
+
 /// Starts the controller of a cell file inside of the program.
 #[cfg(feature = "embedded")]
 #[pyfunction]

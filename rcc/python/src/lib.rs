@@ -44,7 +44,7 @@ mod native {
     use super::cell::{Cell, connect};
     #[cfg(feature = "embedded")]
     #[pymodule_export]
-    use super::cell::{embed, emulate};
+    use super::cell::{embed, emulate, simulate_time};
     #[pymodule_export]
     use super::compose::{Composite, Event, Waiting, either, together, when};
     #[pymodule_export]

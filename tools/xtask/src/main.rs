@@ -70,20 +70,7 @@ enum Task {
     /// A whole emulated application many times, with random seeds and faults; prints a table
     ///
     /// An assembly takes about a minute and a half, less if a fault ends it.
-    Soak {
-        /// Which application
-        #[arg(value_enum)]
-        scene: soak::Scene,
-        /// How many times
-        #[arg(long, default_value_t = 10)]
-        runs: u32,
-        /// Another seed gives other seeds and faults
-        #[arg(long, default_value_t = 1)]
-        seed: u64,
-        /// Then run it once with and once without blending, and print the ratio of the cycle times
-        #[arg(long)]
-        ratio: bool,
-    },
+    Soak(soak::Soak),
     /// The Debian package, checked by lintian where that is installed
     Deb,
     /// Run a command in a virtual machine with Debian's PREEMPT_RT kernel and this checkout
@@ -128,12 +115,7 @@ fn perform(task: &Task) -> anyhow::Result<u8> {
             count,
             seed,
         } => fuzz::run(&root, filter, *count, *seed),
-        Task::Soak {
-            scene,
-            runs,
-            seed,
-            ratio,
-        } => soak::run(&root, *scene, *runs, *seed, *ratio),
+        Task::Soak(soak) => soak::run(&root, soak),
         Task::Bench { part, json } => bench::run(&root, part, *json),
         Task::Bless { parts } => test::run(&root, parts, test::Golden::Rewrite),
     };

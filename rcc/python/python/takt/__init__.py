@@ -80,6 +80,7 @@ from ._takt import (
     embed,
     emulate,
     fleet,
+    simulate_time,
     together,
     when,
 )
@@ -150,6 +151,7 @@ __all__ = [
     "embed",
     "emulate",
     "fleet",
+    "simulate_time",
     "together",
     "when",
 ]

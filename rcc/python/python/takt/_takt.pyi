@@ -69,6 +69,18 @@ def emulate(name: str) -> Cell:
     Raises `Invalid` for another name.
     """
 
+def simulate_time(real_time_factor: float = 1.0) -> None:
+    """Lets emulated cells of this program run in simulated time from now on and to its end.
+
+    The time waits for threads that the host runs late, so robots and controller miss no cycle on a host that is busy or
+    stalls. For tests and demonstrations; not beside real robots.
+
+    `real_time_factor`: how fast it runs while the host keeps up, 0.1 to 10 times the host's time. Further calls change
+    nothing.
+
+    Raises `Invalid` if the factor is out of its range.
+    """
+
 def embed(path: str | PathLike[str]) -> Cell:
     """Starts the controller of a cell file inside of the program, and connects to it. It waits for no device.
 
