@@ -51,6 +51,20 @@ enum Time {
     Real,
 }
 
+/// How long simulated time has waited so far, ms; `None` in real time.
+fn time_waited_ms() -> Option<f64> {
+    takt_rt::simulated::waited().map(|waited| waited.as_secs_f64() * 1e3)
+}
+
+/// The line about it in a report; latencies are those of the host only in real time.
+fn time_line(waited_ms: Option<f64>) -> String {
+    waited_ms.map_or_else(String::new, |waited_ms| {
+        format!(
+            "time       simulated; it waited {waited_ms:.0} ms for threads that the host ran late\n"
+        )
+    })
+}
+
 /// Move emulated robots with nets.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {

@@ -5,6 +5,7 @@
 mod common;
 
 use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use common::{Folder, Process, alone, complaint, expect_status, run, run_with_input};
@@ -76,7 +77,8 @@ fn demo_lola_passes_all_states_and_replays() {
     let _alone = alone();
     let folder = Folder::new();
     let recording = folder.file("lola.mcap");
-    let report = good_demo(&["--cell", "lola", "--record", &recording]);
+    let simulated = ["--time", "simulated"];
+    let report = good_demo(&[&["--cell", "lola", "--record", &recording], &simulated[..]].concat());
     let states = report["states"].as_array().unwrap();
     let names: Vec<_> = states.iter().map(|state| state[0].clone()).collect();
     let expected = [
@@ -106,7 +108,7 @@ fn demo_lola_passes_all_states_and_replays() {
 #[test]
 fn demo_factory_moves_two_lwrs_tx90_and_youbot() {
     let _alone = alone();
-    let report = good_demo(&["--robots", "factory"]);
+    let report = good_demo(&["--robots", "factory", "--time", "simulated"]);
     let robots = report["robots"].as_array().unwrap();
     let of = |key: &str| -> Vec<_> { robots.iter().map(|robot| robot[key].clone()).collect() };
     assert_eq!(of("name"), ["left", "right", "tx90", "arm", "base"]);
@@ -380,18 +382,56 @@ fn picture_of_a_net_shows_every_primitive() {
     expect_status(&broken, 1);
 }
 
-/// The report of an assembly with a fault.
-fn assembly(fault: &[&str]) -> Value {
+/// The report of a good assembly. It runs in simulated time: no host is its excuse.
+fn assembly(options: &[&str]) -> Value {
     let folder = Folder::new();
     let recording = folder.file("assembly.mcap");
-    let args = ["--cell", "assembly", "--record", &recording, "--fault"];
-    good_demo(&[&args[..], fault].concat())
+    let args = ["--cell", "assembly", "--record", &recording];
+    let (report, good) = demo(&[&args[..], options].concat());
+    assert!(good, "{options:?}: {report:#}");
+    assert_eq!(report["controller"]["overruns"], 0, "{report:#}");
+    report
+}
+
+/// All faults that have no test of their own, and none, at places and dockings of their own; two runs at once.
+#[test]
+fn demo_assembly_meets_each_fault_as_documented() {
+    let _alone = alone();
+    let runs = [
+        ("", 1_000),
+        ("jams,cross-threads", 1_001),
+        ("docks-beside,slips", 1_002),
+        ("stays-beside", 1_003),
+        ("stays-slippery", 1_004),
+        ("stays-jammed", 1_005),
+        ("stays-askew", 1_006),
+        ("controller-killed", 1_007),
+    ];
+    let next = AtomicUsize::new(0);
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while let Some((faults, seed)) = runs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let seed = seed.to_string();
+                    let mut options = vec!["--seed", &seed];
+                    if !faults.is_empty() {
+                        options.extend(["--fault", faults]);
+                    }
+                    // Those that concern the parts need no boxes from the base.
+                    if ["stays-jammed", "stays-askew"].contains(faults) {
+                        options.push("--unloaded");
+                    }
+                    assembly(&options);
+                }
+            });
+        }
+    });
 }
 
 #[test]
 fn demo_assembly_peg_missing_ends_contained() {
     let _alone = alone();
-    let missing = assembly(&["no-peg", "--unloaded"]);
+    let missing = assembly(&["--fault", "no-peg", "--unloaded"]);
     let error = missing["error"].as_str().unwrap();
     assert!(error.contains("box 1 has no peg"), "{missing}");
     assert!(error.contains("hint:"), "{missing}");
@@ -408,7 +448,7 @@ fn demo_assembly_peg_missing_ends_contained() {
 #[test]
 fn demo_assembly_program_killed_ends_contained() {
     let _alone = alone();
-    expect_box_in_both_hands(&assembly(&["program-killed"]));
+    expect_box_in_both_hands(&assembly(&["--fault", "program-killed"]));
 }
 
 fn expect_box_in_both_hands(report: &Value) {
@@ -419,6 +459,22 @@ fn expect_box_in_both_hands(report: &Value) {
     assert_eq!(report["controller"]["rt_allocations"], 0);
     let internal = report["internal_force_n_max"].as_f64().unwrap();
     assert!(internal > 0.0 && internal <= 15.0, "{report}");
+}
+
+#[test]
+fn demo_real_time_factor_out_of_range_or_in_real_time_is_refused() {
+    for (options, why) in [
+        (["assembly", "simulated", "0.01"], "0.1 to 10 times"),
+        (["assembly", "simulated", "NaN"], "0.1 to 10 times"),
+        (["pair", "real", "2"], "hint: add --time simulated"),
+    ] {
+        let [cell, time, factor] = options;
+        let clock = ["--time", time, "--real-time-factor", factor];
+        let output = run(&[&["demo", "--cell", cell][..], &clock].concat());
+        expect_status(&output, 2);
+        let error = complaint(&output);
+        assert!(error.contains(why), "{error}");
+    }
 }
 
 #[test]

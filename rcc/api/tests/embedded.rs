@@ -268,6 +268,15 @@ fn emulated_cell_unknown_name_lists_known_ones() {
 }
 
 #[test]
+fn real_time_factor_out_of_range_is_invalid() {
+    for factor in [0.0, 0.09, 10.1, -1.0, f64::NAN, f64::INFINITY] {
+        let error = takt_api::simulate_time(factor).unwrap_err();
+        assert!(matches!(error.kind, ErrorKind::Invalid(_)), "{error}");
+        assert!(error.to_string().contains("0.1 to 10 times"), "{error}");
+    }
+}
+
+#[test]
 fn slow_motion_stops_within_whole_limits() {
     steady(|| {
         let cell = Cell::emulated("two_lwr").unwrap();

@@ -218,6 +218,8 @@ def main() -> None:
     parser.add_argument("--last", default="deliver", help="end with this step")
     given = parser.parse_args()
     emulated = "assembly_unloaded" if given.unloaded else "assembly"
+    if not given.address:
+        takt.simulate_time()  # where the host stalls, the emulated arms stand still together
     with takt.connect(given.address) if given.address else takt.emulate(emulated) as cell:
         it = Station(cell)
         steps: dict[str, Callable[[], object]] = {"start and dock": lambda: it.start(given.unloaded)}

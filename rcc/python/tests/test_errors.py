@@ -34,6 +34,14 @@ def test_joint_count_error_names_line(left: takt.Arm) -> None:
     assert "left.ptp([0.0] * 6)" in line_of(caught.value)
 
 
+@pytest.mark.parametrize("factor", [0.0, 0.09, 10.1, -1.0, math.nan, math.inf])
+def test_real_time_factor_out_of_range_is_invalid(factor: float) -> None:
+    with pytest.raises(takt.Invalid) as caught:
+        takt.simulate_time(factor)
+    assert "0.1 to 10 times" in str(caught.value)
+    assert "takt.simulate_time(factor)" in line_of(caught.value)
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 3.0])
 def test_joint_value_out_of_range_is_limit(left: takt.Arm, bad: float) -> None:
     with pytest.raises(takt.Limit) as caught:

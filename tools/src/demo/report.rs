@@ -16,6 +16,7 @@ use takt_rt::stats::Summary;
 
 use super::cell::Arm;
 use super::recovery::Outcome;
+use super::{time_line, time_waited_ms};
 use crate::output::time;
 
 /// Quantiles of a time, ns.
@@ -300,6 +301,8 @@ pub(super) struct Report {
     /// Resident memory when the motion began and when it ended.
     memory_start_kib: Option<u64>,
     memory_end_kib: Option<u64>,
+    /// How long simulated time waited for threads that the host ran late; `None` in real time.
+    time_waited_ms: Option<f64>,
     cycles: u64,
     overruns: u64,
     latency_ns: Quantiles,
@@ -375,6 +378,7 @@ impl Report {
             longest_stall_thread: stalls.thread,
             memory_start_kib: before.memory_kib,
             memory_end_kib: resident_kib(),
+            time_waited_ms: time_waited_ms(),
             cycles: stats.cycles,
             overruns: stats.overruns,
             latency_ns: stats.latency.into(),
@@ -407,7 +411,8 @@ impl Report {
                 "NOT real time: see the warnings; figures are those of an ordinary process"
             }
         };
-        let mut text = format!(
+        let mut text = time_line(self.time_waited_ms);
+        text += &format!(
             "cycle      1 ms, {} cycles, {} overruns; {kind}\nlatency    {}\nexecution  {}\n",
             self.cycles, self.overruns, self.latency_ns, self.execution_ns,
         );

@@ -17,6 +17,8 @@ use program::{Done, Order, Progress};
 use takt_api::Cell;
 
 fn main() -> Done {
+    // Where the host stalls, the emulated arms stand still together.
+    takt_api::simulate_time(1.0)?;
     // Each in a cell of its own: the boxes are on the platform again.
     let run = |is_stopping| {
         let order = Order {

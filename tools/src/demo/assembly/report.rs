@@ -10,6 +10,7 @@ use super::Log;
 use super::program::Step;
 use super::supervisor::{States, Supervised};
 use crate::Verdict;
+use crate::demo::{time_line, time_waited_ms};
 
 /// Largest internal force of a box, N; and where an arm or a process is lost while both arms carry it.
 const INTERNAL: f64 = 15.0;
@@ -134,7 +135,7 @@ impl Report {
             stops: figures.stops,
             dropped: figures.dropped,
             held: held.map(|body| body.name.clone()).collect(),
-            time_waited_ms: takt_rt::simulated::waited().map(|it| it.as_secs_f64() * 1e3),
+            time_waited_ms: time_waited_ms(),
             controller: None,
         }
     }
@@ -214,12 +215,7 @@ impl Report {
             format!("; the hands hold {}", self.held.join(", "))
         };
         let _ = writeln!(text, "parts      {} dropped{held}", self.dropped);
-        if let Some(waited_ms) = self.time_waited_ms {
-            let _ = writeln!(
-                text,
-                "time       simulated; it waited {waited_ms:.0} ms for threads that the host ran late"
-            );
-        }
+        text += &time_line(self.time_waited_ms);
         if let Some(controller) = &self.controller {
             let _ = writeln!(
                 text,

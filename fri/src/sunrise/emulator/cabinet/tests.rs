@@ -535,6 +535,29 @@ fn cabinet_missing_commands_bridged_then_end_overlay() {
 }
 
 #[test]
+fn cabinet_arm_moves_on_through_stall_as_without() {
+    let mut bench = active_position();
+    let mut joints = ahead(&bench, 0.0);
+    for _ in 0..20 {
+        joints[0] += 0.002;
+        bench.cycle(|data| data.joints = Some(joints));
+    }
+    let before = bench.cabinet.set_point()[0];
+    let mut buf = [0; MESSAGE_MAX];
+    let late = bench.cabinet.poll_timeout() + PERIOD * 7;
+    bench.cabinet.poll_transmit(late, &mut buf).unwrap();
+    // The last command is followed, and seven cycles go on at its speed.
+    let expected = before + 8.0 * 0.002;
+    assert!((bench.cabinet.set_point()[0] - expected).abs() < 1e-9);
+    // Of a longer stall, 20 ms are made up.
+    let late = bench.cabinet.poll_timeout() + PERIOD * 100;
+    bench.cabinet.poll_transmit(late, &mut buf).unwrap();
+    let expected = expected + 11.0 * 0.002;
+    assert!((bench.cabinet.set_point()[0] - expected).abs() < 1e-9);
+    assert_eq!(bench.reason(), None);
+}
+
+#[test]
 fn cabinet_power_loss_or_safety_stop_ends_overlay() {
     let mut bench = active_position();
     bench.cabinet.set_power(false);
