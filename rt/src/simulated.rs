@@ -6,6 +6,9 @@
 //! host's clock: 1 for programs outside of it, which see robots move as usual, more for tests. Never for hardware: a real bus
 //! does not wait.
 //!
+//! Threads that are made in simulated time get no real-time priority: the time waits for them anyway, and programs beside them need
+//! processors too.
+//!
 //! Threads that wait by [`sleep_until`](crate::sleep_until), [`may_wait`](crate::may_wait) or [`readable`](crate::readable) take
 //! part by that: cycles, drivers and emulators over UDP, TCP and cables in memory. CAN sockets do not.
 
@@ -22,7 +25,7 @@ pub const PATIENCE: Nanos = Nanos::from_millis(2_000);
 const SLICE: Nanos = Nanos::from_micros(500);
 /// Threads that the time waits for; it does not wait for more.
 pub const THREADS_MAX: usize = 64;
-/// While the time stands, threads look at it this often, on the host's clock: those that it waits for may have the lowest priority.
+/// While the time stands, threads look at it this often, on the host's clock.
 const STANDS: Nanos = Nanos::from_micros(200);
 /// A thread without a wait.
 const NEVER: i64 = i64::MAX;

@@ -574,7 +574,10 @@ impl<W: Write + Seek> FileThread<W> {
                 flushed = Instant::now();
             }
             if idle {
-                std::thread::sleep(IDLE);
+                // In simulated time, the time waits for this thread too. Fails never but by a system call filter.
+                if takt_rt::sleep_until(takt_rt::monotonic() + IDLE.into()).is_err() {
+                    std::thread::sleep(IDLE);
+                }
             }
         }
     }

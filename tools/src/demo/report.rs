@@ -405,6 +405,7 @@ impl Report {
     /// The report for people.
     pub(super) fn text(&self) -> String {
         let kind = match (self.realtime, self.preempt_rt) {
+            _ if self.time_waited_ms.is_some() => "figures of simulated time",
             (true, true) => "real-time priority on a PREEMPT_RT kernel",
             (true, false) => "real-time priority, but not a PREEMPT_RT kernel",
             (false, _) => {
