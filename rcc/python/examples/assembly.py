@@ -173,18 +173,17 @@ class Station:
         perform("turn", bit.ptp_to(self.goal(before, FORTH)))
         soft = takt.Control.cartesian([2000.0, 2000.0, 2000.0, 300.0, 300.0, 300.0], [0.7] * 6)
         perform("impedance", bit.switch_to(soft))
-        tight = {"tight": self.driver.analogue_input(0) > TORQUE}
+        torque = self.driver.analogue_input(0)
+        known = torque > -100.0  # in each cycle: what it lasts is time of the controller
+        stops = {"tight": torque > TORQUE, "late": known.lasting(12.0)}
         for attempt in range(2):
-            press = bit.press(self.world.direction([0.0, 1.0, 0.0]), PRESS, until=tight).begin()
+            press = bit.press(self.world.direction([0.0, 1.0, 0.0]), PRESS, until=stops).begin()
             press.wait()
             perform("driver on", self.driver.set_analogue(0, DRIVER))
-            try:
-                press.wait_to_end(10.0)
-            except takt.Timeout:
-                press.cancel()
+            ended = press.wait_to_end()
             perform("driver off", self.driver.set_analogue(0, 0.0))
             missing = SCREWED - self.tip(bit, BIT)
-            if not press.wait_to_end().is_stopped_by("tight"):
+            if not ended.is_stopped_by("tight"):
                 perform("draw the screw back", self.lin(bit, before, FORTH))
                 if attempt > 0:
                     raise RuntimeError(f"the screw does not reach {TORQUE} Nm, twice\nhint: is there one at the bit?")
@@ -193,8 +192,7 @@ class Station:
             if missing < JAMMED:
                 break
             perform("driver back", self.driver.set_analogue(0, -DRIVER))
-            time.sleep(1.0)
-            perform("driver off", self.driver.set_analogue(0, 0.0))
+            perform("driver off", takt.when(known.lasting(1.0)).start(self.driver.set_analogue(0, 0.0)))
             if attempt > 0:
                 text = f"the screw is tight {missing * 1e3:.1f} mm before its seat, twice: it was turned back"
                 raise RuntimeError(f"{text}\nhint: replace screw and socket")

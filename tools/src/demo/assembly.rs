@@ -64,7 +64,7 @@ impl Log {
             }),
             Progress::Ended(step) => {
                 self.end(now_s);
-                took_s = Some(self.took_s(step));
+                took_s = Some(self.took_s(self.spans.len().saturating_sub(1), step));
             }
             Progress::Note(text) => self.notes.push(text),
         }
@@ -73,9 +73,9 @@ impl Log {
         }
     }
 
-    /// How long a step took, s: in simulated time the program's clock is another.
-    fn took_s(&self, step: &Step) -> f64 {
-        let span = self.spans.iter().rfind(|span| span.name == step.name);
+    /// How long a step took, s, by its number: in simulated time the program's clock is another.
+    fn took_s(&self, number: usize, step: &Step) -> f64 {
+        let span = self.spans.get(number).filter(|it| it.name == step.name);
         span.map_or(step.duration.as_secs_f64(), |span| span.to_s - span.from_s)
     }
 

@@ -5,15 +5,13 @@
 
 mod station;
 
-use std::time::Duration;
-
-use takt_api::{Arm, Cell, Control, Gripper, Handle, Pose, coupled, together};
+use takt_api::{Arm, Cell, Control, Gripper, Handle, Pose, coupled, together, when};
 
 use station::{
     AROUND, BACK, BEYOND, BIT, BOXES, CARRY, CONTACT, DOCK, DOWN, DRIVER, FORTH, GRASP, GRIP,
     HEIGHTS, HELD, IN_HOLE, JAMMED, LIFT, ON_FACE, PRESS, SCREW, SCREW_WITHIN, SCREWED, SEATED,
-    STANDS, THREAD, TORQUE, UNEVEN, WEIGHT, complete, contact_limits, fail, limits, maintain,
-    perform, ready,
+    STANDS, THREAD, TORQUE, UNEVEN, UNSCREWS, WEIGHT, complete, contact_limits, fail, limits,
+    maintain, perform, ready,
 };
 pub(crate) use station::{Done, Order, Progress, Station, Step};
 
@@ -198,17 +196,18 @@ impl Station<'_> {
         let soft = Control::cartesian([2000.0, 2000.0, 2000.0, 300.0, 300.0, 300.0], [0.7; 6]);
         perform("impedance", bit.switch_to(soft))?;
         let driven = |what, speed| perform(what, self.driver.set_analogue(0, speed));
-        let tight = self.driver.analogue_input(0)?.over(TORQUE);
+        let torque = self.driver.analogue_input(0)?;
+        let tight = torque.clone().over(TORQUE);
+        // Known in each cycle: what it lasts is time of the controller.
+        let passed = |span| torque.clone().over(-100.0).lasting(span);
         for is_last in [false, true] {
             let press = self.press(bit, PRESS).until("tight", tight.clone());
-            let press = press.begin()?;
+            let press = press.until("late", passed(SCREW_WITHIN)).begin()?;
             maintain("press the screw", &press)?;
             driven("driver on", DRIVER)?;
-            if press.wait_to_end_for(SCREW_WITHIN).is_none() {
-                press.cancel();
-            }
+            let ended = press.wait_to_end()?;
             driven("driver off", 0.0)?;
-            let (ended, left) = (press.wait_to_end()?, (SCREWED - self.tip(bit, BIT)?) * 1e3);
+            let left = (SCREWED - self.tip(bit, BIT)?) * 1e3;
             if !ended.is_stopped_by("tight") {
                 perform("draw the screw back", bit.lin(self.world.pose(before)))?;
                 if is_last {
@@ -223,8 +222,8 @@ impl Station<'_> {
                 break;
             }
             driven("driver back", -DRIVER)?;
-            std::thread::sleep(Duration::from_secs(1));
-            driven("driver off", 0.0)?;
+            let off = self.driver.set_analogue(0, 0.0);
+            perform("driver off", when(passed(UNSCREWS)).start(off))?;
             if is_last {
                 return fail(&format!(
                     "the screw is tight {left:.1} mm before its seat, twice: it was turned back\nhint: replace screw and socket"

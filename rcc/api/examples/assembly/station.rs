@@ -47,7 +47,8 @@ pub(super) const AROUND: [[f64; 2]; 4] = [[0.002, 0.0], [-0.002, 0.0], [0.0, 0.0
 pub(super) const PRESS: f64 = 12.0;
 pub(super) const TORQUE: f64 = 1.5;
 pub(super) const DRIVER: f64 = 18.0;
-pub(super) const SCREW_WITHIN: Duration = Duration::from_secs(10);
+pub(super) const SCREW_WITHIN: Duration = Duration::from_secs(12);
+pub(super) const UNSCREWS: Duration = Duration::from_secs(1);
 /// Grasping, N, at first and after a slip. A little lift, m, shows a slip: one arm carries so much more than the other, N, or both less
 /// than a box weighs.
 pub(super) const GRASP: [f64; 2] = [38.0, 80.0];

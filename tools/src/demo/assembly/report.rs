@@ -112,8 +112,8 @@ impl Report {
             faults.push(format!("boxes stood still in the air {stops} times"));
         }
         let held = truth.bodies.iter().filter(|body| !body.held_by.is_empty());
-        let seconds = |step: &Step| (step.name, log.took_s(step));
-        let steps: Vec<_> = steps.iter().map(seconds).collect();
+        let seconds = |(number, step): (usize, &Step)| (step.name, log.took_s(number, step));
+        let steps: Vec<_> = steps.iter().enumerate().map(seconds).collect();
         Self {
             ok: faults.is_empty(),
             faults,
