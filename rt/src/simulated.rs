@@ -20,7 +20,7 @@ use crate::{Nanos, linux::clock::host_clock};
 /// How late a thread may run before the time waits for it: what an idle host does is part of an emulation.
 pub const SLACK: Nanos = Nanos::from_micros(500);
 /// The time waits no longer for a thread, on the host's clock: that waits for something else than the clock.
-pub const PATIENCE: Nanos = Nanos::from_millis(2_000);
+pub const TIMEOUT: Nanos = Nanos::from_millis(2_000);
 /// A thread that waits for something else besides the clock looks at both this often.
 const SLICE: Nanos = Nanos::from_micros(500);
 /// Threads that the time waits for; it does not wait for more.
@@ -143,12 +143,12 @@ impl Participant {
             self.late_since_ns.store(NEVER, relaxed);
             return end;
         }
-        // By the first that notices: a host that stands as a whole takes no patience.
+        // By the first that notices: a host that stands as a whole is no timeout.
         let noticed = self
             .late_since_ns
             .compare_exchange(NEVER, real.0, relaxed, relaxed);
         let since = noticed.unwrap_or_else(|since| since);
-        if noticed.is_err() && real.0 - since > PATIENCE.0 {
+        if noticed.is_err() && real.0 - since > TIMEOUT.0 {
             NEVER
         } else {
             end
@@ -308,25 +308,25 @@ mod tests {
     #[test]
     fn simulated_time_of_stall_before_next_wait_is_not_made_up() {
         let clock = clock(&[ms(2)]);
-        // Nobody reads the clock during the stall but the thread itself, behind it.
+        // No thread reads the clock during the stall; the stalled one does behind it.
         assert_eq!(clock.wait(0, ms(4), ms(50)).0, ms(2) - SLACK);
         assert_eq!(clock.now(ms(51)), ms(3) + SLACK);
     }
 
     #[test]
-    fn simulated_time_waits_with_patience_and_not_for_threads_that_ended() {
-        let patient = clock(&[ms(2)]);
+    fn simulated_time_waits_until_timeout_and_not_for_threads_that_ended() {
+        let waiting = clock(&[ms(2)]);
         let stands = ms(2) + SLACK;
         // The host stood as a whole for an hour: the thread could not run.
         let awake = ms(3_600_000);
-        assert_eq!(patient.now(awake), stands);
-        assert_eq!(patient.now(awake + PATIENCE), stands);
-        assert_eq!(patient.now(awake + PATIENCE + ms(1)), stands + ms(1));
-        assert_eq!(patient.now(awake + PATIENCE + ms(3)), stands + ms(3));
+        assert_eq!(waiting.now(awake), stands);
+        assert_eq!(waiting.now(awake + TIMEOUT), stands);
+        assert_eq!(waiting.now(awake + TIMEOUT + ms(1)), stands + ms(1));
+        assert_eq!(waiting.now(awake + TIMEOUT + ms(3)), stands + ms(3));
         // It waits again, and is awaited again.
-        patient.wait(0, stands + ms(4), awake + PATIENCE + ms(3));
+        waiting.wait(0, stands + ms(4), awake + TIMEOUT + ms(3));
         assert_eq!(
-            patient.now(awake + PATIENCE + PATIENCE),
+            waiting.now(awake + TIMEOUT + TIMEOUT),
             stands + ms(4) + SLACK
         );
         let ended = clock(&[ms(2)]);

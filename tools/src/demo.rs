@@ -78,12 +78,12 @@ pub(crate) struct Demo {
     /// Print one JSON object instead of the report.
     #[arg(long)]
     json: bool,
-    /// Which time the emulated robots and their controller run in; `assembly`, which is judged, runs in simulated time unless told.
+    /// Which time the emulated robots and their controller run in; `assembly`, which is judged, runs in simulated time unless this is given.
     #[arg(long, value_enum, value_name = "TIME")]
     time: Option<Time>,
-    /// How fast simulated time runs while the host keeps up, in parts of the host's.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
-    real_time_factor: f64,
+    /// How fast simulated time runs while the host keeps up, in parts of the host's [default: 1].
+    #[arg(long, value_name = "FACTOR")]
+    real_time_factor: Option<f64>,
     /// File of the plot [default: takt-demo.svg, or assembly.svg].
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
@@ -123,14 +123,13 @@ pub(crate) struct Demo {
 }
 
 impl Demo {
-    /// Before the first thread that has cycles; `usual` unless told.
+    /// Before the first thread that has cycles; `usual` unless another is given.
     fn begin_time(&self, usual: Time) -> anyhow::Result<()> {
         if self.time.unwrap_or(usual) == Time::Simulated {
-            takt_embedded::simulate_time(self.real_time_factor)?;
-        } else if self.real_time_factor != 1.0 {
+            takt_embedded::simulate_time(self.real_time_factor.unwrap_or(1.0))?;
+        } else if let Some(factor) = self.real_time_factor {
             anyhow::bail!(
-                "--real-time-factor {} in real time, whose factor is 1\nhint: add --time simulated",
-                self.real_time_factor
+                "--real-time-factor {factor} in real time, whose factor is 1\nhint: add --time simulated"
             );
         }
         Ok(())
