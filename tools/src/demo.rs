@@ -45,9 +45,8 @@ const READY_WITHIN: Duration = Duration::from_mins(1);
 /// A time that emulated robots run in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Time {
-    /// It waits for threads that the host runs late
+    // No texts: with them, the help of all options takes twice the lines.
     Simulated,
-    /// That of the host
     Real,
 }
 
@@ -78,7 +77,8 @@ pub(crate) struct Demo {
     /// Print one JSON object instead of the report.
     #[arg(long)]
     json: bool,
-    /// Which time the emulated robots and their controller run in; `assembly`, which is judged, runs in simulated time unless this is given.
+    /// The time of robots and controller: that of the host, or one that waits for threads which the host runs late [default: simulated
+    /// for `assembly`, else real].
     #[arg(long, value_enum, value_name = "TIME")]
     time: Option<Time>,
     /// How fast simulated time runs while the host keeps up, in parts of the host's [default: 1].
