@@ -144,7 +144,7 @@ pub fn readable(fd: BorrowedFd<'_>, timeout: Duration) -> io::Result<bool> {
     loop {
         let left = may_wait(until);
         match ppoll(&mut waits, Some(TimeSpec::from_duration(left)), None) {
-            Ok(0) if left.is_zero() => return Ok(false),
+            Ok(0) if may_wait(until).is_zero() => return Ok(false),
             Ok(0) => {}
             Ok(_) => return Ok(true),
             Err(Errno::EINTR) => return Ok(false),
