@@ -79,10 +79,10 @@ pub(crate) struct Demo {
     json: bool,
     /// The time of robots and controller: that of the host, or one that waits for threads which the host runs late [default: simulated
     /// for `assembly`, else real].
-    #[arg(long, value_enum, value_name = "TIME")]
+    #[arg(long, value_enum, value_name = "TIME", conflicts_with_all = ["from", "print_net"])]
     time: Option<Time>,
     /// How fast simulated time runs while the host keeps up, in parts of the host's [default: 1].
-    #[arg(long, value_name = "FACTOR")]
+    #[arg(long, value_name = "FACTOR", conflicts_with_all = ["from", "print_net"])]
     real_time_factor: Option<f64>,
     /// File of the plot [default: takt-demo.svg, or assembly.svg].
     #[arg(long, value_name = "FILE.svg")]

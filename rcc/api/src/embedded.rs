@@ -17,7 +17,7 @@ use crate::session::Session;
 /// host's, 0.1 to 10; above 1, the program is that much later for its robots. Further calls change nothing.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] if the factor is out of its range.
+/// [`ErrorKind::Invalid`] if the factor is out of its range, or this program has started the controller of a cell file.
 #[track_caller]
 pub fn simulate_time(real_time_factor: f64) -> Result<(), Error> {
     Ok(takt_embedded::simulate_time(real_time_factor).map_err(ErrorKind::from)?)
@@ -50,7 +50,7 @@ impl Cell {
     /// channel. A controller that people rely on is a service: `takt run`.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if the file cannot be read or is no valid cell; [`ErrorKind::Connection`] if the system refuses threads,
+    /// [`ErrorKind::Invalid`] if the file cannot be read or is no valid cell, or in simulated time ([`simulate_time`]); [`ErrorKind::Connection`] if the system refuses threads,
     /// sockets or devices.
     #[track_caller]
     pub fn embedded(path: impl AsRef<Path>) -> Result<Self, Error> {
@@ -99,7 +99,9 @@ impl From<takt_embedded::Error> for ErrorKind {
     fn from(error: takt_embedded::Error) -> Self {
         let is_of_the_caller = matches!(
             error,
-            takt_embedded::Error::UnknownCell { .. } | takt_embedded::Error::RealTimeFactor { .. }
+            takt_embedded::Error::UnknownCell { .. }
+                | takt_embedded::Error::RealTimeFactor { .. }
+                | takt_embedded::Error::RealDevices
         );
         let text = chain(&error);
         if is_of_the_caller {

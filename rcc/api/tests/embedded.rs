@@ -330,6 +330,11 @@ fn embedded_cell_file_admits_this_program_only() {
     let address = cell.embedded_address().unwrap().to_string();
     let error = Cell::connect(&address).unwrap_err();
     assert!(error.to_string().contains("token"), "{error}");
+    let simulated = takt_api::simulate_time(1.0).unwrap_err();
+    assert!(
+        matches!(simulated.kind, ErrorKind::Invalid(_)),
+        "{simulated}"
+    );
     let missing = Cell::embedded(&path).unwrap_err();
     assert!(matches!(missing.kind, ErrorKind::Invalid(_)), "{missing}");
     assert!(missing.to_string().contains("No such file"), "{missing}");

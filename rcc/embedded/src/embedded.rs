@@ -3,13 +3,14 @@
 use std::fmt::Write as _;
 use std::io::Read as _;
 use std::net::SocketAddr;
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use takt_client::Token;
 use takt_core::device::driver::DeviceDriver as _;
 use takt_core::{CellConfig, Controller};
 use takt_devices::ethercat::Ethercat;
-use takt_rt::simulated::{FACTORS, begin};
+use takt_rt::simulated::{FACTORS, begin, waited};
 use takt_server::{Loopback, Server, ServerConfig, ServerThreads};
 
 use crate::cell::{ANY_PORT, EmulatedCell};
@@ -42,19 +43,26 @@ struct Parts {
     machines: Machines,
 }
 
+/// Whether this program has started the controller of a cell file: then its time is that of its devices.
+static HAS_CELL_FILE: Mutex<bool> = Mutex::new(false);
+
 /// Lets emulated cells of this program run in simulated time from now on and to its end: the time waits for threads that the
 /// host runs late, so robots and controller miss no cycle on a host that is busy or stalls. For tests and demonstrations; not
 /// beside real robots. Where the host keeps up, the time runs `real_time_factor` times as fast as the host's, 0.1 to 10; above
 /// 1, the program is that much later for its robots. Further calls change nothing.
 ///
 /// # Errors
-/// [`Error::RealTimeFactor`] if the factor is out of its range.
+/// [`Error::RealTimeFactor`] if the factor is out of its range, [`Error::RealDevices`] if this program has started a cell file.
 pub fn simulate_time(real_time_factor: f64) -> Result<(), Error> {
     let [least, most] = FACTORS;
     if !(least..=most).contains(&real_time_factor) {
         return Err(Error::RealTimeFactor {
             factor: real_time_factor,
         });
+    }
+    let has_cell_file = HAS_CELL_FILE.lock().unwrap_or_else(PoisonError::into_inner);
+    if *has_cell_file {
+        return Err(Error::RealDevices);
     }
     begin(real_time_factor);
     Ok(())
@@ -86,8 +94,14 @@ impl Embedded {
     /// port of loopback, for clients that know its token; addresses, tokens and sockets of the cell are not used.
     ///
     /// # Errors
-    /// If the cell is invalid, or a device, thread or socket cannot be opened.
+    /// If the cell is invalid, or a device, thread or socket cannot be opened; [`Error::RealDevices`] in simulated time.
     pub fn start(cell: &CellConfig) -> Result<Self, Error> {
+        let mut has_cell_file = HAS_CELL_FILE.lock().unwrap_or_else(PoisonError::into_inner);
+        if waited().is_some() {
+            return Err(Error::RealDevices);
+        }
+        *has_cell_file = true;
+        drop(has_cell_file);
         let token = random_token()?;
         Self::serve(Controller::start(cell)?, Machines::default(), Some(token))
     }

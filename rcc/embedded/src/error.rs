@@ -24,6 +24,11 @@ pub enum Error {
         /// The factor.
         factor: f64,
     },
+    /// A process has either emulated robots in simulated time, or the devices of a cell file.
+    #[error(
+        "a cell file and simulated time in one program: real devices do not wait for it\nhint: emulate in another program, or without simulated time"
+    )]
+    RealDevices,
     /// The controller did not start.
     #[error(transparent)]
     Controller(#[from] takt_core::Error),

@@ -78,7 +78,7 @@ def simulate_time(real_time_factor: float = 1.0) -> None:
     `real_time_factor`: how fast it runs while the host keeps up, 0.1 to 10 times the host's time. Further calls change
     nothing.
 
-    Raises `Invalid` if the factor is out of its range.
+    Raises `Invalid` if the factor is out of its range, or this program has embedded a cell file.
     """
 
 def embed(path: str | PathLike[str]) -> Cell:
