@@ -19,7 +19,7 @@ THREAD = (0.02165, -0.00045)  # where the bit is led, x and z: the soft arm turn
 MOUTH, BOTTOM, PRESS = 8.0, 4.0, 12.0  # contact over the chamfer and in the hole, pressing peg and screw, N
 AROUND = ((0.0, 0.0), (0.002, 0.0), (-0.002, 0.0), (0.0, 0.002), (0.0, -0.002))  # where the peg is tried, x and z
 TORQUE, DRIVER, GRASP = 1.5, 18.0, (38.0, 80.0)  # Nm, rad/s, N
-LIFT, UNEVEN, WEIGHT, CARRY, JAMMED, ON_FACE = 0.012, 1.5, 11.0, 0.16, 0.003, 0.026
+LIFT, UNEVEN, WEIGHT, CARRY, JAMMED, ON_FACE = 0.012, 2.5, 11.0, 0.16, 0.003, 0.026
 Task = takt.Activity | takt.Composite
 
 
