@@ -16,56 +16,54 @@ use takt_core::device::DeviceStatus;
 use takt_core::{CellConfig, Controller};
 use takt_devices::fri::LwrConfig;
 use takt_rt::servo::State;
-use takt_tests::steady;
+use takt_tests::{pass, simulate_time};
 
 #[test]
 fn lwr_net_moves_arm_and_ends() {
-    steady(|| {
-        let cell = Cell::new(&["left"]);
-        let before = cell.robots[0].status.measured()[6];
-        let net = cell.load(&swing("left", 1.0));
-        cell.controller.start_net(net).unwrap();
-        let info = cell.wait_for_end(net);
-        assert_eq!(
-            info.end,
-            None,
-            "{:?}",
-            cell.robots[0].status.last_exit().map(|f| f.to_string())
-        );
-        assert_eq!(
-            info.states,
-            [
-                NetState::Loading,
-                NetState::Ready,
-                NetState::Running,
-                NetState::Terminated
-            ]
-        );
-        cell.wait("the arm at its goal", |_| {
-            (cell.robots[0].status.measured()[6] - before - 0.5).abs() < 1e-3
-        });
-        assert_eq!(
-            cell.controller.out_values(net),
-            [("outerror".to_owned(), "0".to_owned())]
-        );
+    simulate_time();
+    let cell = Cell::new(&["left"]);
+    let before = cell.robots[0].status.measured()[6];
+    let net = cell.load(&swing("left", 1.0));
+    cell.controller.start_net(net).unwrap();
+    let info = cell.wait_for_end(net);
+    assert_eq!(
+        info.end,
+        None,
+        "{:?}",
+        cell.robots[0].status.last_exit().map(|f| f.to_string())
+    );
+    assert_eq!(
+        info.states,
+        [
+            NetState::Loading,
+            NetState::Ready,
+            NetState::Running,
+            NetState::Terminated
+        ]
+    );
+    cell.wait("the arm at its goal", |_| {
+        (cell.robots[0].status.measured()[6] - before - 0.5).abs() < 1e-3
     });
+    assert_eq!(
+        cell.controller.out_values(net),
+        [("outerror".to_owned(), "0".to_owned())]
+    );
 }
 
 #[test]
 fn lwr_lost_robot_ends_only_its_net() {
-    steady(|| {
-        let mut cell = Cell::new(&["left", "right"]);
-        let (left, right) = (
-            cell.load(&swing("left", 3.0)),
-            cell.load(&swing("right", 3.0)),
-        );
-        cell.controller.start_net(left).unwrap();
-        cell.controller.start_net(right).unwrap();
-        cell.robots[0].kill();
-        let ended = cell.wait_for_end(left).end.unwrap();
-        assert!(ended.contains("left stopped following commands"), "{ended}");
-        assert_eq!(cell.wait_for_end(right).end, None);
-    });
+    simulate_time();
+    let mut cell = Cell::new(&["left", "right"]);
+    let (left, right) = (
+        cell.load(&swing("left", 3.0)),
+        cell.load(&swing("right", 3.0)),
+    );
+    cell.controller.start_net(left).unwrap();
+    cell.controller.start_net(right).unwrap();
+    cell.robots[0].kill();
+    let ended = cell.wait_for_end(left).end.unwrap();
+    assert!(ended.contains("left stopped following commands"), "{ended}");
+    assert_eq!(cell.wait_for_end(right).end, None);
 }
 
 /// How a slow net is ended.
@@ -77,103 +75,99 @@ enum Ending {
 
 #[test]
 fn slow_net_ends_lwr_brakes_at_once() {
+    simulate_time();
     for ending in [Ending::Abort, Ending::Rule] {
-        steady(|| {
-            let cell = Cell::new(&["left"]);
-            let before = cell.position("left", 6);
-            // At most 0.04 rad/s, with a set-point each second.
-            let net = cell.load_every(&swing("left", 20.0), Duration::from_secs(1));
-            cell.controller.start_net(net).unwrap();
-            cell.wait("the arm in motion", |_| {
-                (cell.position("left", 6) - before).abs() > 0.03 || cell.is_over(net)
-            });
-            match ending {
-                Ending::Abort => cell.controller.abort(net).unwrap(),
-                Ending::Rule => {
-                    let request = RuleRequest {
-                        condition: "t".to_owned(),
-                        stop: vec![net],
-                        ..RuleRequest::default()
-                    };
-                    cell.controller.schedule(request).unwrap();
-                }
-            }
-            let _ended = cell.wait_for_end(net);
-            let ended = cell.position("left", 6);
-            let rest = cell.at_rest("left", 6);
-            assert!((rest - ended).abs() < 0.01, "{ending:?}: {ended} to {rest}");
+        let cell = Cell::new(&["left"]);
+        let before = cell.position("left", 6);
+        // At most 0.04 rad/s, with a set-point each second.
+        let net = cell.load_every(&swing("left", 20.0), Duration::from_secs(1));
+        cell.controller.start_net(net).unwrap();
+        cell.wait("the arm in motion", |_| {
+            (cell.position("left", 6) - before).abs() > 0.03 || cell.is_over(net)
         });
+        match ending {
+            Ending::Abort => cell.controller.abort(net).unwrap(),
+            Ending::Rule => {
+                let request = RuleRequest {
+                    condition: "t".to_owned(),
+                    stop: vec![net],
+                    ..RuleRequest::default()
+                };
+                cell.controller.schedule(request).unwrap();
+            }
+        }
+        let _ended = cell.wait_for_end(net);
+        let ended = cell.position("left", 6);
+        let rest = cell.at_rest("left", 6);
+        assert!((rest - ended).abs() < 0.01, "{ending:?}: {ended} to {rest}");
     }
 }
 
 #[test]
 fn lwr_power_loss_ends_net_recovers_at_rest() {
-    steady(|| {
-        let cell = Cell::new(&["left"]);
-        let net = cell.load(&swing("left", 3.0));
-        cell.controller.start_net(net).unwrap();
-        cell.robots[0].status.set_power(false);
-        assert!(
-            cell.wait_for_end(net)
-                .end
-                .unwrap()
-                .contains("stopped following")
-        );
-        cell.robots[0].status.set_power(true);
-        cell.wait("the arm operational again", |c| {
-            c.devices()[0].status == DeviceStatus::Operational
-        });
-        let rested = cell.robots[0].status.commanded();
-        std::thread::sleep(Duration::from_millis(100));
-        assert_eq!(cell.robots[0].status.commanded(), rested);
+    simulate_time();
+    let cell = Cell::new(&["left"]);
+    let net = cell.load(&swing("left", 3.0));
+    cell.controller.start_net(net).unwrap();
+    cell.robots[0].status.set_power(false);
+    assert!(
+        cell.wait_for_end(net)
+            .end
+            .unwrap()
+            .contains("stopped following")
+    );
+    cell.robots[0].status.set_power(true);
+    cell.wait("the arm operational again", |c| {
+        c.devices()[0].status == DeviceStatus::Operational
     });
+    let rested = cell.robots[0].status.commanded();
+    pass(Duration::from_millis(100));
+    assert_eq!(cell.robots[0].status.commanded(), rested);
 }
 
 #[test]
 fn lwr_controller_shutdown_in_motion_leaves_arm_resting() {
-    steady(|| {
-        let cell = Cell::new(&["left"]);
-        let before = cell.position("left", 6);
-        let net = cell.load(&swing("left", 2.0));
-        cell.controller.start_net(net).unwrap();
-        cell.wait("the arm in motion", |_| {
-            (cell.position("left", 6) - before).abs() > 0.1 || cell.is_over(net)
-        });
-        assert!(!cell.is_over(net), "it was lost before");
-        let Cell { controller, robots } = cell;
-        drop(controller);
-        let status = &robots[0].status;
-        // The controller of a robot without answers continues at the last speed, for 100 cycles here.
-        let (rested, sent) = (status.commanded(), status.sent());
-        let until = Instant::now() + Duration::from_secs(30);
-        while status.sent() < sent + 50 {
-            assert!(Instant::now() < until, "the robot sends no more");
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        assert_eq!(status.commanded(), rested);
+    simulate_time();
+    let cell = Cell::new(&["left"]);
+    let before = cell.position("left", 6);
+    let net = cell.load(&swing("left", 2.0));
+    cell.controller.start_net(net).unwrap();
+    cell.wait("the arm in motion", |_| {
+        (cell.position("left", 6) - before).abs() > 0.1 || cell.is_over(net)
     });
+    assert!(!cell.is_over(net), "it was lost before");
+    let Cell { controller, robots } = cell;
+    drop(controller);
+    let status = &robots[0].status;
+    // The controller of a robot without answers continues at the last speed, for 100 cycles here.
+    let (rested, sent) = (status.commanded(), status.sent());
+    let until = Instant::now() + Duration::from_secs(30);
+    while status.sent() < sent + 50 {
+        assert!(Instant::now() < until, "the robot sends no more");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert_eq!(status.commanded(), rested);
 }
 
 #[test]
 fn arm_joint_belongs_to_one_running_net() {
-    steady(|| {
-        let cell = Cell::new(&["left"]);
-        let (first, second) = (
-            cell.load(&swing("left", 2.0)),
-            cell.load(&swing("left", 2.0)),
-        );
-        cell.controller.start_net(first).unwrap();
-        let error = cell.controller.start_net(second).unwrap_err().to_string();
-        assert!(
-            error.contains(&format!("left_Joint_6, which net {first} of session ")),
-            "{error}"
-        );
-        cell.controller.cancel(first).unwrap();
-        cell.wait_for_end(first);
-        cell.controller.start_net(second).unwrap();
-        cell.controller.abort(second).unwrap();
-        assert_eq!(cell.wait_for_end(second).end.as_deref(), Some("aborted"));
-    });
+    simulate_time();
+    let cell = Cell::new(&["left"]);
+    let (first, second) = (
+        cell.load(&swing("left", 2.0)),
+        cell.load(&swing("left", 2.0)),
+    );
+    cell.controller.start_net(first).unwrap();
+    let error = cell.controller.start_net(second).unwrap_err().to_string();
+    assert!(
+        error.contains(&format!("left_Joint_6, which net {first} of session ")),
+        "{error}"
+    );
+    cell.controller.cancel(first).unwrap();
+    cell.wait_for_end(first);
+    cell.controller.start_net(second).unwrap();
+    cell.controller.abort(second).unwrap();
+    assert_eq!(cell.wait_for_end(second).end.as_deref(), Some("aborted"));
 }
 
 #[test]

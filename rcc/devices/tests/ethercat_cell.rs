@@ -21,7 +21,6 @@ use takt_devices::ethercat::master_config;
 use takt_ethercat::config::{Location, Unlocked};
 use takt_ethercat::emulator::{Coupler, Io, PdoImage, Segment, ServoConfig, ServoDrive, Slave};
 use takt_ethercat::linux::monotonic;
-use takt_tests::steady;
 
 use bench::{Log, TestBench};
 
@@ -191,25 +190,23 @@ fn ethercat_nets_use_analogue_channels_in_units() {
          analogue_in = [{ slave = 'volts', object = [0x6010, 0x11], scale = 0.5 }]\n\
          analogue_out = [{ slave = 'volts', bit = 16, scale = 0.5, offset = 1.0 }]\n",
     );
-    steady(|| {
-        let (terminal, io) = Io::analogue(2, 2);
-        let bench = TestBench::start(&config, Segment::line([terminal]));
-        bench.cell().wait_for("io", DeviceStatus::Operational);
-        let net = bench.cell().load(
-            "{ in=IO::InReal(DeviceID='io',Port='0'),
-           out=IO::OutReal(inIO=in.outIO,DeviceID='io',Port='0'),
-           cancel=Cancel(),outTerminate=cancel.outCancel }",
-        );
-        bench.cell().controller.start_net(net).unwrap();
-        for (raw, value) in [(100_i16, 98_i16), (-7, -9), (i16::MIN, i16::MIN)] {
-            let [low, high] = raw.to_le_bytes();
-            io.set_inputs(&[0, 0, low, high]);
-            let [low, high] = value.to_le_bytes();
-            bench.cell().wait("the output as the input", |_| {
-                io.outputs() == [0, 0, low, high]
-            });
-        }
-    });
+    let (terminal, io) = Io::analogue(2, 2);
+    let bench = TestBench::start(&config, Segment::line([terminal]));
+    bench.cell().wait_for("io", DeviceStatus::Operational);
+    let net = bench.cell().load(
+        "{ in=IO::InReal(DeviceID='io',Port='0'),
+       out=IO::OutReal(inIO=in.outIO,DeviceID='io',Port='0'),
+       cancel=Cancel(),outTerminate=cancel.outCancel }",
+    );
+    bench.cell().controller.start_net(net).unwrap();
+    for (raw, value) in [(100_i16, 98_i16), (-7, -9), (i16::MIN, i16::MIN)] {
+        let [low, high] = raw.to_le_bytes();
+        io.set_inputs(&[0, 0, low, high]);
+        let [low, high] = value.to_le_bytes();
+        bench.cell().wait("the output as the input", |_| {
+            io.outputs() == [0, 0, low, high]
+        });
+    }
 }
 
 #[test]
@@ -220,30 +217,28 @@ fn ethercat_ring_survives_cut_cable() {
          [[ethercat.slave]]\nname = 'b'\nposition = 1\n\
          [[ethercat.io]]\nname = 'io'\ndigital_in = [['a', 8], ['b', 8]]\ndigital_out = [['a', 8], ['b', 8]]\n",
     );
-    steady(|| {
-        let ((a, _a), (b, io)) = (Io::digital(8, 8), Io::digital(8, 8));
-        let bench = TestBench::start(&config, Segment::line([a, b]));
-        bench.cell().wait_for("io", DeviceStatus::Operational);
-        let net = bench.cell().load(
-            "{ in=IO::InBool(DeviceID='io',Port='8'),
-           out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='15'),
-           cancel=Cancel(),outTerminate=cancel.outCancel }",
-        );
-        bench.cell().controller.start_net(net).unwrap();
-        let follows = |value: u8| {
-            io.set_inputs(&[value]);
-            bench
-                .cell()
-                .wait("the output as the input", |_| io.outputs() == [value << 7]);
-        };
-        follows(1);
-        bench.segment().set_link(1, false);
-        follows(0);
-        follows(1);
-        assert!(bench.figures().operational);
-        bench.segment().set_link(1, true);
-        follows(0);
-    });
+    let ((a, _a), (b, io)) = (Io::digital(8, 8), Io::digital(8, 8));
+    let bench = TestBench::start(&config, Segment::line([a, b]));
+    bench.cell().wait_for("io", DeviceStatus::Operational);
+    let net = bench.cell().load(
+        "{ in=IO::InBool(DeviceID='io',Port='8'),
+       out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='15'),
+       cancel=Cancel(),outTerminate=cancel.outCancel }",
+    );
+    bench.cell().controller.start_net(net).unwrap();
+    let follows = |value: u8| {
+        io.set_inputs(&[value]);
+        bench
+            .cell()
+            .wait("the output as the input", |_| io.outputs() == [value << 7]);
+    };
+    follows(1);
+    bench.segment().set_link(1, false);
+    follows(0);
+    follows(1);
+    assert!(bench.figures().operational);
+    bench.segment().set_link(1, true);
+    follows(0);
 }
 
 #[test]
@@ -288,22 +283,20 @@ fn jumps(policy: &str, judge: impl Fn(&TestBench, &ServoDrive, NetId, u64)) {
          [[ethercat.arm]]\nname = 'arm'\njoint = [{{ slave = 'drive', axis = 0, increments_per_turn = 204800.0, \
          range = [-170.0, 170.0], velocity_max = 300.0, acceleration_max = 300.0 }}]\n"
     ));
-    steady(|| {
-        let (slave, drive) = servo();
-        let bench = TestBench::start(&config, Segment::line([servo().0, slave]));
-        bench.cell().wait_for("arm", DeviceStatus::Operational);
-        let net = bench.cell().swinging("arm", 0);
-        let events = bench.figures().events;
-        let now = u64::try_from(monotonic().unwrap().as_nanos()).unwrap();
-        bench
-            .segment()
-            .slave(1)
-            .unwrap()
-            .clock()
-            .unwrap()
-            .jump(400_000, now);
-        judge(&bench, &drive, net, events);
-    });
+    let (slave, drive) = servo();
+    let bench = TestBench::start(&config, Segment::line([servo().0, slave]));
+    bench.cell().wait_for("arm", DeviceStatus::Operational);
+    let net = bench.cell().swinging("arm", 0);
+    let events = bench.figures().events;
+    let now = u64::try_from(monotonic().unwrap().as_nanos()).unwrap();
+    bench
+        .segment()
+        .slave(1)
+        .unwrap()
+        .clock()
+        .unwrap()
+        .jump(400_000, now);
+    judge(&bench, &drive, net, events);
 }
 
 fn is_at_rest(drive: &ServoDrive) -> bool {

@@ -25,7 +25,6 @@ use takt_fri::sunrise::emulator::{
 };
 use takt_fri::sunrise::wire::{CommandMode, Dialect, Quality, SessionState};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
-use takt_tests::steady;
 
 /// An emulated cabinet in a thread of its own.
 struct Sunrise {
@@ -92,6 +91,7 @@ fn patient(dialect: Dialect) -> CabinetConfig {
 
 /// A controller with an iiwa 7 called `arm`.
 fn cell() -> (Cell, SocketAddr) {
+    takt_tests::simulate_time();
     let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
     let arm = IiwaConfig {
         model: IiwaModel::Iiwa7,
@@ -113,25 +113,23 @@ fn wait_for(cell: &Cell, status: DeviceStatus) {
 
 /// A net moves the arm by half a radian, as the cabinet measures.
 fn move_it(config: CabinetConfig) {
-    steady(|| {
-        let (cell, address) = cell();
-        let cabinet = Sunrise::start(address, config.clone());
-        wait_for(&cell, DeviceStatus::Operational);
-        let before = cabinet.status.measured()[6];
-        let net = cell.load(&swing("arm", 1.0));
-        cell.controller.start_net(net).unwrap();
-        let end = cell.wait_for_end(net).end;
-        let fall = cabinet.status.last_exit().map(|why| why.to_string());
-        assert_eq!(end, None, "{fall:?}");
-        cell.wait("the arm at its goal", |_| {
-            (cabinet.status.measured()[6] - before - 0.5).abs() < 1e-3
-        });
-        let figures = cell.controller.with_drivers(Iiwa::figures)[0];
-        assert_eq!(figures.malformed, 0);
-        assert_eq!(figures.quality, Quality::Excellent);
-        assert_eq!(figures.period, Some(Duration::from_millis(2)));
-        assert!(figures.datagrams > 500, "{figures:?}");
+    let (cell, address) = cell();
+    let cabinet = Sunrise::start(address, config.clone());
+    wait_for(&cell, DeviceStatus::Operational);
+    let before = cabinet.status.measured()[6];
+    let net = cell.load(&swing("arm", 1.0));
+    cell.controller.start_net(net).unwrap();
+    let end = cell.wait_for_end(net).end;
+    let fall = cabinet.status.last_exit().map(|why| why.to_string());
+    assert_eq!(end, None, "{fall:?}");
+    cell.wait("the arm at its goal", |_| {
+        (cabinet.status.measured()[6] - before - 0.5).abs() < 1e-3
     });
+    let figures = cell.controller.with_drivers(Iiwa::figures)[0];
+    assert_eq!(figures.malformed, 0);
+    assert_eq!(figures.quality, Quality::Excellent);
+    assert_eq!(figures.period, Some(Duration::from_millis(2)));
+    assert!(figures.datagrams > 500, "{figures:?}");
 }
 
 #[test]
@@ -167,63 +165,57 @@ fn iiwa_answers_only_when_cabinet_requests() {
 
 #[test]
 fn iiwa_pose_overlay_is_not_operational() {
-    steady(|| {
-        let (cell, address) = cell();
-        let overlay = Overlay {
-            control: Control::Position,
-            command: CommandMode::CartesianPose,
-        };
-        let restart = Some(Duration::from_millis(100));
-        let cabinet = Sunrise::start(
-            address,
-            CabinetConfig {
-                program: Program::Auto { overlay, restart },
-                ..patient(Dialect::V2)
-            },
-        );
-        cell.wait("the overlay active", |_| {
-            cabinet.status.state() == SessionState::CommandingActive
-        });
-        let net = cell.load(&swing("arm", 1.0));
-        let error = cell.controller.start_net(net).unwrap_err().to_string();
-        assert!(error.contains("arm, which is safe-operational"), "{error}");
+    let (cell, address) = cell();
+    let overlay = Overlay {
+        control: Control::Position,
+        command: CommandMode::CartesianPose,
+    };
+    let restart = Some(Duration::from_millis(100));
+    let cabinet = Sunrise::start(
+        address,
+        CabinetConfig {
+            program: Program::Auto { overlay, restart },
+            ..patient(Dialect::V2)
+        },
+    );
+    cell.wait("the overlay active", |_| {
+        cabinet.status.state() == SessionState::CommandingActive
     });
+    let net = cell.load(&swing("arm", 1.0));
+    let error = cell.controller.start_net(net).unwrap_err().to_string();
+    assert!(error.contains("arm, which is safe-operational"), "{error}");
 }
 
 #[test]
 fn iiwa_lost_cabinet_ends_net_accepts_new_dialect() {
-    steady(|| {
-        let (cell, address) = cell();
-        let mut cabinet = Sunrise::start(address, patient(Dialect::V1));
-        wait_for(&cell, DeviceStatus::Operational);
-        let net = cell.load(&swing("arm", 20.0));
-        cell.controller.start_net(net).unwrap();
-        cabinet.kill();
-        let ended = cell.wait_for_end(net).end.unwrap();
-        assert!(ended.contains("arm stopped following commands"), "{ended}");
-        wait_for(&cell, DeviceStatus::Offline);
-        let _newer = Sunrise::start(address, patient(Dialect::V3));
-        wait_for(&cell, DeviceStatus::Operational);
-    });
+    let (cell, address) = cell();
+    let mut cabinet = Sunrise::start(address, patient(Dialect::V1));
+    wait_for(&cell, DeviceStatus::Operational);
+    let net = cell.load(&swing("arm", 20.0));
+    cell.controller.start_net(net).unwrap();
+    cabinet.kill();
+    let ended = cell.wait_for_end(net).end.unwrap();
+    assert!(ended.contains("arm stopped following commands"), "{ended}");
+    wait_for(&cell, DeviceStatus::Offline);
+    let _newer = Sunrise::start(address, patient(Dialect::V3));
+    wait_for(&cell, DeviceStatus::Operational);
 }
 
 #[test]
 fn iiwa_power_loss_ends_net_recovers_at_rest() {
-    steady(|| {
-        let (cell, address) = cell();
-        let cabinet = Sunrise::start(address, patient(Dialect::V2));
-        wait_for(&cell, DeviceStatus::Operational);
-        let net = cell.load(&swing("arm", 20.0));
-        cell.controller.start_net(net).unwrap();
-        cabinet.status.set_power(false);
-        let ended = cell.wait_for_end(net).end.unwrap();
-        assert!(ended.contains("stopped following"), "{ended}");
-        cabinet.status.set_power(true);
-        wait_for(&cell, DeviceStatus::Operational);
-        let (rested, sent) = (cabinet.status.commanded(), cabinet.status.sent());
-        cell.wait("a hundred cycles", |_| cabinet.status.sent() > sent + 100);
-        assert_eq!(cabinet.status.commanded(), rested);
-    });
+    let (cell, address) = cell();
+    let cabinet = Sunrise::start(address, patient(Dialect::V2));
+    wait_for(&cell, DeviceStatus::Operational);
+    let net = cell.load(&swing("arm", 20.0));
+    cell.controller.start_net(net).unwrap();
+    cabinet.status.set_power(false);
+    let ended = cell.wait_for_end(net).end.unwrap();
+    assert!(ended.contains("stopped following"), "{ended}");
+    cabinet.status.set_power(true);
+    wait_for(&cell, DeviceStatus::Operational);
+    let (rested, sent) = (cabinet.status.commanded(), cabinet.status.sent());
+    cell.wait("a hundred cycles", |_| cabinet.status.sent() > sent + 100);
+    assert_eq!(cabinet.status.commanded(), rested);
 }
 
 #[test]

@@ -18,7 +18,7 @@ use takt_devices::ethercat::EthercatConfig;
 use takt_ethercat::emulator::{Io, Station, StationMotor};
 use takt_irl::net::{Binding, net};
 use takt_irl::{Program, System, compile};
-use takt_tests::steady;
+use takt_tests::pass;
 
 const SPEC: &str = include_str!("../../../examples/irl/station.spc");
 const SOURCE: &str = include_str!("../../../examples/irl/station.irl");
@@ -145,52 +145,48 @@ fn text(program: &Program) -> String {
 
 #[test]
 fn irl_station_homes_and_obeys_panel() {
-    steady(|| {
-        let bench = TestBench::new();
-        bench.home();
-        let off = std::array::from_fn::<_, 3, _>(|axis| {
-            bench.bench.cell().position("station", axis).to_degrees() - bench.station.angle(axis)
-        });
-        let net = bench.start(&text(&program(SOURCE)));
-        // Nothing moves before its switch is on.
-        std::thread::sleep(std::time::Duration::from_millis(300));
-        assert_eq!(bench.value(net, "outline"), "11");
-        let still = bench.station.angle(0);
-        assert!((still + off[0]).abs() < 2.0, "{still} {off:?}");
-        // Bit 0 is the switch, bits 1 to 3 are the number of times.
-        bench.panel.set_inputs(&[0b0101]);
-        let cell = bench.bench.cell();
-        cell.wait("the first time", |_| {
-            bench.output() & 0xF == 1 || cell.is_over(net)
-        });
-        let angles = [0, 1, 2].map(|axis| bench.station.angle(axis) + off[axis]);
-        for (angle, wanted) in angles.iter().zip([45.0, -45.0, 45.0]) {
-            assert!((angle - wanted).abs() < 3.0, "{angles:?}");
-        }
-        let ended = cell.wait_for_end(net);
-        assert_eq!(ended.end, None);
-        assert_eq!(bench.output() & 0xF, 2);
-        assert_eq!(bench.value(net, "outwatch"), "[3]");
-        let angles = [0, 1, 2].map(|axis| bench.station.angle(axis) + off[axis]);
-        assert!(angles.iter().all(|angle| angle.abs() < 0.5), "{angles:?}");
+    let bench = TestBench::new();
+    bench.home();
+    let off = std::array::from_fn::<_, 3, _>(|axis| {
+        bench.bench.cell().position("station", axis).to_degrees() - bench.station.angle(axis)
     });
+    let net = bench.start(&text(&program(SOURCE)));
+    // Nothing moves before its switch is on.
+    pass(std::time::Duration::from_millis(300));
+    assert_eq!(bench.value(net, "outline"), "11");
+    let still = bench.station.angle(0);
+    assert!((still + off[0]).abs() < 2.0, "{still} {off:?}");
+    // Bit 0 is the switch, bits 1 to 3 are the number of times.
+    bench.panel.set_inputs(&[0b0101]);
+    let cell = bench.bench.cell();
+    cell.wait("the first time", |_| {
+        bench.output() & 0xF == 1 || cell.is_over(net)
+    });
+    let angles = [0, 1, 2].map(|axis| bench.station.angle(axis) + off[axis]);
+    for (angle, wanted) in angles.iter().zip([45.0, -45.0, 45.0]) {
+        assert!((angle - wanted).abs() < 3.0, "{angles:?}");
+    }
+    let ended = cell.wait_for_end(net);
+    assert_eq!(ended.end, None);
+    assert_eq!(bench.output() & 0xF, 2);
+    assert_eq!(bench.value(net, "outwatch"), "[3]");
+    let angles = [0, 1, 2].map(|axis| bench.station.angle(axis) + off[axis]);
+    assert!(angles.iter().all(|angle| angle.abs() < 0.5), "{angles:?}");
 }
 
 #[test]
 fn irl_wait_for_terminal_input_times_out() {
-    steady(|| {
-        let bench = TestBench::new();
-        bench.home();
-        let source = "program w; var n: int; signal in start = \"start\"; in order = \"order\"; out done = \"done\"; begin
-            wait for start timeout 0.2; if timed_out then done := 9; endif;
-            wait for order = 6 timeout 20; if timed_out then done := 15; else done := order; endif; wait 1 sec; endprogram;";
-        let net = bench.start(&text(&program(source)));
-        let cell = bench.bench.cell();
-        cell.wait("the timeout", |_| {
-            bench.output() & 0xF == 9 || cell.is_over(net)
-        });
-        bench.panel.set_inputs(&[0b1100]);
-        assert_eq!(cell.wait_for_end(net).end, None);
-        assert_eq!(bench.output() & 0xF, 6);
+    let bench = TestBench::new();
+    bench.home();
+    let source = "program w; var n: int; signal in start = \"start\"; in order = \"order\"; out done = \"done\"; begin
+        wait for start timeout 0.2; if timed_out then done := 9; endif;
+        wait for order = 6 timeout 20; if timed_out then done := 15; else done := order; endif; wait 1 sec; endprogram;";
+    let net = bench.start(&text(&program(source)));
+    let cell = bench.bench.cell();
+    cell.wait("the timeout", |_| {
+        bench.output() & 0xF == 9 || cell.is_over(net)
     });
+    bench.panel.set_inputs(&[0b1100]);
+    assert_eq!(cell.wait_for_end(net).end, None);
+    assert_eq!(bench.output() & 0xF, 6);
 }

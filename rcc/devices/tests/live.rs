@@ -15,7 +15,7 @@ use common::{Cell, swing};
 use takt_core::Error;
 use takt_core::controller::{MachineRequest, RuleRequest};
 use takt_core::record::{LiveStream, Recorder, Sink, Stamp};
-use takt_tests::steady;
+use takt_tests::{pass, simulate_time};
 
 /// Topics with their schemas, and messages by topic.
 #[derive(Debug, Default)]
@@ -112,57 +112,56 @@ fn count(of: &Collected, topic: &str) -> usize {
 
 #[test]
 fn live_stream_has_the_messages_of_recording() {
-    steady(|| {
-        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("live.mcap");
-        let cell = Cell::recorded(&["left", "right"], Some(Recorder::start(&path).unwrap()));
-        let mut stream = LiveStream::new(&cell.controller, 1);
-        let mut live = Collected::default();
-        stream.poll(&mut live, true).unwrap();
-        let values = cell.load(VALUES);
-        cell.controller.start_net(values).unwrap();
-        let machine = MachineRequest {
-            text: MACHINE.to_owned(),
-            ..MachineRequest::default()
-        };
-        let machine = cell.controller.load_machine(&machine).unwrap();
-        cell.controller.start_machine(&machine).unwrap();
-        let net = cell.load(&swing("left", 30.0));
-        cell.controller.start_net(net).unwrap();
-        // Both devices are diagnosed when the stream begins, and then each second.
-        let enough =
-            |of: &Collected| count(of, "/left/set_points") >= 500 && count(of, "/diagnostics") >= 3;
-        assert_eq!(poll(&mut stream, &mut live, enough), 0, "no row is lost");
-        cell.controller
-            .command_machine(&machine, "raise go")
-            .unwrap();
-        poll(&mut stream, &mut live, |of| {
-            count(of, "/takt/machine_events") >= 6
-        });
-        let next = cell.load(VALUES);
-        let rule = RuleRequest {
-            condition: "t".to_owned(),
-            stop: vec![values],
-            start: vec![next],
-            ..RuleRequest::default()
-        };
-        cell.controller.schedule(rule).unwrap();
-        cell.wait_for_end(values);
-        cell.controller.cancel(next).unwrap();
-        cell.wait_for_end(next);
-        cell.controller.abort(net).unwrap();
-        cell.controller.end_machine(&machine).unwrap();
-        // Started, by a rule, cancelled, and three ends.
-        let ended = |of: &Collected| count(of, "/takt/net_events") >= 7;
-        poll(&mut stream, &mut live, ended);
-        cell.controller.unload(values).unwrap();
-        poll(&mut stream, &mut live, |of| of.closed > 0);
-        assert_eq!(live.closed, 1, "the topic of a net ends with it");
-        cell.controller.finish_recording().unwrap().unwrap();
-
-        let file = recorded(&path);
-        let values = format!("/takt/nets/{values}");
-        assert_part(&live, &file, &values);
+    simulate_time();
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("live.mcap");
+    let cell = Cell::recorded(&["left", "right"], Some(Recorder::start(&path).unwrap()));
+    let mut stream = LiveStream::new(&cell.controller, 1);
+    let mut live = Collected::default();
+    stream.poll(&mut live, true).unwrap();
+    let values = cell.load(VALUES);
+    cell.controller.start_net(values).unwrap();
+    let machine = MachineRequest {
+        text: MACHINE.to_owned(),
+        ..MachineRequest::default()
+    };
+    let machine = cell.controller.load_machine(&machine).unwrap();
+    cell.controller.start_machine(&machine).unwrap();
+    let net = cell.load(&swing("left", 30.0));
+    cell.controller.start_net(net).unwrap();
+    // Both devices are diagnosed when the stream begins, and then each second.
+    let enough =
+        |of: &Collected| count(of, "/left/set_points") >= 500 && count(of, "/diagnostics") >= 3;
+    assert_eq!(poll(&mut stream, &mut live, enough), 0, "no row is lost");
+    cell.controller
+        .command_machine(&machine, "raise go")
+        .unwrap();
+    poll(&mut stream, &mut live, |of| {
+        count(of, "/takt/machine_events") >= 6
     });
+    let next = cell.load(VALUES);
+    let rule = RuleRequest {
+        condition: "t".to_owned(),
+        stop: vec![values],
+        start: vec![next],
+        ..RuleRequest::default()
+    };
+    cell.controller.schedule(rule).unwrap();
+    cell.wait_for_end(values);
+    cell.controller.cancel(next).unwrap();
+    cell.wait_for_end(next);
+    cell.controller.abort(net).unwrap();
+    cell.controller.end_machine(&machine).unwrap();
+    // Started, by a rule, cancelled, and three ends.
+    let ended = |of: &Collected| count(of, "/takt/net_events") >= 7;
+    poll(&mut stream, &mut live, ended);
+    cell.controller.unload(values).unwrap();
+    poll(&mut stream, &mut live, |of| of.closed > 0);
+    assert_eq!(live.closed, 1, "the topic of a net ends with it");
+    cell.controller.finish_recording().unwrap().unwrap();
+
+    let file = recorded(&path);
+    let values = format!("/takt/nets/{values}");
+    assert_part(&live, &file, &values);
 }
 
 /// All live messages are in the file, one after the other in each topic, those of these values too.
@@ -213,33 +212,32 @@ fn difference(live: &[(u64, Vec<u8>)], file: &[(u64, Vec<u8>)]) -> String {
 
 #[test]
 fn live_stream_every_tenth_cycle_skips_others() {
-    steady(|| {
-        let cell = Cell::new(&["left"]);
-        let mut stream = LiveStream::new(&cell.controller, 10);
-        let mut live = Collected {
-            unwanted: vec!["/tf".to_owned(), "/diagnostics".to_owned()],
-            ..Collected::default()
-        };
-        let enough = |of: &Collected| count(of, "/left/joint_states") >= 20;
-        assert_eq!(poll(&mut stream, &mut live, enough), 0);
-        let times: Vec<_> = live.messages["/left/joint_states"]
-            .iter()
-            .map(|it| it.0)
-            .collect();
-        for pair in times.windows(2) {
-            assert!(pair[1] - pair[0] > 5_000_000, "{pair:?}");
-        }
-        assert!(
-            count(&live, "/takt/thread") >= 190,
-            "each cycle of the thread"
-        );
-        assert!(!live.messages.contains_key("/tf"));
-        // Nothing is wanted: rows are passed over, and are not counted as lost later.
-        stream.poll(&mut live, false).unwrap();
-        let before = count(&live, "/left/joint_states");
-        std::thread::sleep(Duration::from_millis(1500));
-        assert_eq!(stream.poll(&mut live, false).unwrap(), 0);
-        assert_eq!(stream.poll(&mut live, true).unwrap(), 0);
-        assert!(count(&live, "/left/joint_states") <= before + 1);
-    });
+    simulate_time();
+    let cell = Cell::new(&["left"]);
+    let mut stream = LiveStream::new(&cell.controller, 10);
+    let mut live = Collected {
+        unwanted: vec!["/tf".to_owned(), "/diagnostics".to_owned()],
+        ..Collected::default()
+    };
+    let enough = |of: &Collected| count(of, "/left/joint_states") >= 20;
+    assert_eq!(poll(&mut stream, &mut live, enough), 0);
+    let times: Vec<_> = live.messages["/left/joint_states"]
+        .iter()
+        .map(|it| it.0)
+        .collect();
+    for pair in times.windows(2) {
+        assert!(pair[1] - pair[0] > 5_000_000, "{pair:?}");
+    }
+    assert!(
+        count(&live, "/takt/thread") >= 190,
+        "each cycle of the thread"
+    );
+    assert!(!live.messages.contains_key("/tf"));
+    // Nothing is wanted: rows are passed over, and are not counted as lost later.
+    stream.poll(&mut live, false).unwrap();
+    let before = count(&live, "/left/joint_states");
+    pass(Duration::from_millis(1500));
+    assert_eq!(stream.poll(&mut live, false).unwrap(), 0);
+    assert_eq!(stream.poll(&mut live, true).unwrap(), 0);
+    assert!(count(&live, "/left/joint_states") <= before + 1);
 }

@@ -15,7 +15,7 @@ use std::time::Duration;
 use common::{Cell, swing};
 use takt_core::controller::NetState;
 use takt_core::record::{Recorder, replay};
-use takt_tests::steady;
+use takt_tests::{pass, simulate_time};
 
 /// Outputs its cycles, the time of day and its inputs; ends when cancelled.
 const TALKATIVE: &str = "{clock=Core::Clock(),
@@ -121,20 +121,19 @@ fn nets_without_devices_replay_identically() {
 
 #[test]
 fn moved_arm_replays_identically() {
-    steady(|| {
-        let (path, cycles) = record("arm", &["left"], |cell| {
-            let net = cell.load(&swing("left", 0.3));
-            cell.controller.start_net(net).unwrap();
-            assert_eq!(cell.wait_for_end(net).end, None);
-            // Ended by the robot.
-            let net = cell.load(&swing("left", 30.0));
-            cell.controller.start_net(net).unwrap();
-            cell.robots[0].status.set_power(false);
-            assert!(cell.wait_for_end(net).end.is_some());
-        });
-        let outcome = replay(&path).unwrap();
-        assert_eq!((outcome.differs, outcome.cycles), (None, cycles));
+    simulate_time();
+    let (path, cycles) = record("arm", &["left"], |cell| {
+        let net = cell.load(&swing("left", 0.3));
+        cell.controller.start_net(net).unwrap();
+        assert_eq!(cell.wait_for_end(net).end, None);
+        // Ended by the robot.
+        let net = cell.load(&swing("left", 30.0));
+        cell.controller.start_net(net).unwrap();
+        cell.robots[0].status.set_power(false);
+        assert!(cell.wait_for_end(net).end.is_some());
     });
+    let outcome = replay(&path).unwrap();
+    assert_eq!((outcome.differs, outcome.cycles), (None, cycles));
 }
 
 #[test]
@@ -225,7 +224,7 @@ fn cut_recording_replays_up_to_the_cut() {
     let (path, cycles) = record("whole", &[], |cell| {
         talk(cell);
         // Each second ends a chunk.
-        std::thread::sleep(Duration::from_millis(2500));
+        pass(Duration::from_millis(2500));
     });
     let bytes = std::fs::read(path).unwrap();
     let cut = self::path("cut");

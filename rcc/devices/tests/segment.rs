@@ -20,7 +20,7 @@ use takt_device_drives::{DriveArm, DriveJoint, Recovery};
 use takt_devices::ethercat::{EthercatConfig, EthercatIo, EthercatSlave};
 use takt_ethercat::emulator::{Coupler, Io, Segment, ServoConfig, ServoDrive};
 use takt_rt::thread::{ThreadConfig, spawn};
-use takt_tests::steady;
+use takt_tests::pass;
 
 use bench::Log;
 use common::Cell;
@@ -148,115 +148,101 @@ fn late(latency: Duration) -> bench::TestBench {
 
 #[test]
 fn segment_start_up_burst_reads_last_answer() {
-    steady(|| {
-        // An answer takes longer than a cycle of start-up leaves after the previous answer.
-        let bench = late(Duration::from_micros(800));
-        let figures = bench.figures();
-        assert!(figures.lost < 10, "{figures:?}");
-    });
+    // An answer takes longer than a cycle of start-up leaves after the previous answer.
+    let bench = late(Duration::from_micros(800));
+    let figures = bench.figures();
+    assert!(figures.lost < 10, "{figures:?}");
 }
 
 #[test]
 fn segment_answers_late_in_cycle_are_not_lost() {
-    steady(|| {
-        // In a cycle of 2 ms the driver waits 1 ms for them; they are there when the next one begins.
-        let bench = late(Duration::from_micros(1500));
-        let before = bench.figures();
-        bench
-            .cell()
-            .wait("cycles", |_| bench.figures().cycles > before.cycles + 200);
-        let after = bench.figures();
-        assert!(after.operational, "{after:?}");
-        assert!(after.lost < before.lost + 10, "{before:?} {after:?}");
-    });
+    // In a cycle of 2 ms the driver waits 1 ms for them; they are there when the next one begins.
+    let bench = late(Duration::from_micros(1500));
+    let before = bench.figures();
+    bench
+        .cell()
+        .wait("cycles", |_| bench.figures().cycles > before.cycles + 200);
+    let after = bench.figures();
+    assert!(after.operational, "{after:?}");
+    assert!(after.lost < before.lost + 10, "{before:?} {after:?}");
 }
 
 #[test]
 fn ethercat_net_moves_tx90() {
-    steady(|| {
-        let bench = TestBench::new();
-        let moved = bench.cell().swung("tx90", 3);
-        assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
-        let figures = bench.bench.figures();
-        assert!(figures.operational && figures.cycles > 100, "{figures:?}");
-    });
+    let bench = TestBench::new();
+    let moved = bench.cell().swung("tx90", 3);
+    assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
+    let figures = bench.bench.figures();
+    assert!(figures.operational && figures.cycles > 100, "{figures:?}");
 }
 
 #[test]
 fn ethercat_net_reads_inputs_sets_outputs() {
-    steady(|| {
-        let bench = TestBench::new();
-        bench.cell().wait_for("io", DeviceStatus::Operational);
-        let net = bench.cell().load(
-            "{ in=IO::InBool(DeviceID='io',Port='2'),
-           out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='5'),
-           cancel=Cancel(),outTerminate=cancel.outCancel }",
-        );
-        bench.cell().controller.start_net(net).unwrap();
-        let output = || bench.io.outputs().first().map(|byte| byte >> 5 & 1 == 1);
-        for value in [true, false, true] {
-            bench.io.set_inputs(&[if value { 0b100 } else { 0 }]);
-            bench.cell().wait("the output as the input", |_| {
-                output() == Some(value) || bench.cell().is_over(net)
-            });
-            assert!(!bench.cell().is_over(net), "the net was ended");
-        }
-    });
+    let bench = TestBench::new();
+    bench.cell().wait_for("io", DeviceStatus::Operational);
+    let net = bench.cell().load(
+        "{ in=IO::InBool(DeviceID='io',Port='2'),
+       out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='5'),
+       cancel=Cancel(),outTerminate=cancel.outCancel }",
+    );
+    bench.cell().controller.start_net(net).unwrap();
+    let output = || bench.io.outputs().first().map(|byte| byte >> 5 & 1 == 1);
+    for value in [true, false, true] {
+        bench.io.set_inputs(&[if value { 0b100 } else { 0 }]);
+        bench.cell().wait("the output as the input", |_| {
+            output() == Some(value) || bench.cell().is_over(net)
+        });
+        assert!(!bench.cell().is_over(net), "the net was ended");
+    }
 }
 
 #[test]
 fn drive_fault_ends_net_arm_recovers_at_rest() {
-    steady(|| {
-        let bench = TestBench::new();
-        let net = bench.cell().swinging("tx90", 3);
-        let too_hot = takt_can::cia402::emulator::FaultCode::TEMPERATURE;
-        bench.drives.axis(1, |drive| drive.fault(too_hot));
-        bench.cell().wait_for_end(net);
-        assert_ne!(bench.cell().status("tx90"), DeviceStatus::Operational);
-        bench
-            .drives
-            .axis(1, takt_can::cia402::emulator::Drive::clear_cause);
-        bench.cell().wait_for("tx90", DeviceStatus::Operational);
-        let rest = bench.cell().position("tx90", 3);
-        std::thread::sleep(Duration::from_millis(300));
-        assert!((bench.cell().position("tx90", 3) - rest).abs() < 1e-3);
-    });
+    let bench = TestBench::new();
+    let net = bench.cell().swinging("tx90", 3);
+    let too_hot = takt_can::cia402::emulator::FaultCode::TEMPERATURE;
+    bench.drives.axis(1, |drive| drive.fault(too_hot));
+    bench.cell().wait_for_end(net);
+    assert_ne!(bench.cell().status("tx90"), DeviceStatus::Operational);
+    bench
+        .drives
+        .axis(1, takt_can::cia402::emulator::Drive::clear_cause);
+    bench.cell().wait_for("tx90", DeviceStatus::Operational);
+    let rest = bench.cell().position("tx90", 3);
+    pass(Duration::from_millis(300));
+    assert!((bench.cell().position("tx90", 3) - rest).abs() < 1e-3);
 }
 
 #[test]
 fn ethercat_cut_cable_offline_repaired_cable_recovers() {
-    steady(|| {
-        let bench = TestBench::new();
-        bench.bench.segment().set_link(2, false);
-        bench.cell().wait_for("tx90", DeviceStatus::Offline);
-        bench.bench.segment().set_link(2, true);
-        bench.cell().wait_for("tx90", DeviceStatus::Operational);
-    });
+    let bench = TestBench::new();
+    bench.bench.segment().set_link(2, false);
+    bench.cell().wait_for("tx90", DeviceStatus::Offline);
+    bench.bench.segment().set_link(2, true);
+    bench.cell().wait_for("tx90", DeviceStatus::Operational);
 }
 
 #[test]
 fn ethercat_joint_holds_under_load_when_other_faults() {
-    steady(|| {
-        let bench = TestBench::new();
-        let motor = |number| {
-            bench
-                .drives
-                .axis(number, |drive| drive.motor().position)
-                .unwrap()
-        };
-        let before = motor(0);
-        let too_hot = takt_can::cia402::emulator::FaultCode::TEMPERATURE;
-        bench.drives.axis(2, |drive| drive.fault(too_hot));
-        bench.cell().wait("the fault", |_| {
-            bench.cell().status("tx90") != DeviceStatus::Operational
-        });
+    let bench = TestBench::new();
+    let motor = |number| {
         bench
             .drives
-            .axis(0, |drive| drive.motor_mut().external = -1.0);
-        std::thread::sleep(Duration::from_secs(1));
-        let sagged = (motor(0) - before) / 50.0;
-        assert!(sagged.abs() < 1e-4, "joint 0 sagged by {sagged} rad");
+            .axis(number, |drive| drive.motor().position)
+            .unwrap()
+    };
+    let before = motor(0);
+    let too_hot = takt_can::cia402::emulator::FaultCode::TEMPERATURE;
+    bench.drives.axis(2, |drive| drive.fault(too_hot));
+    bench.cell().wait("the fault", |_| {
+        bench.cell().status("tx90") != DeviceStatus::Operational
     });
+    bench
+        .drives
+        .axis(0, |drive| drive.motor_mut().external = -1.0);
+    std::thread::sleep(Duration::from_secs(1));
+    let sagged = (motor(0) - before) / 50.0;
+    assert!(sagged.abs() < 1e-4, "joint 0 sagged by {sagged} rad");
 }
 
 /// A drive at an instant: its state, and the speed of its motor, rad/s.
@@ -269,40 +255,38 @@ fn look(drives: &ServoDrive, axis: usize) -> Seen {
 
 #[test]
 fn ethercat_shutdown_in_motion_powers_off_at_standstill() {
-    steady(|| {
-        use takt_can::cia402::State;
-        let mut bench = TestBench::new();
-        // Faster than 0.2 rad/s at the joint; repeats if the host stalled meanwhile.
-        let turns = |bench: &TestBench| look(&bench.drives, 3).1 > 10.0;
-        while !turns(&bench) {
-            bench.cell().wait_for("tx90", DeviceStatus::Operational);
-            let net = bench.cell().load(&common::swing_joint("tx90", 3, 2.0));
-            if bench.cell().controller.start_net(net).is_ok() {
-                let moves = |_: &Controller| turns(&bench) || bench.cell().is_over(net);
-                bench.cell().wait("the motor turning", moves);
-            }
+    use takt_can::cia402::State;
+    let mut bench = TestBench::new();
+    // Faster than 0.2 rad/s at the joint; repeats if the host stalled meanwhile.
+    let turns = |bench: &TestBench| look(&bench.drives, 3).1 > 10.0;
+    while !turns(&bench) {
+        bench.cell().wait_for("tx90", DeviceStatus::Operational);
+        let net = bench.cell().load(&common::swing_joint("tx90", 3, 2.0));
+        if bench.cell().controller.start_net(net).is_ok() {
+            let moves = |_: &Controller| turns(&bench) || bench.cell().is_over(net);
+            bench.cell().wait("the motor turning", moves);
         }
-        let seen = Arc::new(Mutex::new(vec![look(&bench.drives, 3)]));
-        let ended = Arc::new(AtomicBool::new(false));
-        let (drives, until, to) = (bench.drives.clone(), Arc::clone(&ended), Arc::clone(&seen));
-        let config = ThreadConfig {
-            priority: Some(87),
-            ..ThreadConfig::new("watch")
-        };
-        let watch = spawn(config, move || {
-            while !until.load(Ordering::Relaxed) {
-                std::thread::sleep(Duration::from_micros(500));
-                to.lock().unwrap().push(look(&drives, 3));
-            }
-        });
-        bench.bench.end_controller();
-        ended.store(true, Ordering::Relaxed);
-        watch.unwrap().join().unwrap();
-        let seen = seen.lock().unwrap();
-        assert!(seen[0].1 > 5.0, "it turned: {:?}", seen[0]);
-        let enabled = seen.iter().take_while(|s| s.0 == State::OperationEnabled);
-        let (_, last) = enabled.last().unwrap();
-        assert!(last.abs() < 0.5, "{last} rad/s when power went off");
-        assert_eq!(seen[seen.len() - 1].0, State::SwitchOnDisabled);
+    }
+    let seen = Arc::new(Mutex::new(vec![look(&bench.drives, 3)]));
+    let ended = Arc::new(AtomicBool::new(false));
+    let (drives, until, to) = (bench.drives.clone(), Arc::clone(&ended), Arc::clone(&seen));
+    let config = ThreadConfig {
+        priority: Some(87),
+        ..ThreadConfig::new("watch")
+    };
+    let watch = spawn(config, move || {
+        while !until.load(Ordering::Relaxed) {
+            std::thread::sleep(Duration::from_micros(500));
+            to.lock().unwrap().push(look(&drives, 3));
+        }
     });
+    bench.bench.end_controller();
+    ended.store(true, Ordering::Relaxed);
+    watch.unwrap().join().unwrap();
+    let seen = seen.lock().unwrap();
+    assert!(seen[0].1 > 5.0, "it turned: {:?}", seen[0]);
+    let enabled = seen.iter().take_while(|s| s.0 == State::OperationEnabled);
+    let (_, last) = enabled.last().unwrap();
+    assert!(last.abs() < 0.5, "{last} rad/s when power went off");
+    assert_eq!(seen[seen.len() - 1].0, State::SwitchOnDisabled);
 }

@@ -20,7 +20,7 @@ use takt_devices::ethercat::EthercatConfig;
 use takt_ethercat::emulator::{Station, StationFaults, StationMotor};
 use takt_irl::{System, compile};
 use takt_machine::machine::Status;
-use takt_tests::steady;
+use takt_tests::pass;
 
 use bench::TestBench;
 
@@ -159,7 +159,7 @@ impl Rig {
     fn expect_braked(&self, when: &str) {
         self.bench.cell().wait(when, |_| self.are_braked());
         let before = self.angles();
-        std::thread::sleep(std::time::Duration::from_millis(100));
+        pass(std::time::Duration::from_millis(100));
         assert!(self.are_braked(), "{when}");
         let moved = before.iter().zip(self.angles()).map(|(a, b)| (a - b).abs());
         assert!(moved.fold(0.0, f64::max) < 0.05, "{when}");
@@ -168,119 +168,113 @@ impl Rig {
 
 #[test]
 fn station_machine_runs_through_all_states() {
-    steady(|| {
-        let rig = Rig::start();
-        assert!(rig.are_braked());
-        let name = rig.load(&lola(&[]));
-        let mut visited = Vec::new();
-        let (mut least, mut most) = ([f64::MAX; 3], [f64::MIN; 3]);
-        rig.bench.cell().wait("the end", |controller| {
-            let info = controller.machine(&name).unwrap();
-            if visited
-                .last()
-                .is_none_or(|last: &String| last != info.state())
-            {
-                visited.push(info.state().to_owned());
-            }
-            if info.state() == "MoveRobot" {
-                for (axis, angle) in rig.angles().into_iter().enumerate() {
-                    least[axis] = angle.min(least[axis]);
-                    most[axis] = angle.max(most[axis]);
-                }
-            }
-            info.status() != Status::Active
-        });
-        let end = rig.controller().machine(&name).unwrap();
-        assert_eq!((end.failure(0), end.status()), (None, Status::Finished));
-        assert_eq!(visited, STATES);
-        rig.expect_braked("the final state closes the brakes");
-        assert_eq!(end.program.variables()[2].name, "runs");
-        assert_eq!(end.view.variables[2].to_string(), "1");
-        // Figure 5: (45, 0, -45), (-45, 45, 45), (45, -45, 45) degrees; where the zero of the encoders is differs by the index.
-        for (found, expected) in [(least, [-45.0, -45.0, -45.0]), (most, [45.0, 45.0, 45.0])] {
-            for (found, expected) in found.into_iter().zip(expected) {
-                assert!((found - expected).abs() < 5.0, "{least:?} {most:?}");
+    let rig = Rig::start();
+    assert!(rig.are_braked());
+    let name = rig.load(&lola(&[]));
+    let mut visited = Vec::new();
+    let (mut least, mut most) = ([f64::MAX; 3], [f64::MIN; 3]);
+    rig.bench.cell().wait("the end", |controller| {
+        let info = controller.machine(&name).unwrap();
+        if visited
+            .last()
+            .is_none_or(|last: &String| last != info.state())
+        {
+            visited.push(info.state().to_owned());
+        }
+        if info.state() == "MoveRobot" {
+            for (axis, angle) in rig.angles().into_iter().enumerate() {
+                least[axis] = angle.min(least[axis]);
+                most[axis] = angle.max(most[axis]);
             }
         }
+        info.status() != Status::Active
     });
+    let end = rig.controller().machine(&name).unwrap();
+    assert_eq!((end.failure(0), end.status()), (None, Status::Finished));
+    assert_eq!(visited, STATES);
+    rig.expect_braked("the final state closes the brakes");
+    assert_eq!(end.program.variables()[2].name, "runs");
+    assert_eq!(end.view.variables[2].to_string(), "1");
+    // Figure 5: (45, 0, -45), (-45, 45, 45), (45, -45, 45) degrees; where the zero of the encoders is differs by the index.
+    for (found, expected) in [(least, [-45.0, -45.0, -45.0]), (most, [45.0, 45.0, 45.0])] {
+        for (found, expected) in found.into_iter().zip(expected) {
+            assert!((found - expected).abs() < 5.0, "{least:?} {most:?}");
+        }
+    }
 }
 
 #[test]
 fn station_machine_ended_in_each_state_is_braked() {
-    steady(|| {
-        let rig = Rig::start();
-        let mut parameters: &[(&str, bool)] = &[];
-        for state in STATES {
-            for client_is_lost in [false, true] {
-                let controller = rig.controller();
-                let session = controller.open_session_with("client", OnLoss::End).unwrap();
-                let request = MachineRequest {
-                    session: session.0,
-                    ..lola(parameters)
-                };
-                let name = rig.load(&request);
-                rig.reach(&name, state);
-                if matches!(state, "InitializationSequence" | "MoveRobot") {
-                    let before = rig.angles();
-                    rig.bench.cell().wait("a motion", |_| {
-                        let moved = before.iter().zip(rig.angles());
-                        moved.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) > 3.0
-                    });
-                }
-                if client_is_lost {
-                    controller.end_session(session).unwrap();
-                } else {
-                    controller.end_machine(&name).unwrap();
-                }
-                rig.expect_braked(state);
-                assert!(controller.machines().is_empty());
+    let rig = Rig::start();
+    let mut parameters: &[(&str, bool)] = &[];
+    for state in STATES {
+        for client_is_lost in [false, true] {
+            let controller = rig.controller();
+            let session = controller.open_session_with("client", OnLoss::End).unwrap();
+            let request = MachineRequest {
+                session: session.0,
+                ..lola(parameters)
+            };
+            let name = rig.load(&request);
+            rig.reach(&name, state);
+            if matches!(state, "InitializationSequence" | "MoveRobot") {
+                let before = rig.angles();
+                rig.bench.cell().wait("a motion", |_| {
+                    let moved = before.iter().zip(rig.angles());
+                    moved.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) > 3.0
+                });
             }
-            if state == "InitializationSequence" {
-                // The next ones need the zeros.
-                let name = rig.load(&lola(&[]));
-                rig.reach(&name, "MoveRobot");
-                rig.controller().end_machine(&name).unwrap();
-                rig.expect_braked("homed");
-                parameters = &[("was_calibrated", true), ("was_initialized", true)];
+            if client_is_lost {
+                controller.end_session(session).unwrap();
+            } else {
+                controller.end_machine(&name).unwrap();
             }
+            rig.expect_braked(state);
+            assert!(controller.machines().is_empty());
         }
-    });
+        if state == "InitializationSequence" {
+            // The next ones need the zeros.
+            let name = rig.load(&lola(&[]));
+            rig.reach(&name, "MoveRobot");
+            rig.controller().end_machine(&name).unwrap();
+            rig.expect_braked("homed");
+            parameters = &[("was_calibrated", true), ("was_initialized", true)];
+        }
+    }
 }
 
 #[test]
 fn station_machine_fault_leads_to_closed_brakes() {
-    steady(|| {
-        let rig = Rig::start();
-        rig.station.inject(
-            1,
-            StationFaults {
-                no_index: true,
-                ..StationFaults::default()
-            },
-        );
-        let name = rig.load(&lola(&[("was_calibrated", true)]));
-        rig.reach(&name, "StopRobot");
-        rig.expect_braked("homing failed");
-        rig.bench.cell().wait("the end", |controller| {
-            controller.machine(&name).unwrap().status() == Status::Finished
-        });
-        rig.controller().end_machine(&name).unwrap();
-        // An amplifier that fails in motion.
-        rig.station.inject(1, StationFaults::default());
-        let name = rig.load(&lola(&[("was_calibrated", true)]));
-        rig.reach(&name, "MoveRobot");
-        rig.station.inject(
-            2,
-            StationFaults {
-                not_ready: true,
-                ..StationFaults::default()
-            },
-        );
-        rig.reach(&name, "StopRobot");
-        rig.expect_braked("an amplifier failed");
-        let failure = rig.controller().machine(&name).unwrap().failure(0);
-        assert!(failure.is_some());
+    let rig = Rig::start();
+    rig.station.inject(
+        1,
+        StationFaults {
+            no_index: true,
+            ..StationFaults::default()
+        },
+    );
+    let name = rig.load(&lola(&[("was_calibrated", true)]));
+    rig.reach(&name, "StopRobot");
+    rig.expect_braked("homing failed");
+    rig.bench.cell().wait("the end", |controller| {
+        controller.machine(&name).unwrap().status() == Status::Finished
     });
+    rig.controller().end_machine(&name).unwrap();
+    // An amplifier that fails in motion.
+    rig.station.inject(1, StationFaults::default());
+    let name = rig.load(&lola(&[("was_calibrated", true)]));
+    rig.reach(&name, "MoveRobot");
+    rig.station.inject(
+        2,
+        StationFaults {
+            not_ready: true,
+            ..StationFaults::default()
+        },
+    );
+    rig.reach(&name, "StopRobot");
+    rig.expect_braked("an amplifier failed");
+    let failure = rig.controller().machine(&name).unwrap().failure(0);
+    assert!(failure.is_some());
 }
 
 #[test]

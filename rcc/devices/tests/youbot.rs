@@ -22,7 +22,7 @@ use takt_motion::kinematics::YouBot as YouBotArm;
 use takt_net::Frame;
 use takt_net::device::Kinematics as _;
 use takt_rt::alloc::{CountingAllocator, real_time_allocations};
-use takt_tests::steady;
+use takt_tests::pass;
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
@@ -69,12 +69,10 @@ impl DerefMut for TestBench {
 
 impl TestBench {
     fn new(firmware: Firmware, config: &EthercatConfig) -> Self {
-        steady(|| {
-            let bench = Self::start(firmware, config);
-            bench.cell().wait_for("arm", DeviceStatus::Operational);
-            bench.cell().wait_for("base", DeviceStatus::Operational);
-            bench
-        })
+        let bench = Self::start(firmware, config);
+        bench.cell().wait_for("arm", DeviceStatus::Operational);
+        bench.cell().wait_for("base", DeviceStatus::Operational);
+        bench
     }
 
     /// Whose devices are not waited for.
@@ -113,16 +111,14 @@ impl TestBench {
 
     /// Runs a net to its end. Returns the result of `before`, evaluated before it.
     fn runs<T>(&self, device: &str, text: &str, before: impl Fn(&Self) -> T) -> T {
-        steady(|| {
-            self.cell().wait_for(device, DeviceStatus::Operational);
-            let (then, faults) = (before(self), self.faults(device));
-            let net = self.cell().load(text);
-            self.cell().controller.start_net(net).unwrap();
-            self.cell().wait_for_end(net);
-            std::thread::sleep(Duration::from_millis(600));
-            assert_eq!(self.faults(device), faults, "{device} was lost");
-            then
-        })
+        self.cell().wait_for(device, DeviceStatus::Operational);
+        let (then, faults) = (before(self), self.faults(device));
+        let net = self.cell().load(text);
+        self.cell().controller.start_net(net).unwrap();
+        self.cell().wait_for_end(net);
+        pass(Duration::from_millis(600));
+        assert_eq!(self.faults(device), faults, "{device} was lost");
+        then
     }
 
     /// Waits for the gripper. Emulated fingers stop while the host stalls; for those that are late, the power of the
@@ -132,27 +128,23 @@ impl TestBench {
             let why = self.cell().controller.with_drivers(Ethercat::waits_for)[0].clone();
             why.is_some_and(|why| why.contains("a finger did not reach its stop"))
         };
-        steady(|| {
-            if is_late() {
-                self.segment().set_link(3, false);
-                self.cell().wait_for("hand", DeviceStatus::Offline);
-                self.segment().set_link(3, true);
-            }
-            self.cell().wait("the hand", |_| {
-                self.cell().status("hand") == DeviceStatus::Operational || is_late()
-            });
-            assert!(!is_late(), "the fingers were late");
+        if is_late() {
+            self.segment().set_link(3, false);
+            self.cell().wait_for("hand", DeviceStatus::Offline);
+            self.segment().set_link(3, true);
+        }
+        self.cell().wait("the hand", |_| {
+            self.cell().status("hand") == DeviceStatus::Operational || is_late()
         });
+        assert!(!is_late(), "the fingers were late");
     }
 
     /// Starts a net that goes on.
     fn goes(&self, device: &str, text: &str) -> NetId {
-        steady(|| {
-            self.cell().wait_for(device, DeviceStatus::Operational);
-            let net = self.cell().load(text);
-            self.cell().controller.start_net(net).unwrap();
-            net
-        })
+        self.cell().wait_for(device, DeviceStatus::Operational);
+        let net = self.cell().load(text);
+        self.cell().controller.start_net(net).unwrap();
+        net
     }
 }
 
@@ -219,18 +211,16 @@ fn moves(firmware: Firmware, control: YouBotControl) {
     });
     let moved = bench.angle(3) - before;
     assert!((moved - 0.5).abs() < 0.02, "moved {moved} rad");
-    steady(|| {
-        let before = bench.runs("base", &drive("{vel:{x:0.2}}", 1.0), TestBench::wheels);
-        let after = bench.wheels();
-        for (n, sign) in [-1.0, 1.0, -1.0, 1.0].into_iter().enumerate() {
-            // 0.2 m/s for a second on wheels of 0.0475 m; the ramp's lag at the start is made up at the end.
-            let turned = sign * (after[n] - before[n]);
-            assert!(
-                (turned - 0.2 / 0.0475).abs() < 0.3,
-                "wheel {n}: {turned} rad"
-            );
-        }
-    });
+    let before = bench.runs("base", &drive("{vel:{x:0.2}}", 1.0), TestBench::wheels);
+    let after = bench.wheels();
+    for (n, sign) in [-1.0, 1.0, -1.0, 1.0].into_iter().enumerate() {
+        // 0.2 m/s for a second on wheels of 0.0475 m; the ramp's lag at the start is made up at the end.
+        let turned = sign * (after[n] - before[n]);
+        assert!(
+            (turned - 0.2 / 0.0475).abs() < 0.3,
+            "wheel {n}: {turned} rad"
+        );
+    }
     bench.wait_for_hand();
     bench.runs("hand", &grip(0.018), |_| ());
     assert!(
@@ -280,7 +270,7 @@ fn youbot_arm_without_permission_does_not_home() {
     let bench = TestBench::start(Firmware::V200, &config);
     bench.cell().wait_for("base", DeviceStatus::Operational);
     let before: [f64; 5] = std::array::from_fn(|joint| bench.angle(joint));
-    std::thread::sleep(Duration::from_millis(500));
+    pass(Duration::from_millis(500));
     assert_eq!(bench.cell().status("arm"), DeviceStatus::SafeOperational);
     assert_eq!(bench.cell().status("hand"), DeviceStatus::SafeOperational);
     let why = bench.cell().controller.with_drivers(Ethercat::waits_for);
@@ -298,13 +288,13 @@ fn youbot_arm_without_permission_does_not_home() {
 fn youbot_cut_cable_ends_net_repair_recovers_at_rest() {
     let bench = TestBench::new(Firmware::V200, &config());
     let net = bench.goes("base", &drive("{vel:{y:0.2}}", 60.0));
-    std::thread::sleep(Duration::from_millis(500));
+    pass(Duration::from_millis(500));
     // Between the second and the third wheel: the arm is behind it too.
     bench.segment().set_link(3, false);
     bench.cell().wait_for("base", DeviceStatus::Offline);
     bench.cell().wait_for("arm", DeviceStatus::Offline);
     bench.cell().wait_for_end(net);
-    std::thread::sleep(Duration::from_millis(300));
+    pass(Duration::from_millis(300));
     bench.segment().set_link(3, true);
     bench.cell().wait_for("base", DeviceStatus::Operational);
     bench.cell().wait_for("arm", DeviceStatus::Operational);
@@ -316,7 +306,7 @@ fn youbot_cut_cable_ends_net_repair_recovers_at_rest() {
         bench.figures()
     );
     let (wheels, angle) = (bench.wheels(), bench.angle(1));
-    std::thread::sleep(Duration::from_millis(300));
+    pass(Duration::from_millis(300));
     for (now, then) in bench.wheels().into_iter().zip(wheels) {
         assert!((now - then).abs() < 0.01, "nothing moves by itself");
     }
@@ -413,11 +403,11 @@ fn youbot_emergency_stop_ends_net_arm_stays() {
     stop(true);
     bench.cell().wait_for("arm", DeviceStatus::SafeOperational);
     bench.cell().wait_for_end(net);
-    std::thread::sleep(Duration::from_millis(200));
+    pass(Duration::from_millis(200));
     let sunk = bench.angle(3);
     stop(false);
     bench.cell().wait_for("arm", DeviceStatus::Operational);
-    std::thread::sleep(Duration::from_millis(300));
+    pass(Duration::from_millis(300));
     assert!(
         (bench.angle(3) - sunk).abs() < 0.05,
         "{} {sunk}",
@@ -496,7 +486,7 @@ fn gives_way(bench: &TestBench) {
     bench.cell().wait("the strategy", |_| {
         (is("switched") && is("taken")) || lost()
     });
-    std::thread::sleep(Duration::from_millis(800));
+    pass(Duration::from_millis(800));
     let away = || (flange(bench).translation.vector - at.translation.vector).norm();
     let sagged = away();
     assert!(
@@ -530,7 +520,7 @@ fn youbot_soft_tool_carries_itself_deflects_returns() {
         };
         bench.runs("arm", &swing, |_| ());
     }
-    steady(|| gives_way(&bench));
+    gives_way(&bench);
     assert_eq!(real_time_allocations(), 0);
 }
 

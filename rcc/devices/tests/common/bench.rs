@@ -1,5 +1,5 @@
 //! A test bench: an emulated EtherCAT segment on a cable inside this process, in a thread of its own, and a
-//! controller that commands it. Each test defines its segment. Also the log of such tests.
+//! controller that commands it, in simulated time. Each test defines its segment. Also the log of such tests.
 
 #![allow(
     dead_code,
@@ -149,6 +149,7 @@ impl TestBench {
 
     /// Starts to serve the segment, and a controller that commands it.
     pub fn lead(&mut self, config: &EthercatConfig) {
+        takt_tests::simulate_time();
         let (served, wires) =
             Served::start(self.segment.clone(), config.second.is_some(), self.latency);
         let controller = Controller::start(&CellConfig::default()).unwrap();

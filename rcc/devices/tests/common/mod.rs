@@ -26,6 +26,7 @@ use takt_core::{CellConfig, Controller, NetId, SessionId};
 use takt_devices::fri::LwrConfig;
 use takt_fri::lwr::emulator::{Krc, KrcConfig, KrcStatus, Timing, serve};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
+use takt_tests::now;
 
 /// An emulated KRC in a thread of its own.
 pub struct Robot {
@@ -189,13 +190,13 @@ impl Cell {
 
     /// Position of a joint after it has been at rest for 250 ms, rad.
     pub fn at_rest(&self, arm: &str, joint: usize) -> f64 {
-        let mut rest = (self.position(arm, joint), Instant::now());
+        let mut rest = (self.position(arm, joint), now());
         let until = rest.1 + Duration::from_secs(5);
-        while rest.1.elapsed() < Duration::from_millis(250) && Instant::now() < until {
+        while now() < until.min(rest.1 + Duration::from_millis(250)) {
             std::thread::sleep(Duration::from_millis(5));
             let position = self.position(arm, joint);
             if (position - rest.0).abs() > 1e-4 {
-                rest = (position, Instant::now());
+                rest = (position, now());
             }
         }
         rest.0
