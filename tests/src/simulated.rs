@@ -8,9 +8,10 @@ use takt_rt::{monotonic, simulated};
 /// How often the clock is read.
 const EVERY: Duration = Duration::from_millis(1);
 
-/// From now on, this process runs in simulated time, as fast as the host's if that does not stall.
-pub fn simulate_time() {
-    simulated::begin(1.0);
+/// From now on, this process runs in simulated time, so many times as fast as the host's clock if no thread is late. Above 1, a
+/// cycle should be of 2 ms or more.
+pub fn simulate_time(real_time_factor: f64) {
+    simulated::begin(real_time_factor);
 }
 
 /// Lets a span of it pass. It does not wait for the calling thread.

@@ -20,7 +20,7 @@ use takt_tests::{pass, simulate_time};
 
 #[test]
 fn lwr_net_moves_arm_and_ends() {
-    simulate_time();
+    simulate_time(1.0);
     let cell = Cell::new(&["left"]);
     let before = cell.robots[0].status.measured()[6];
     let net = cell.load(&swing("left", 1.0));
@@ -52,7 +52,7 @@ fn lwr_net_moves_arm_and_ends() {
 
 #[test]
 fn lwr_lost_robot_ends_only_its_net() {
-    simulate_time();
+    simulate_time(1.0);
     let mut cell = Cell::new(&["left", "right"]);
     let (left, right) = (
         cell.load(&swing("left", 3.0)),
@@ -75,7 +75,7 @@ enum Ending {
 
 #[test]
 fn slow_net_ends_lwr_brakes_at_once() {
-    simulate_time();
+    simulate_time(1.0);
     for ending in [Ending::Abort, Ending::Rule] {
         let cell = Cell::new(&["left"]);
         let before = cell.position("left", 6);
@@ -105,7 +105,7 @@ fn slow_net_ends_lwr_brakes_at_once() {
 
 #[test]
 fn lwr_power_loss_ends_net_recovers_at_rest() {
-    simulate_time();
+    simulate_time(1.0);
     let cell = Cell::new(&["left"]);
     let net = cell.load(&swing("left", 3.0));
     cell.controller.start_net(net).unwrap();
@@ -127,7 +127,7 @@ fn lwr_power_loss_ends_net_recovers_at_rest() {
 
 #[test]
 fn lwr_controller_shutdown_in_motion_leaves_arm_resting() {
-    simulate_time();
+    simulate_time(1.0);
     let cell = Cell::new(&["left"]);
     let before = cell.position("left", 6);
     let net = cell.load(&swing("left", 2.0));
@@ -151,7 +151,7 @@ fn lwr_controller_shutdown_in_motion_leaves_arm_resting() {
 
 #[test]
 fn arm_joint_belongs_to_one_running_net() {
-    simulate_time();
+    simulate_time(1.0);
     let cell = Cell::new(&["left"]);
     let (first, second) = (
         cell.load(&swing("left", 2.0)),

@@ -63,7 +63,7 @@ fn file(cell: &Cell) -> PathBuf {
 #[test]
 fn lwr_fault_writes_flight_of_eleven_seconds() {
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("flights-of-fault");
-    simulate_time();
+    simulate_time(1.0);
     let _ = std::fs::remove_dir_all(&directory);
     let mut cell = Cell::new(&["left", "right"]);
     let settings = FlightSettings {

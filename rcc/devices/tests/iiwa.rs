@@ -91,7 +91,7 @@ fn patient(dialect: Dialect) -> CabinetConfig {
 
 /// A controller with an iiwa 7 called `arm`.
 fn cell() -> (Cell, SocketAddr) {
-    takt_tests::simulate_time();
+    takt_tests::simulate_time(1.0);
     let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
     let arm = IiwaConfig {
         model: IiwaModel::Iiwa7,

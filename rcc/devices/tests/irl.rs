@@ -18,7 +18,7 @@ use takt_devices::ethercat::EthercatConfig;
 use takt_ethercat::emulator::{Io, Station, StationMotor};
 use takt_irl::net::{Binding, net};
 use takt_irl::{Program, System, compile};
-use takt_tests::pass;
+use takt_tests::{pass, simulate_time};
 
 const SPEC: &str = include_str!("../../../examples/irl/station.spc");
 const SOURCE: &str = include_str!("../../../examples/irl/station.irl");
@@ -69,6 +69,7 @@ struct TestBench {
 
 impl TestBench {
     fn new() -> Self {
+        simulate_time(2.0);
         // Near their switches, so that homing is short.
         let motor = StationMotor {
             start_deg: -70.0,

@@ -112,7 +112,7 @@ fn count(of: &Collected, topic: &str) -> usize {
 
 #[test]
 fn live_stream_has_the_messages_of_recording() {
-    simulate_time();
+    simulate_time(1.0);
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("live.mcap");
     let cell = Cell::recorded(&["left", "right"], Some(Recorder::start(&path).unwrap()));
     let mut stream = LiveStream::new(&cell.controller, 1);
@@ -212,7 +212,7 @@ fn difference(live: &[(u64, Vec<u8>)], file: &[(u64, Vec<u8>)]) -> String {
 
 #[test]
 fn live_stream_every_tenth_cycle_skips_others() {
-    simulate_time();
+    simulate_time(1.0);
     let cell = Cell::new(&["left"]);
     let mut stream = LiveStream::new(&cell.controller, 10);
     let mut live = Collected {

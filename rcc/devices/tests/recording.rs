@@ -121,7 +121,7 @@ fn nets_without_devices_replay_identically() {
 
 #[test]
 fn moved_arm_replays_identically() {
-    simulate_time();
+    simulate_time(1.0);
     let (path, cycles) = record("arm", &["left"], |cell| {
         let net = cell.load(&swing("left", 0.3));
         cell.controller.start_net(net).unwrap();

@@ -20,7 +20,7 @@ use takt_devices::ethercat::EthercatConfig;
 use takt_ethercat::emulator::{Station, StationFaults, StationMotor};
 use takt_irl::{System, compile};
 use takt_machine::machine::Status;
-use takt_tests::pass;
+use takt_tests::{pass, simulate_time};
 
 use bench::TestBench;
 
@@ -113,6 +113,7 @@ struct Rig {
 
 impl Rig {
     fn start() -> Self {
+        simulate_time(2.0);
         let motor = |offset_v| StationMotor {
             offset_v,
             start_deg: -60.0,

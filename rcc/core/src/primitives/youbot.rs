@@ -216,7 +216,8 @@ fn of_arm() -> [Definition; 2] {
     [
         Definition::new(
             "KUKA::youBot::ArmControlStrategy",
-            "Switches how the arm is controlled. It must be at rest where it is commanded.",
+            "Switches how the arm is controlled. It must be at rest where it is commanded. Stiffness with which it would \
+             swing at the cycle of its segment is refused; a shorter cycle admits more.",
             arm_control_strategy,
         )
         .active()
@@ -236,7 +237,7 @@ fn of_arm() -> [Definition; 2] {
         Definition::new(
             "KUKA::youBot::JointImpParameters",
             "Sets how a joint gives way in joint impedance. What it adds ends with the net; the rest \
-             stays.",
+             stays. Stiffness with which the joint would swing at the cycle of its segment is refused.",
             joint_imp_parameters,
         )
         .active()

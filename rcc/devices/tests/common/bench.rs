@@ -149,7 +149,7 @@ impl TestBench {
 
     /// Starts to serve the segment, and a controller that commands it.
     pub fn lead(&mut self, config: &EthercatConfig) {
-        takt_tests::simulate_time();
+        takt_tests::simulate_time(1.0);
         let (served, wires) =
             Served::start(self.segment.clone(), config.second.is_some(), self.latency);
         let controller = Controller::start(&CellConfig::default()).unwrap();

@@ -91,10 +91,13 @@ impl Arm {
             control: arm.control,
             may_home: arm.homing,
             recovery: arm.recovery,
-            springs: Springs::of(match arm.zero {
-                YouBotZero::Upright => YouBot::upright(YouBot::UPRIGHT_RANGES),
-                YouBotZero::Folded => YouBot::default(),
-            }),
+            springs: Springs::of(
+                match arm.zero {
+                    YouBotZero::Upright => YouBot::upright(YouBot::UPRIGHT_RANGES),
+                    YouBotZero::Folded => YouBot::default(),
+                },
+                cycle,
+            ),
             gripper: gripper.map(Gripper::new),
             cycle: cycle.into(),
             last: None,

@@ -1,12 +1,14 @@
 //! Compliance of a youBot arm as nets order it: control strategy, joint impedance, and tool impedance. The control
 //! law of a joint is `takt_ethercat::youbot::Impedance`, that of the tool [`Tool`].
 
-use takt_ethercat::youbot::{ARM, Impedance, holding};
+use std::time::Duration;
+
+use takt_ethercat::youbot::{ARM, Impedance, JointGeometry, holding};
 use takt_motion::kinematics::YouBot;
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, JointImpedance};
 use takt_net::value::Wrench;
 
-use super::tool::{Motions, Tool, axes};
+use super::tool::{Motions, Tool, axes, stiffness_by_inertia};
 use takt_core::device::DeviceCommand;
 
 /// Largest stiffness, Nm/rad.
@@ -14,6 +16,9 @@ const STIFFNESS_MAX: f64 = 1000.0;
 
 /// Largest stiffness of the tool, N/m and Nm/rad.
 const TOOL_STIFFNESS_MAX: f64 = 10_000.0;
+/// Natural frequency of a spring with the inertia of the motors that it moves, rad/s, times the cycle, s, at most: torques act two
+/// cycles after the position that they answer, and a stiffer spring swings, against any damper.
+const SWING_MAX: f64 = 0.2;
 /// A joint nearer to the end of its range than this is not pushed towards it, rad: 5 degrees.
 const END: f64 = 0.0873;
 
@@ -42,7 +47,7 @@ impl Strategy {
 
 /// Error values of answers.
 mod error {
-    /// Unknown strategy, or a parameter is out of range or not finite.
+    /// Unknown strategy, or a parameter is out of range or not finite; a spring is stiffer than the cycle admits.
     pub(super) const RANGE: i32 = 1;
     /// The arm is not operational.
     pub(super) const NOT_ENABLED: i32 = 2;
@@ -53,6 +58,8 @@ mod error {
 /// The parameters in force.
 #[derive(Debug, Default)]
 pub(super) struct Springs {
+    /// s.
+    cycle: f64,
     pub(super) strategy: Strategy,
     laws: [Impedance; 5],
     tool: Tool,
@@ -62,9 +69,10 @@ pub(super) struct Springs {
 }
 
 impl Springs {
-    /// Springs of an arm with that kinematics.
-    pub(super) fn of(arm: YouBot) -> Self {
+    /// Springs of an arm with that kinematics, whose torques are set each cycle.
+    pub(super) fn of(arm: YouBot, cycle: Duration) -> Self {
         Self {
+            cycle: cycle.as_secs_f64(),
             tool: Tool::of(arm),
             ..Self::default()
         }
@@ -79,35 +87,39 @@ impl Springs {
         fresh: bool,
         rests: Option<bool>,
     ) {
-        let DeviceCommand { words, cycle, .. } = given;
+        let DeviceCommand {
+            words, cycle: now, ..
+        } = given;
         if rests.is_none() {
             // An arm that recovers holds its position.
             self.strategy = Strategy::Position;
         }
         self.obey_strategy(has, words, rests);
         let orders = has.joint_impedance.iter().flat_map(|orders| orders.iter());
-        for ((order, law), last) in orders.zip(&mut self.laws).zip(&mut self.answers) {
+        let cycle = self.cycle;
+        let laws = ARM.iter().zip(&mut self.laws);
+        for ((order, (joint, law)), last) in orders.zip(laws).zip(&mut self.answers) {
             let Some(given) = order.command.read(words) else {
                 continue;
             };
             law.added = 0.0;
-            if fresh && given.is_in_force(*cycle) {
+            if fresh && given.is_in_force(*now) {
                 law.added = addition(&given.value);
             }
             if !given.is_withdrawn() {
-                answer(last, given.cycle, || take(law, &given.value));
+                answer(last, given.cycle, || take(law, joint, cycle, &given.value));
             }
         }
         let order = has.cartesian_impedance.as_ref();
         if let Some(given) = order.and_then(|order| order.command.read(words)) {
             self.tool.added = [0.0; 6];
-            if fresh && given.is_in_force(*cycle) {
+            if fresh && given.is_in_force(*now) {
                 self.tool.added = force(&given.value);
             }
             let tool = &mut self.tool;
             if !given.is_withdrawn() {
                 answer(&mut self.tool_answer, given.cycle, || {
-                    take_tool(tool, &given.value)
+                    take_tool(tool, cycle, &given.value)
                 });
             }
         }
@@ -208,28 +220,35 @@ fn force(wanted: &CartesianImpedance) -> [f64; 6] {
     wrench.unwrap_or_default()
 }
 
-fn take_tool(tool: &mut Tool, wanted: &CartesianImpedance) -> bool {
+/// Whether springs of so much stiffness for their inertia, 1/s², come to rest.
+fn is_steady(stiffness_by_inertia: f64, cycle: f64) -> bool {
+    stiffness_by_inertia.sqrt() * cycle <= SWING_MAX
+}
+
+fn take_tool(tool: &mut Tool, cycle: f64, wanted: &CartesianImpedance) -> bool {
     let or = |wanted: &Option<Wrench>, now| wanted.as_ref().map_or(now, axes);
     let stiffness = or(&wanted.stiffness, tool.stiffness);
     let damping = or(&wanted.damping, tool.damping);
     let within = |values: [f64; 6], most| values.iter().all(|value| (0.0..=most).contains(value));
     let possible = within(stiffness, TOOL_STIFFNESS_MAX)
         && within(damping, 1.0)
-        && or(&wanted.wrench, [0.0; 6]).iter().all(|v| v.is_finite());
+        && or(&wanted.wrench, [0.0; 6]).iter().all(|v| v.is_finite())
+        && is_steady(stiffness_by_inertia(&stiffness), cycle);
     if possible {
         (tool.stiffness, tool.damping) = (stiffness, damping);
     }
     possible
 }
 
-fn take(law: &mut Impedance, wanted: &JointImpedance) -> bool {
+fn take(law: &mut Impedance, joint: &JointGeometry, cycle: f64, wanted: &JointImpedance) -> bool {
     let stiffness = wanted.stiffness.unwrap_or(law.stiffness);
     let damping = wanted.damping.unwrap_or(law.damping);
     let torque_max = wanted.torque_max.unwrap_or(law.torque_max);
     let possible = (0.0..=STIFFNESS_MAX).contains(&stiffness)
         && (0.0..=1.0).contains(&damping)
         && torque_max.is_finite()
-        && wanted.torque.is_none_or(f64::is_finite);
+        && wanted.torque.is_none_or(f64::is_finite)
+        && is_steady(stiffness / joint.inertia(), cycle);
     if possible {
         (law.stiffness, law.damping, law.torque_max) = (stiffness, damping, torque_max);
     }
@@ -242,6 +261,9 @@ mod tests {
     use crate::segment::youbot::describe::ARM_PARTS;
     use takt_core::device::{Part, parts};
     use takt_net::device::{Layout, Words};
+
+    /// s.
+    const MS: f64 = 1e-3;
 
     fn limits() -> [(f64, f64); 5] {
         [(0.0, 5.9), (0.0, 2.7), (-5.2, 0.0), (0.0, 3.6), (0.0, 5.8)]
@@ -322,14 +344,14 @@ mod tests {
                 damping: Some(damping),
                 wrench: None,
             };
-            assert!(!take_tool(&mut tool, &wanted));
+            assert!(!take_tool(&mut tool, MS, &wanted));
             assert_eq!(tool, before);
         }
         let wanted = CartesianImpedance {
             stiffness: Some(wrench(80.0, 8.0)),
             ..CartesianImpedance::default()
         };
-        assert!(take_tool(&mut tool, &wanted));
+        assert!(take_tool(&mut tool, MS, &wanted));
         assert_eq!(
             tool.damping.map(f64::to_bits),
             before.damping.map(f64::to_bits)
@@ -380,15 +402,83 @@ mod tests {
                 damping: Some(damping),
                 ..JointImpedance::default()
             };
-            assert!(!take(&mut law, &wanted));
+            assert!(!take(&mut law, &ARM[0], MS, &wanted));
             assert_eq!(law, before);
         }
         let wanted = JointImpedance {
             stiffness: Some(12.0),
             ..JointImpedance::default()
         };
-        assert!(take(&mut law, &wanted));
+        assert!(take(&mut law, &ARM[0], MS, &wanted));
         assert!((law.stiffness - 12.0).abs() < 1e-9 && (law.damping - before.damping).abs() < 1e-9);
+    }
+
+    /// A joint with its spring, whose torque acts two cycles after the position that it answers: how far it swings from the fourth to
+    /// the fifth second after it was 0.1 rad away, rad.
+    fn swing(law: &Impedance, joint: &JointGeometry, cycle: f64) -> f64 {
+        let (mut at, mut speed, mut late) = (0.1_f64, 0.0_f64, [0.0; 2]);
+        let (mut now, mut most) = (0.0, 0.0_f64);
+        while now < 5.0 {
+            let torque = law.torque(joint, -at, -speed);
+            let [acting, next] = late;
+            late = [next, torque];
+            // Held for the cycle.
+            let acceleration = acting / joint.inertia();
+            at = (at + speed * cycle + acceleration * cycle * cycle / 2.0).clamp(-9.0, 9.0);
+            speed += acceleration * cycle;
+            now += cycle;
+            if now > 4.0 {
+                most = most.max(at.abs());
+            }
+        }
+        most
+    }
+
+    #[test]
+    fn youbot_springs_that_cycle_cannot_calm_are_refused() {
+        for joint in &ARM {
+            for cycle in [1e-3, 2e-3, 4e-3, 10e-3] {
+                let most = (SWING_MAX / cycle).powi(2) * joint.inertia();
+                let order = |stiffness: f64| JointImpedance {
+                    stiffness: Some(stiffness),
+                    damping: Some(0.7),
+                    ..JointImpedance::default()
+                };
+                let mut law = Impedance::default();
+                if most < STIFFNESS_MAX {
+                    assert!(take(&mut law, joint, cycle, &order(most * 0.999)), "{most}");
+                    assert!(
+                        !take(&mut law, joint, cycle, &order(most * 1.001)),
+                        "{most}"
+                    );
+                }
+                let of = |stiffness| Impedance { stiffness, ..law };
+                assert!(
+                    swing(&of(most), joint, cycle) < 1e-3,
+                    "{most} Nm/rad, {cycle} s"
+                );
+                assert!(
+                    swing(&of(most * 6.0), joint, cycle) > 0.1,
+                    "{most} Nm/rad, {cycle} s"
+                );
+            }
+        }
+        let stiff = |force: f64| CartesianImpedance {
+            stiffness: Some(Wrench {
+                force: [force; 3].into(),
+                torque: [force / 10.0; 3].into(),
+            }),
+            ..CartesianImpedance::default()
+        };
+        for (force, cycle, is_taken) in [
+            (1000.0, 1e-3, true),
+            (1000.0, 4e-3, false),
+            (200.0, 4e-3, true),
+            (10_000.0, 1e-3, false),
+        ] {
+            let taken = take_tool(&mut Tool::default(), cycle, &stiff(force));
+            assert_eq!(taken, is_taken, "{force} N/m, {cycle} s");
+        }
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Control law of an arm with tool impedance: a spring and a damper between commanded and measured flange pose, along
 //! the flange's axes, as joint torques. Gravity compensation is not included.
 
-use takt_ethercat::youbot::ARM;
+use takt_ethercat::youbot::{ARM, JointGeometry};
 use takt_motion::kinematics::YouBot;
 use takt_net::Frame;
 use takt_net::device::Kinematics;
@@ -11,6 +11,19 @@ use takt_net::value::{Rotation, Twist, Vector, Wrench};
 pub(super) type Motions = [[f64; 2]; 5];
 /// Along and about x, y and z of the flange.
 type Axes = [f64; 6];
+
+/// How far the flange is from each joint at most, m: the arm stretched.
+const REACH: [f64; 5] = [0.53, 0.47, 0.31, 0.18, 0.0];
+
+/// Stiffness of the tool against the inertia of the motors, 1/s²: of no posture is it more. Springs of a stretched arm lie one upon
+/// the other; the sum over the joints bounds the stiffest.
+pub(super) fn stiffness_by_inertia(stiffness: &Axes) -> f64 {
+    let [x, y, z, a, b, c] = *stiffness;
+    let (along, about) = (x.max(y).max(z), a.max(b).max(c));
+    let at =
+        |(joint, reach): (&JointGeometry, &f64)| (along * reach * reach + about) / joint.inertia();
+    ARM.iter().zip(&REACH).map(at).sum()
+}
 
 /// Tool impedance parameters.
 #[derive(Clone, Debug, PartialEq)]
