@@ -440,6 +440,9 @@ fn start_together(endpoint: &str, file: &str) -> Value {
     report.expect("the host stalled at each start")
 }
 
+/// A cell says so where keep-alives came too late, over a slow network or on a host that stalls.
+const SESSION_LOST: &str = "the session that prepared it has ended";
+
 /// A `takt fleet start` whose nets run. Those that a stall prevented are killed, whereupon their cells end what had begun.
 fn begun(args: &[&str]) -> Process {
     let begun = attempts().find_map(|()| {
@@ -448,6 +451,7 @@ fn begun(args: &[&str]) -> Process {
             line.contains("begun on 2 cells")
                 || line.starts_with("takt: ")
                 || line.contains("nothing begins")
+                || line.contains(SESSION_LOST)
                 || STALLED.iter().any(|part| line.contains(part))
         });
         line.contains("begun on 2 cells").then_some(started)
@@ -854,8 +858,7 @@ fn fleet_start_over_slow_lossy_and_split_network() {
             return Some(());
         }
         let why = complaint(&output);
-        // Keep-alives that this network delays for too long end a session at a cell, which says so.
-        let is_session_lost = why.contains("the session that prepared it has ended");
+        let is_session_lost = why.contains(SESSION_LOST);
         let is_stalled = STALLED.iter().any(|part| why.contains(part));
         assert!(is_stalled || is_session_lost, "{why}");
         None
