@@ -13,7 +13,7 @@
 //! part by that: cycles, drivers and emulators over UDP, TCP and cables in memory. CAN sockets do not.
 
 use std::sync::Once;
-use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicUsize, Ordering};
 
 use crate::{Nanos, linux::clock::host_clock};
 
@@ -24,7 +24,7 @@ pub const TIMEOUT: Nanos = Nanos::from_millis(2_000);
 /// A thread that waits for something else besides the clock looks at both this often.
 const SLICE: Nanos = Nanos::from_micros(500);
 /// Threads that the time waits for; it does not wait for more.
-pub const THREADS_MAX: usize = 64;
+pub const THREADS_MAX: usize = 256;
 /// While the time stands, threads look at it this often, on the host's clock.
 const STANDS: Nanos = Nanos::from_micros(200);
 /// A thread without a wait.
@@ -165,6 +165,8 @@ struct Clock {
     behind: AtomicI64,
     /// The latest time that anybody has read: it never goes back.
     read: AtomicI64,
+    /// Places that have been taken so far; beyond them, there is nothing to look at.
+    used: AtomicUsize,
     participants: [Participant; THREADS_MAX],
 }
 
@@ -175,6 +177,7 @@ impl Clock {
             factor_per_million: AtomicI64::new(PER_MILLION),
             behind: AtomicI64::new(0),
             read: AtomicI64::new(0),
+            used: AtomicUsize::new(0),
             participants: [const {
                 Participant {
                     is_taken: AtomicBool::new(false),
@@ -218,7 +221,9 @@ impl Clock {
 
     fn take_part(&self) -> Option<usize> {
         let takes = |it: &Participant| !it.is_taken.swap(true, Ordering::AcqRel);
-        self.participants.iter().position(takes)
+        let number = self.participants.iter().position(takes)?;
+        self.used.fetch_max(number + 1, Ordering::AcqRel);
+        Some(number)
     }
 
     fn leave(&self, number: usize) {
@@ -238,7 +243,9 @@ impl Clock {
         let free = unwaited - self.behind.load(Ordering::Acquire);
         // Another thread may have read a later time meanwhile.
         let free = free.max(self.read.load(Ordering::Acquire));
-        let ends = self.participants.iter().map(|it| it.end(real, free));
+        let used = self.participants.iter();
+        let used = used.take(self.used.load(Ordering::Acquire));
+        let ends = used.map(|it| it.end(real, free));
         let end = ends.fold(NEVER, i64::min);
         let now = self.read.fetch_max(free.min(end), Ordering::AcqRel);
         let now = now.max(free.min(end));

@@ -45,6 +45,14 @@ impl Dock {
         self.config.pose * Pose::from_parts(left.into(), turn)
     }
 
+    /// How much a base that drives there is within the guides: 0 outside, 1 where they centre fully.
+    pub(crate) fn nearness(&self, base: &Pose) -> f64 {
+        let guides = self.config.guides_m;
+        let off = self.config.pose.inverse() * base;
+        let way = off.translation.vector.xy().norm();
+        ((guides - way) / (guides * (1.0 - CENTRED)).max(1e-9)).clamp(0.0, 1.0)
+    }
+
     /// Whether the switch is closed while the base is there.
     pub(crate) fn is_closed(&self, base: &Pose) -> bool {
         let off = self.config.pose.inverse() * base;

@@ -40,8 +40,8 @@ pub struct Knobs {
     pub obstructed_m: Option<f64>,
     /// Screws bite askew, however well they are placed.
     pub cross_threads: bool,
-    /// Where bases are in truth, seen from where they believe to be: x and y, m, and heading, rad. Applies with the next
-    /// post of each base.
+    /// Where bases are in truth, seen from where they believe to be: x and y, m, and heading, rad; those with docks only there.
+    /// Applies with the next post of each base.
     pub docking_offset: [f64; 3],
 }
 
@@ -344,15 +344,20 @@ impl Scene {
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading);
             Pose::from_parts(Vector3::new(x, y, z).into(), turn)
         };
-        let offset = flat(self.knobs.docking_offset, 0.0);
+        let offset = self.knobs.docking_offset;
         let Some(state) = self.bases.get_mut(base) else {
             return;
         };
         let mut pose = flat([x, y, heading], state.pose.translation.z);
+        // At a dock, it grows with the guides: a base does not jump, and with it what stands there.
+        let (mut nearness, mut has_dock) = (0.0_f64, false);
         for dock in self.docks.iter().filter(|dock| dock.base == base) {
+            nearness = nearness.max(dock.nearness(&pose));
+            has_dock = true;
             pose = dock.guided(&pose);
         }
-        let pose = pose * offset;
+        let share = if has_dock { nearness } else { 1.0 };
+        let pose = pose * flat(offset.map(|part| part * share), 0.0);
         if state.motion.post(at, &pose, None) {
             self.advance(at);
         }

@@ -291,6 +291,43 @@ fn world_base_carries_bodies_with_docking_offset() {
     }
 }
 
+/// A base that docks beside its place drives away and docks again: what stands on it keeps its place there, whenever the offset ends.
+#[test]
+fn world_base_docks_again_without_jump() {
+    let world = assembly(1).unwrap();
+    world.turn_knobs(|knobs| knobs.docking_offset = [0.008, 0.0, 0.0]);
+    let base = world.base("base").unwrap();
+    let on_base = |truth: &Truth| {
+        let (_, base) = &truth.bases[0];
+        base.inverse() * truth.body("box_1").unwrap().pose
+    };
+    let mut cycle = 0;
+    let mut drive = |from: f64, to: f64| {
+        for step in 0..=250_u32 {
+            let x = from + (to - from) * f64::from(step) / 250.0;
+            base.post(Duration::from_millis(4 * cycle), x, 0.0, 0.0);
+            cycle += 1;
+        }
+        world.truth()
+    };
+    let begun = on_base(&drive(1.05, 1.05));
+    let beside = drive(1.05, 0.95);
+    assert!(
+        (beside.bases[0].1.translation.x - 0.958).abs() < 1e-6,
+        "{beside:?}"
+    );
+    drive(0.95, 1.03);
+    world.turn_knobs(|knobs| knobs.docking_offset = [0.0; 3]);
+    drive(1.03, 1.05);
+    let docked = drive(1.05, 0.95);
+    assert!(
+        (docked.bases[0].1.translation.x - 0.95).abs() < 1e-6,
+        "{docked:?}"
+    );
+    let moved = on_base(&docked).translation.vector - begun.translation.vector;
+    assert!(moved.norm() < 1e-4, "the box slid by {moved}");
+}
+
 #[test]
 fn world_unloaded_boxes_stand_on_bench() {
     let world = assembly_unloaded(1).unwrap();

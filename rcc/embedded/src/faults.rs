@@ -17,8 +17,8 @@ const OILED: f64 = 0.105;
 const SOAKED: f64 = 0.01;
 /// Depth at which burrs stop the peg, m.
 const BURRS: f64 = 0.01;
-/// Where the base is at its dock, and where it has driven away again, x, m.
-const DOCK: [f64; 2] = [0.97, 1.0];
+/// Where the base is at its dock, and where it has driven away again, beyond the guides, x, m.
+const DOCK: [f64; 2] = [0.97, 1.02];
 /// Speed at which a box counts as carried, m/s.
 const MOVES: f64 = 0.05;
 
