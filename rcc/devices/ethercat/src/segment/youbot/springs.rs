@@ -145,11 +145,26 @@ impl Springs {
             _ if wanted == self.strategy => 0,
             None => error::NOT_ENABLED,
             Some(false) => error::MOVES,
+            Some(true) if !self.admits(wanted) => error::RANGE,
             Some(true) => {
                 self.strategy = wanted;
                 0
             }
         }
+    }
+
+    /// Whether the present springs come to rest at the cycle.
+    fn admits(&self, strategy: Strategy) -> bool {
+        let stiffness_by_inertia = match strategy {
+            Strategy::Position => 0.0,
+            Strategy::Joints => {
+                let laws = self.laws.iter().zip(&ARM);
+                laws.map(|(law, joint)| law.stiffness / joint.inertia())
+                    .fold(0.0, f64::max)
+            }
+            Strategy::Tool => stiffness_by_inertia(&self.tool.stiffness),
+        };
+        is_steady(stiffness_by_inertia, self.cycle)
     }
 
     /// Joint torques, Nm, from commanded and measured positions; `ends` are the smallest and largest position of each
@@ -478,6 +493,15 @@ mod tests {
         ] {
             let taken = take_tool(&mut Tool::default(), cycle, &stiff(force));
             assert_eq!(taken, is_taken, "{force} N/m, {cycle} s");
+        }
+        // Those that no net has ordered are refused with their strategy.
+        for (cycle, error) in [(4, 0), (20, error::RANGE)] {
+            for strategy in [Strategy::Joints, Strategy::Tool] {
+                let cycle = Duration::from_millis(cycle);
+                let mut springs = Springs::of(YouBot::default(), cycle);
+                let said = springs.switch(strategy as i32, Some(true));
+                assert_eq!(said, error, "{strategy:?} {cycle:?}");
+            }
         }
     }
 
