@@ -175,6 +175,29 @@ mod tests {
         }
     }
 
+    /// In joint space, springs are at most as stiff against the inertia of the motors as the bound over all postures.
+    #[test]
+    fn youbot_tool_stiffness_is_bounded_in_each_posture() {
+        let stiffness = [1000.0, 1000.0, 1000.0, 100.0, 100.0, 100.0];
+        for arm in [YouBot::default(), YouBot::upright(YouBot::UPRIGHT_RANGES)] {
+            let tool = Tool::of(arm);
+            let mut most = 0.0_f64;
+            for n in 0..8_u32.pow(3) {
+                let turned = |digit: u32| f64::from(n / 8_u32.pow(digit) % 8) * 0.8;
+                let joints = [0.3, turned(0), -turned(1), turned(2), 0.7];
+                let here = tool.arm.forward(&joints);
+                let columns = tool.jacobian(&joints, &here);
+                let by_inertia = columns.iter().zip(&ARM).map(|(column, joint)| {
+                    let springs = column.iter().zip(&stiffness);
+                    springs.map(|(offset, k)| k * offset * offset).sum::<f64>() / joint.inertia()
+                });
+                most = most.max(by_inertia.sum());
+            }
+            let bound = stiffness_by_inertia(&stiffness);
+            assert!(most <= bound && most > bound / 2.0, "{most} {bound}");
+        }
+    }
+
     #[test]
     fn youbot_tool_directions_have_separate_springs() {
         let tool = Tool {
