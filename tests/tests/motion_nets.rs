@@ -1,15 +1,18 @@
 //! The nets of `examples/nets`: each is without findings, moves an arm that follows it exactly, never
-//! faster than it says, and ends at its goal. Drivers and their limits are tested elsewhere.
+//! faster than it says, and ends at its goal. And lines whose joints are driven within their limits, as drivers do.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use takt_core::device::DeviceTable;
+use takt_core::device::setpoint::Joint;
+use takt_core::device::{DeviceTable, JointSetPoints, SetPoint};
 use takt_device_fri::lwr;
 use takt_net::device::Kinematics;
-use takt_net::{Devices as _, Frame, Image, Limits, LoadContext, Moment, Nanos, Plan, check};
+use takt_net::{
+    Devices as _, Frame, Image, JointState, Limits, LoadContext, Moment, Nanos, Plan, check,
+};
 
 const PERIOD: Duration = Duration::from_millis(1);
 /// Where the nets in joint space start, rad.
@@ -222,4 +225,158 @@ fn otg_net_reaches_its_goal_from_anywhere() {
     assert_eq!(arm.out("reached"), "true");
     arm.moment.cancel = true;
     assert!(arm.run() > 5000);
+}
+
+/// The joints in which a line was seen to turn its tool, rad, and how far the tool is before the flange, m.
+const BESIDE: [f64; 7] = [0.7208, -0.3795, 0.0, 1.5367, -1.9386, -0.7857, 0.4991];
+const TOOL: f64 = 0.16;
+
+/// The net of a line to a pose of the tool, beyond what the joints can there.
+fn line(to: &Frame) -> String {
+    let (at, (c, b, a)) = (to.translation.vector, to.rotation.euler_angles());
+    let mut text = String::new();
+    let mut add = |line: String| text.push_str(&format!("  {line},\n"));
+    add("none=Core::DoubleArray(Size='7')".to_owned());
+    for value in ["Position", "Velocity", "Acceleration"] {
+        let mut from = "none".to_owned();
+        for joint in 0..7 {
+            if value == "Position" {
+                add(format!(
+                    "now{joint}=RobotArm::JointMonitor(Robot='left', Axis='{joint}')"
+                ));
+            }
+            let name = format!("{value}{joint}");
+            add(format!(
+                "{name}=Core::DoubleArraySet(inArray={from}.outArray, inValue=now{joint}.outCommanded{value}, \
+                 Size='7', Index='{joint}')"
+            ));
+            from = name;
+        }
+    }
+    let tool = |z: f64| format!("'{{pos:{{x:0,y:0,z:{z}}},rot:{{a:0,b:0,c:0}}}}'");
+    let (there, back) = (tool(TOOL), tool(-TOOL));
+    add(format!("tool=World::FrameValue(Value={there})"));
+    add(format!("back=World::FrameValue(Value={back})"));
+    add("flange=ArmKinematics::Kin(inJoints=Position6.outArray, Robot='left')".to_owned());
+    add("from=World::FrameTransform(inFirst=flange.outFrame, inSecond=tool.outValue)".to_owned());
+    add(format!(
+        "rates=ArmKinematics::VelKin(inJoints=Position6.outArray, inVelocities=Velocity6.outArray, \
+         inAccelerations=Acceleration6.outArray, Robot='left', Tool={there})"
+    ));
+    add(format!(
+        "line=Motion::Lin(inFrom=from.outValue, inFromVelocity=rates.outTwist, inFromAcceleration=rates.outAcceleration, \
+         To='{{pos:{{x:{},y:{},z:{}}},rot:{{a:{a},b:{b},c:{c}}}}}', Velocity='0.05', Acceleration='3', Jerk='300', \
+         RotVelocity='0.5', RotAcceleration='2.5', RotJerk='25', Speed='1')",
+        at.x, at.y, at.z
+    ));
+    add("to=World::FrameTransform(inFirst=line.outPosition, inSecond=back.outValue)".to_owned());
+    add("joints=ArmKinematics::InvKin(inFrame=to.outValue, inHintJoints=Position6.outArray, Robot='left')".to_owned());
+    for joint in 0..7 {
+        add(format!(
+            "goal{joint}=Core::DoubleArrayGet(inArray=joints.outJoints, Size='7', Index='{joint}')"
+        ));
+        add(format!(
+            "joint{joint}=RobotArm::JointPosition(inPosition=goal{joint}.outValue, Robot='left', Axis='{joint}')"
+        ));
+    }
+    format!("{{\n{text}  outTerminate=line.outDone\n}}")
+}
+
+/// An arm whose joints are led to their set-points within their limits.
+struct Driven {
+    image: Image,
+    moment: Moment,
+    joints: Vec<(Joint, JointSetPoints)>,
+}
+
+impl Driven {
+    fn new(at: [f64; 7]) -> Self {
+        let joint = |(limits, position)| {
+            let (mut joint, none) = (Joint::new(limits), JointSetPoints::default());
+            joint.rest_at(position, &none);
+            (joint, none)
+        };
+        let limits = lwr::describe("left").limits.into_iter();
+        let mut arm = Self {
+            image: Image::default(),
+            moment: Moment::default(),
+            joints: limits.zip(at).map(joint).collect(),
+        };
+        arm.report();
+        arm
+    }
+
+    fn report(&mut self) {
+        for ((joint, _), place) in self.joints.iter().zip(&self.image.joints) {
+            let (position, velocity, acceleration) = joint.continued();
+            place.state.set(JointState {
+                commanded_position: Some(position),
+                commanded_velocity: Some(velocity),
+                commanded_acceleration: Some(acceleration),
+                ..JointState::default()
+            });
+        }
+    }
+
+    /// One cycle, of a net or of none; returns whether the net ends.
+    fn cycle(&mut self, plan: Option<&mut Plan>) -> bool {
+        self.moment.cycle += 1;
+        self.moment.time = Nanos(self.moment.time.0 + 1_000_000);
+        let (moment, dt_s) = (self.moment, PERIOD.as_secs_f64());
+        let is_over = plan.is_some_and(|plan| plan.evaluate(&self.image, moment));
+        for ((joint, set_points), place) in self.joints.iter_mut().zip(&self.image.joints) {
+            let command = place.command.get();
+            let (time, position) = (takt_core::Nanos(moment.time.0), command.position);
+            let is_new = command.cycle == moment.cycle;
+            set_points.period = PERIOD.into();
+            set_points.advance(is_new.then_some(SetPoint { time, position }));
+            joint.sample(set_points, true, time - joint.delay(set_points), dt_s);
+        }
+        self.report();
+        is_over
+    }
+
+    fn tool(&self, robot: &dyn Kinematics) -> Frame {
+        let joints: Vec<_> = self
+            .joints
+            .iter()
+            .map(|(joint, _)| joint.motion().0)
+            .collect();
+        robot.forward(&joints) * Frame::translation(0.0, 0.0, TOOL)
+    }
+}
+
+/// A line begins so many cycles after one that its driver still follows to its end, braking at the limits of its joints.
+#[test]
+fn line_begun_while_driver_still_brakes_stays_straight() {
+    let robot = kinematics();
+    let registry = takt_core::registry();
+    let mut devices = DeviceTable::default();
+    devices.add_arm(lwr::describe("left")).unwrap();
+    let context = LoadContext {
+        registry: &registry,
+        devices: &devices,
+        period: PERIOD,
+        limits: Limits::default(),
+    };
+    for pause in 0..30 {
+        let mut arm = Driven::new(BESIDE);
+        let here = arm.tool(&*robot);
+        let there = Frame::translation(-0.02, 0.0, 0.0) * here;
+        let mut turned: f64 = 0.0;
+        for to in [there, here] {
+            let text = line(&to);
+            let checked = check(&text, &context);
+            let (mut plan, _) = checked
+                .map_err(|rejection| rejection.render("line", &text))
+                .unwrap();
+            while !arm.cycle(Some(&mut plan)) {
+                turned = turned.max(arm.tool(&*robot).rotation.angle_to(&here.rotation));
+            }
+            for _ in 0..pause {
+                arm.cycle(None);
+            }
+        }
+        assert!(turned < 0.003, "after {pause} cycles: {turned} rad");
+    }
 }

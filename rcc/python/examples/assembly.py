@@ -130,7 +130,7 @@ class Station:
 
     def insert(self) -> None:
         """The right arm inserts the peg until it feels the bottom, and presses."""
-        right, slow = self.right, self.right.with_limits(velocity=0.05, acceleration=3.0, jerk=300.0)
+        right, slow = self.right, self.right.with_limits(velocity=0.05, acceleration=1.5, jerk=300.0)
 
         def at(y: float, place: tuple[float, float] = (0.0, 0.0)) -> takt.Goal:
             return self.goal((HELD[0] + place[0], y, HELD[2] + place[1]), FORTH)

@@ -193,10 +193,10 @@ pub(super) fn limits(velocity: f64) -> CartesianLimits {
     }
 }
 
-/// Limits of motions that end in contact: they brake at once.
+/// Limits of motions that end in contact: they brake as hard as the joints can in that posture.
 pub(super) fn contact_limits() -> CartesianLimits {
     CartesianLimits {
-        acceleration: 3.0,
+        acceleration: 1.5,
         jerk: 300.0,
         ..limits(0.05)
     }

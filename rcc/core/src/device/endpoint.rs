@@ -85,7 +85,7 @@ impl Endpoint {
         for (((state, (limited, rejected)), limit), (joint, measured)) in
             places.zip(&mut limits).zip(joints)
         {
-            let (position, velocity, acceleration) = joint.motion();
+            let (position, velocity, acceleration) = joint.continued();
             *limit = Some(joint.limits().velocity_max);
             (*limited, *rejected) = (*joint.limited(), *joint.rejected());
             *state = JointState {

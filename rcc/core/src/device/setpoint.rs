@@ -293,6 +293,16 @@ impl Joint {
         self.stage.motion()
     }
 
+    /// From where set-points go on: its [`Self::motion`], but without the acceleration of a joint that brakes or approaches its
+    /// set-points. Its limits begin and end that one in a cycle; a motion that took it over would let it fade at its own jerk, and
+    /// leave its path meanwhile.
+    #[must_use]
+    pub const fn continued(&self) -> (f64, f64, f64) {
+        let (position, velocity, acceleration) = self.stage.motion();
+        let follows = matches!(self.mode, Mode::Follow);
+        (position, velocity, if follows { acceleration } else { 0.0 })
+    }
+
     /// Limit reports of its last stage.
     #[must_use]
     pub const fn limited(&self) -> &Limited {

@@ -303,7 +303,10 @@ pub(super) fn table() -> Vec<Definition> {
         .parameter::<i32>("Axis", "0", AXIS)
         .output::<f64>("outCommandedPosition", "commanded position, rad")
         .output::<f64>("outCommandedVelocity", "commanded velocity, rad/s")
-        .output::<f64>("outCommandedAcceleration", "commanded acceleration, rad/s²")
+        .output::<f64>(
+            "outCommandedAcceleration",
+            "commanded acceleration, rad/s²; 0 while the driver brakes the joint or leads it to its set-points",
+        )
         .output::<f64>("outMeasuredPosition", "measured position, rad")
         .output::<f64>("outMeasuredVelocity", "measured velocity, rad/s")
         .output::<f64>("outMeasuredAcceleration", "measured acceleration, rad/s²")

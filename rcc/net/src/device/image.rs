@@ -21,7 +21,7 @@ pub struct JointState {
     pub commanded_position: Option<f64>,
     /// Velocity of the commanded position, rad/s.
     pub commanded_velocity: Option<f64>,
-    /// Acceleration of the commanded position, rad/s².
+    /// Acceleration of the commanded position, rad/s²; 0 while the driver brakes the joint or leads it to its set-points.
     pub commanded_acceleration: Option<f64>,
     /// Measured position, rad.
     pub measured_position: Option<f64>,

@@ -151,6 +151,32 @@ fn setpoint_moving_joint_follows_within_acceleration() {
 }
 
 #[test]
+fn setpoint_only_following_joint_has_acceleration_to_continue() {
+    use Mode::{Approach, Follow, Held, Refused};
+    let mut seen = Vec::new();
+    let mut joint = Joint::new(LIMITS);
+    let mut see = |joint: &Joint| {
+        let ((.., acceleration), (.., continued)) = (joint.motion(), joint.continued());
+        assert!(acceleration.abs() > 1.0, "{:?}", joint.mode());
+        seen.push((joint.mode(), continued == acceleration, continued == 0.0));
+    };
+    // Set-points within its limits, beyond them, and none.
+    joint.sample(&stream(&[0.0, 3e-6]), true, Nanos(0), DT_S);
+    see(&joint);
+    joint.sample(&stream(&[3e-6, 0.01]), true, Nanos(0), DT_S);
+    see(&joint);
+    joint.sample(&JointSetPoints::default(), true, Nanos(0), DT_S);
+    see(&joint);
+    let mut refused = moving(Refused, 0.0, 0.5);
+    refused.sample(&stream(&[0.0]), true, Nanos(0), DT_S);
+    see(&refused);
+    let continues = (Follow, true, false);
+    let others = [Approach, Held, Refused].map(|mode| (mode, false, true));
+    assert_eq!(seen[0], continues);
+    assert_eq!(seen[1..], others);
+}
+
+#[test]
 fn setpoint_only_refused_joint_reports_error() {
     for mode in [Mode::Held, Mode::Approach, Mode::Follow] {
         assert_eq!(in_mode(mode, 0.0).error(), JointError::None);

@@ -493,7 +493,7 @@ impl SimulatedArm {
     fn publish(&mut self, torques: [f64; ARM_JOINTS_MAX]) {
         let joints = self.joints.iter().zip(&self.measured);
         for (reported, (joint, measured)) in self.state.joints.iter_mut().zip(joints) {
-            let (position, velocity, acceleration) = joint.motion();
+            let (position, velocity, acceleration) = joint.continued();
             *reported = JointState {
                 commanded_position: Some(position),
                 commanded_velocity: Some(velocity),
