@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import shutil
 import socket
 import subprocess
 import sys
@@ -36,6 +37,28 @@ def tool() -> str:
     if not path.exists():
         pytest.fail(f"there is no {path}\nhint: cargo xtask test python builds it")
     return str(path)
+
+
+@pytest.fixture(scope="session")
+def viewer_packages() -> pathlib.Path:
+    """The folder with the packages from npm that viewers are made of, and the programs that use them; skips without npm."""
+    if not shutil.which("node") or not shutil.which("npm"):
+        pytest.skip("needs node and npm")
+    source = pathlib.Path(__file__).resolve().parent / "foxglove_peer"
+    target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    folder = ROOT / target / "foxglove_peer"
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = (source / "package.json").read_text()
+    complete = folder / "complete"
+    if not complete.exists() or complete.read_text() != wanted:
+        (folder / "package.json").write_text(wanted)
+        install = ["npm", "install", "--no-audit", "--no-fund", "--loglevel=error"]
+        if subprocess.run(install, cwd=folder, timeout=300.0).returncode != 0:
+            pytest.skip("npm cannot install the packages of Foxglove")
+        complete.write_text(wanted)
+    for program in source.glob("*.mjs"):
+        shutil.copy(program, folder)
+    return folder
 
 
 def free_endpoint() -> str:

@@ -4,9 +4,7 @@ their decoder. What they decode is compared with the resources of the controller
 from __future__ import annotations
 
 import json
-import os
 import pathlib
-import shutil
 import subprocess
 import time
 import urllib.parse
@@ -16,9 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from conftest import ROOT, program
-
-SOURCE = pathlib.Path(__file__).resolve().parent / "foxglove_peer"
+from conftest import program
 
 SWING = """{
     clock=Core::Clock(), part=Core::Interval(inValue=clock.outValue, Max='1'),
@@ -30,23 +26,9 @@ SWING = """{
 
 
 @pytest.fixture(scope="module")
-def peer() -> pathlib.Path:
-    """The installed client; skips where npm cannot install it."""
-    if not shutil.which("node") or not shutil.which("npm"):
-        pytest.skip("needs node and npm")
-    target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
-    folder = ROOT / target / "foxglove_peer"
-    folder.mkdir(parents=True, exist_ok=True)
-    wanted = (SOURCE / "package.json").read_text()
-    complete = folder / "complete"
-    if not complete.exists() or complete.read_text() != wanted:
-        (folder / "package.json").write_text(wanted)
-        install = ["npm", "install", "--no-audit", "--no-fund", "--loglevel=error"]
-        if subprocess.run(install, cwd=folder, timeout=300.0).returncode != 0:
-            pytest.skip("npm cannot install @foxglove/ws-protocol")
-        complete.write_text(wanted)
-    shutil.copy(SOURCE / "peer.mjs", folder)
-    return folder / "peer.mjs"
+def peer(viewer_packages: pathlib.Path) -> pathlib.Path:
+    """The client."""
+    return viewer_packages / "peer.mjs"
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import pathlib
 import subprocess
@@ -54,6 +55,20 @@ def test_joint_states_end_at_goal(messages: dict[str, list[Any]]) -> None:
     commanded = [command for _, command in messages["/left/set_points"]]
     assert list(commanded[-1].position) == pytest.approx(BENT, abs=1e-6)
     assert "/right/set_points" not in messages, "only one arm was commanded"
+
+
+def test_reader_of_foxglove_decodes_all_and_seeks(
+    recording: pathlib.Path, messages: dict[str, list[Any]], viewer_packages: pathlib.Path
+) -> None:
+    topic = "/left/joint_states"
+    command = ["node", str(viewer_packages / "recording.mjs"), str(recording), topic]
+    read = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120.0).stdout)
+    assert (read["profile"], read["isSorted"]) == ("ros2", True)
+    counts = {name: len(found) for name, found in messages.items()}
+    assert counts == read["counts"] == {name: it["count"] for name, it in read["topics"].items()}
+    assert read["topics"][topic]["value"]["position"] == list(messages[topic][-1][1].position)
+    # By the indexes alone.
+    assert read["half"] == sum(time >= int(read["startTime"]) for time, _ in messages[topic]) > 0
 
 
 def test_time_of_messages_is_time_in_them(messages: dict[str, list[Any]]) -> None:
