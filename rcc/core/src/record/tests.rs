@@ -78,6 +78,22 @@ fn fill(disk: &Disk) -> (Option<Error>, usize) {
 }
 
 #[test]
+fn pause_of_writer_leaves_three_quarters_of_buffers() {
+    for cycle_us in [62, 125, 250, 500, 1000, 4000, 100_000] {
+        let waiting = |pause: Duration| usize::try_from(pause.as_micros() / cycle_us).unwrap();
+        let [mut pause, longest] = PAUSE;
+        for _ in 0..20 {
+            pause = pause_after(pause, waiting(pause));
+        }
+        assert!(waiting(pause) <= BUFFERS / 4, "{cycle_us} us: {pause:?}");
+        let is_long = waiting(pause) >= BUFFERS / 8 || pause == longest;
+        assert!(is_long, "{cycle_us} us: {pause:?}");
+        // A disk that was slow for long.
+        assert!(pause_after(pause, BUFFERS) <= pause);
+    }
+}
+
+#[test]
 fn full_disk_leaves_complete_chunks_readable() {
     let whole = Disk::new(usize::MAX);
     assert!(fill(&whole).0.is_none());
