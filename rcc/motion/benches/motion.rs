@@ -1,6 +1,7 @@
 //! The time of an inverse of a seven-axis arm on a smooth path, compared with the same formulas written as one straight
-//! line for one known branch; of a net that moves two arms on a line; and of the cycle in which a motion begins in
-//! motion. Judges no figure; ratios count. `cargo bench -p takt-motion --bench motion [-- [--json]]`.
+//! line for one known branch; of the numeric inverse of an arm without closed form, and how many poses it finds; of a net that moves
+//! two arms on a line; and of the cycle in which a motion begins in motion. Judges no figure; ratios count.
+//! `cargo bench -p takt-motion --bench motion [-- [--json]]`.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 
@@ -10,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde_json::json;
-use takt_motion::kinematics::{Srs, SrsGeometry};
+use takt_motion::kinematics::{Joint, JointKind, Range, Serial, Srs, SrsGeometry};
 use takt_net::device::Kinematics;
 use takt_net::{
     ArmBinding, Devices, Frame, Image, JointLimits, Limits, LoadContext, Moment, Nanos, Registry,
@@ -19,6 +20,8 @@ use takt_net::{
 
 const POSES: u32 = 4_000;
 const ROUNDS: usize = 25;
+/// Poses of the numeric inverse.
+const RANDOM_POSES: u32 = 10_000;
 /// Joint positions at the start of the paths, rad.
 const START: [f64; 7] = [0.2, 0.6, -0.3, -1.2, 0.4, 0.9, -0.2];
 
@@ -149,6 +152,64 @@ fn inverse(name: &str, arm: &Srs) -> serde_json::Value {
     json!({ "p50_ns": p50, "p99_ns": p99, "straight_line_p50_ns": floor50, "ratio": ratio })
 }
 
+/// Franka's arm by its published dimensions, after Craig: a (m), alpha (rad), d (m), and range (rad) of each joint.
+fn panda() -> Serial {
+    let quarter = std::f64::consts::FRAC_PI_2;
+    let rows = [
+        [0.0, 0.0, 0.333, -2.8973, 2.8973],
+        [0.0, -quarter, 0.0, -1.7628, 1.7628],
+        [0.0, quarter, 0.316, -2.8973, 2.8973],
+        [0.0825, quarter, 0.0, -3.0718, -0.0698],
+        [-0.0825, -quarter, 0.384, -2.8973, 2.8973],
+        [0.0, quarter, 0.0, -0.0175, 3.7525],
+        [0.088, quarter, 0.0, -2.8973, 2.8973],
+    ];
+    let joints = rows.map(|[a, alpha, d, min, max]| {
+        let twist = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), alpha);
+        let link = Frame::from_parts(Vector3::new(a, 0.0, 0.0).into(), twist);
+        Joint {
+            origin: link * Frame::translation(0.0, 0.0, d),
+            axis: Vector3::z(),
+            kind: JointKind::Revolute,
+            range: Range { min, max },
+        }
+    });
+    Serial::new(&joints, &Frame::translation(0.0, 0.0, 0.107)).expect("an arm")
+}
+
+/// Times the numeric inverse on random reachable poses, each from hints so far away, rad.
+fn numeric(away: f64) -> serde_json::Value {
+    let arm = panda();
+    let mut random = takt_tests::Random::new(11);
+    let (mut times, mut found) = (Vec::new(), 0);
+    for _ in 0..RANDOM_POSES {
+        let each = arm.ranges().iter();
+        let joints: Vec<_> = each
+            .map(|range| random.between(range.min, range.max))
+            .collect();
+        let each = joints.iter().zip(arm.ranges());
+        let hint: Vec<_> = each
+            .map(|(joint, range)| (joint + random.between(-away, away)).clamp(range.min, range.max))
+            .collect();
+        let target = arm.forward(&joints);
+        let mut solution = [0.0; 7];
+        let mut is_found = false;
+        // The fastest of three, so that the largest is none of the host.
+        let each = timed(&[target; 3], |pose| {
+            is_found = arm.inverse(pose, &hint, &mut solution).is_ok();
+        });
+        times.push(each.into_iter().fold(f64::INFINITY, f64::min));
+        found += u32::from(is_found);
+    }
+    let [p50, p99, most] = [0.5, 0.99, 1.0].map(|share| quantile(&mut times, share) / 1e3);
+    let share = 100.0 * as_f64(found) / as_f64(RANDOM_POSES);
+    println!(
+        "panda        numeric inverse from {away} rad beside: p50 {p50:.1} us, p99 {p99:.1} us, largest {most:.1} us; \
+         {share:.2} % of {RANDOM_POSES} poses found"
+    );
+    json!({ "p50_us": p50, "p99_us": p99, "max_us": most, "found_percent": share })
+}
+
 /// Two arms, `left` and `right`.
 struct Two;
 
@@ -271,6 +332,9 @@ fn main() {
         ("kuka_iiwa14", Srs::kuka_iiwa14()),
     ] {
         members.insert(name.to_owned(), inverse(name, &arm));
+    }
+    for (name, away) in [("numeric_near", 0.1), ("numeric_anywhere", 6.0)] {
+        members.insert(name.to_owned(), numeric(away));
     }
     let subjects = [
         ("two_arm_lin_net", "two arms on a line", two_arms()),
