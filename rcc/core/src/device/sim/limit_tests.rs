@@ -24,6 +24,32 @@ fn triangle(cycle: u64) -> f64 {
 }
 
 #[test]
+fn sim_braking_joint_reports_no_acceleration_to_go_on_with() {
+    let (_, mut arm) = make("arm", "kuka_lwr_sim", &BTreeMap::new()).unwrap();
+    let mut command = DeviceCommand::default();
+    command.joints[0].period = DT;
+    let mut seen = Vec::new();
+    for cycle in 0..220_u32 {
+        command.time = Nanos(DT.0 * i64::from(cycle));
+        command.cycle = cycle.into();
+        let since_s = f64::from(cycle) * 1e-3;
+        // 2 rad/s², then nothing.
+        let (time, position) = (command.time, since_s * since_s);
+        let point = (cycle < 200).then_some(SetPoint { time, position });
+        command.joints[0].advance(point);
+        arm.step(&command, DT);
+        let joint = arm.state().joints[0];
+        seen.push(joint.commanded_velocity.zip(joint.commanded_acceleration));
+    }
+    let [(_, follows), (velocity, brakes)] = [199, 210].map(|cycle| seen[cycle].unwrap());
+    assert!((follows - 2.0).abs() < 1e-3, "{follows}");
+    assert!(
+        velocity > 0.2 && brakes.abs() < 1e-12,
+        "{velocity} {brakes}"
+    );
+}
+
+#[test]
 fn sim_arm_follows_triangles_within_limits() {
     let texts = texts(&[
         ("min_joint", "[-2,-2,-2,-2,-2]"),

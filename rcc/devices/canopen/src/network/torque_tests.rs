@@ -43,10 +43,15 @@ fn config(more: &str) -> CanopenConfig {
     cell.of_kind::<CanopenConfig>().next().unwrap().clone()
 }
 
+/// Cycle of the network, s.
+const CYCLE_S: f64 = 2e-3;
+
 /// The arm as it is: its drives, and the torques that its links take.
 struct Loaded {
     bench: Bench,
     links: Dynamics,
+    /// Commanded speeds of the cycle before, rad/s.
+    speeds: [f64; 6],
 }
 
 impl Loaded {
@@ -63,6 +68,7 @@ impl Loaded {
         Self {
             bench,
             links: arm.dynamics.unwrap().with_payload(&PAYLOAD.body()),
+            speeds: [0.0; 6],
         }
     }
 
@@ -83,9 +89,11 @@ impl Loaded {
     fn cycle(&mut self) {
         // Inertia by the commanded acceleration: by the measured one it would lag a cycle, and swing up.
         let mut motions = self.commanded();
-        for (motion, node) in motions.iter_mut().zip(&self.bench.nodes) {
+        let joints = self.bench.nodes.iter().zip(&mut self.speeds);
+        for (motion, (node, before)) in motions.iter_mut().zip(joints) {
             let axis = node.application().axis(0).unwrap();
             motion[0] = axis.motor().position / GEAR;
+            motion[2] = (motion[1] - std::mem::replace(before, motion[1])) / CYCLE_S;
         }
         let mut torques = [0.0; 6];
         self.links

@@ -39,11 +39,16 @@ fn text(more: &str) -> String {
     )
 }
 
+/// Cycle of the segment, s.
+const CYCLE_S: f64 = 2e-3;
+
 /// The arm as it is: its drives, and the torques that its links take.
 struct Plant {
     bench: Bench,
     drive: ServoDrive,
     links: Dynamics,
+    /// Commanded speeds of the cycle before, rad/s.
+    speeds: [f64; 6],
 }
 
 impl Plant {
@@ -69,6 +74,7 @@ impl Plant {
             bench,
             drive,
             links: links.with_payload(&payload.body()),
+            speeds: [0.0; 6],
         }
     }
 
@@ -77,10 +83,12 @@ impl Plant {
         // Inertia by the commanded acceleration: by the measured one it would lag a cycle, and swing up.
         let commanded = self.bench.devices[0].state.read_with(|state| state.joints);
         let mut motions = [[0.0; 3]; 6];
-        for (axis, (motion, joint)) in motions.iter_mut().zip(commanded).enumerate() {
+        let joints = commanded.iter().zip(&mut self.speeds);
+        for (axis, (motion, (joint, before))) in motions.iter_mut().zip(joints).enumerate() {
             let at = self.drive.axis(axis, |drive| drive.motor().position / GEAR);
-            let [speed, rate] = [joint.commanded_velocity, joint.commanded_acceleration];
-            *motion = [at.unwrap(), speed.unwrap_or(0.0), rate.unwrap_or(0.0)];
+            let speed = joint.commanded_velocity.unwrap_or(0.0);
+            let rate = (speed - std::mem::replace(before, speed)) / CYCLE_S;
+            *motion = [at.unwrap(), speed, rate];
         }
         let mut torques = [0.0; 6];
         self.links

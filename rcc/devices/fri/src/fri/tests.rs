@@ -786,6 +786,35 @@ fn fri_driver_shutdown_in_motion_brakes_first() {
     comes_to_rest(&mut cabinet(CabinetConfig::default()), 4.0);
 }
 
+/// While a joint follows, nets see its acceleration; while it brakes after its net has ended, none that a motion would go on with.
+fn braking_is_nothing_to_go_on_with<C: Controller, P: Protocol>(rig: &mut Rig<C, P>) {
+    let seen = |rig: &mut Rig<C, P>| {
+        rig.state.read_with(|state| {
+            let joint = &state.joints[JOINT];
+            let (velocity, acceleration) = (joint.commanded_velocity, joint.commanded_acceleration);
+            (velocity.unwrap().abs(), acceleration.unwrap().abs())
+        })
+    };
+    rig.follow();
+    rig.begin(swing);
+    // Between its start, where it accelerates most, and its largest speed.
+    rig.run(400);
+    let (velocity, acceleration) = seen(rig);
+    assert!(velocity > 0.1 && acceleration > 0.1, "{acceleration}");
+    rig.net = None;
+    rig.run(20);
+    let (velocity, acceleration) = seen(rig);
+    assert_eq!(rig.mode(), Mode::Held);
+    assert!(velocity > 0.1, "{velocity}");
+    assert!(acceleration < f64::EPSILON, "{acceleration}");
+}
+
+#[test]
+fn fri_braking_joint_reports_no_acceleration_to_go_on_with() {
+    braking_is_nothing_to_go_on_with(&mut krc(KrcConfig::default()));
+    braking_is_nothing_to_go_on_with(&mut cabinet(CabinetConfig::default()));
+}
+
 // -------------------------------------------------------------------------------------------------- loss and jitter
 
 fn line(drop: f64) -> LineFaults {
