@@ -57,16 +57,16 @@ pub use values::numbers;
 
 /// Buffers between the net thread and the file; each holds one cycle.
 const BUFFERS: usize = 512;
-/// Shortest and longest pause of the writing thread. Waking for a few cycles would cost more than writing them: at 1 kHz, pauses of 20 ms
-/// take a sixth more of a processor than those of 80 ms.
+/// Shortest and longest pause of the writing thread: waking for a few cycles would cost more than writing them.
 const PAUSE: [Duration; 2] = [Duration::from_millis(5), Duration::from_millis(100)];
 
-/// The next pause, after one for which so many cycles waited: a quarter of the buffers at most, and more than an eighth.
+/// The next pause, after one in which so many cycles came: for an eighth to a quarter of the buffers. Before the first cycle, their period
+/// is not known, and the pause stays.
 fn pause_after(pause: Duration, cycles: usize) -> Duration {
     let [shortest, longest] = PAUSE;
     if cycles > BUFFERS / 4 {
         (pause / 2).max(shortest)
-    } else if cycles < BUFFERS / 8 {
+    } else if (1..BUFFERS / 8).contains(&cycles) {
         (pause * 2).min(longest)
     } else {
         pause

@@ -1,4 +1,4 @@
-"""A recording, read by software of others: every message with the readers of MCAP and of rosbag2."""
+"""A recording, read by software of others: every message with the readers of MCAP, of rosbag2 and of Foxglove."""
 
 from __future__ import annotations
 

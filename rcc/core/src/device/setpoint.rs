@@ -293,9 +293,9 @@ impl Joint {
         self.stage.motion()
     }
 
-    /// From where set-points go on: its [`Self::motion`], but without the acceleration of a joint that brakes or approaches its
-    /// set-points. Its limits begin and end that one in a cycle; a motion that took it over would let it fade at its own jerk, and
-    /// leave its path meanwhile.
+    /// What a motion that begins now goes on from: [`Self::motion`], with an acceleration of 0 unless the joint follows its set-points.
+    /// That of a joint that brakes or approaches them is its own and may end in any cycle. A motion that took it over would let it fade
+    /// at its jerk instead, and leave its path.
     #[must_use]
     pub const fn continued(&self) -> (f64, f64, f64) {
         let (position, velocity, acceleration) = self.stage.motion();

@@ -79,18 +79,24 @@ fn fill(disk: &Disk) -> (Option<Error>, usize) {
 
 #[test]
 fn pause_of_writer_leaves_three_quarters_of_buffers() {
-    for cycle_us in [62, 125, 250, 500, 1000, 4000, 100_000] {
-        let waiting = |pause: Duration| usize::try_from(pause.as_micros() / cycle_us).unwrap();
-        let [mut pause, longest] = PAUSE;
-        for _ in 0..20 {
-            pause = pause_after(pause, waiting(pause));
+    let [shortest, longest] = PAUSE;
+    for cycle_us in [62, 125, 250, 500, 1000, 4000, 20_000, 1_000_000] {
+        // The recording begins a second before the thread.
+        let (mut pause, mut now_us, mut seen) = (shortest, 0_u128, 0);
+        let mut came = 0;
+        while now_us < 30_000_000 {
+            now_us += pause.as_micros();
+            let all = usize::try_from(now_us.saturating_sub(1_000_000) / cycle_us).unwrap();
+            came = all - std::mem::replace(&mut seen, all);
+            assert!(came <= BUFFERS / 4, "{cycle_us} us: {came} in {pause:?}");
+            pause = pause_after(pause, came);
         }
-        assert!(waiting(pause) <= BUFFERS / 4, "{cycle_us} us: {pause:?}");
-        let is_long = waiting(pause) >= BUFFERS / 8 || pause == longest;
-        assert!(is_long, "{cycle_us} us: {pause:?}");
-        // A disk that was slow for long.
-        assert!(pause_after(pause, BUFFERS) <= pause);
+        let is_long = came >= BUFFERS / 8 || pause == longest;
+        assert!(is_long, "{cycle_us} us: {came} in {pause:?}");
     }
+    // A disk that was slow for long.
+    assert_eq!(pause_after(longest, BUFFERS), longest / 2);
+    assert_eq!(pause_after(shortest, BUFFERS), shortest);
 }
 
 #[test]
