@@ -9,6 +9,7 @@ mod fuzz;
 mod inspect;
 pub(crate) mod journal;
 mod live;
+mod mcap_file;
 mod notes;
 mod parts;
 mod read;
@@ -20,7 +21,7 @@ pub(crate) mod utc;
 mod values;
 mod words;
 
-use std::io::{Seek, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -344,7 +345,7 @@ impl Recorder {
     }
 
     /// Starts the thread that writes.
-    fn begin<W: Write + Seek + Send + 'static>(
+    fn begin<W: Write + Send + 'static>(
         (writer, parts): (Writer<W>, Option<Parts<W>>),
         path: &Path,
     ) -> Result<(Self, Tap), Error> {
@@ -525,7 +526,7 @@ impl Drop for Recorder {
 }
 
 /// Between the net thread and the file.
-struct FileThread<W: Write + Seek> {
+struct FileThread<W: Write> {
     writer: Writer<W>,
     parts: Option<Parts<W>>,
     free: Producer<Vec<u64>>,
@@ -535,7 +536,7 @@ struct FileThread<W: Write + Seek> {
     stop: Arc<AtomicBool>,
 }
 
-impl<W: Write + Seek> FileThread<W> {
+impl<W: Write> FileThread<W> {
     /// Writes the notes that wait.
     fn notes(&mut self) -> Result<(), Error> {
         while let Ok(note) = self.notes.try_recv() {

@@ -3,7 +3,7 @@
 //! the name of the file, the thread writes it. Files are bounded in number and bytes, the oldest are deleted first.
 
 use std::collections::BTreeMap;
-use std::io::{Seek, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -274,7 +274,7 @@ impl FlightRecorder {
     }
 
     /// The same with files that `open` creates, and lines of the log to `report`.
-    fn run_on<W: Write + Seek>(
+    fn run_on<W: Write>(
         &self,
         open: impl Fn(&Path, &Sources, i64, u64) -> Result<FlightFile<W>, Error>,
         (sources, texts): (
@@ -353,7 +353,7 @@ impl FlightRecorder {
         }
     }
 
-    fn write<W: Write + Seek>(
+    fn write<W: Write>(
         &self,
         open: &impl Fn(&Path, &Sources, i64, u64) -> Result<FlightFile<W>, Error>,
         capture: &Capture,

@@ -28,7 +28,7 @@ impl Encoder {
             self.message.extend([count, self.number]);
             let bits = self.message.len();
             self.message.resize(bits + words.len().div_ceil(BITS), 0);
-            let pairs = words.chunks(BITS).zip(self.last.chunks(BITS));
+            let pairs = words.chunks(BITS).zip(self.last.chunks_mut(BITS));
             // Most are the same: compared as a whole, that takes almost no time.
             for (part, (words, last)) in
                 pairs.enumerate().filter(|(_, (words, last))| words != last)
@@ -37,8 +37,9 @@ impl Encoder {
                 // Each is written, and the place of one that is the same is used again: a branch for each would take longer.
                 self.message.resize(end + words.len(), 0);
                 for (bit, (word, last)) in words.iter().zip(last).enumerate() {
-                    let differs = word != last;
+                    let differs = *word != *last;
                     changed |= u64::from(differs) << bit;
+                    *last = *word;
                     if let Some(to) = self.message.get_mut(end) {
                         *to = *word;
                     }
@@ -52,9 +53,9 @@ impl Encoder {
         } else {
             self.message.extend([count | WHOLE, self.number]);
             self.message.extend_from_slice(words);
+            self.last.clear();
+            self.last.extend_from_slice(words);
         }
-        self.last.clear();
-        self.last.extend_from_slice(words);
         self.number += 1;
         &self.message
     }

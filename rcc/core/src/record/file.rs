@@ -3,19 +3,17 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use mcap::Attachment;
-use mcap::records::{MessageHeader, Metadata};
+use mcap::records::MessageHeader;
 use serde::Serialize;
 use takt_rt::monotonic;
 
 use crate::error::Error;
 use crate::record::cycles::Encoder;
+use crate::record::mcap_file::McapFile;
 use crate::record::notes::{
     CYCLES, DEVICES, DeviceEvent, DeviceNote, FORMAT, MACHINES, MachineNote, NETS, NetNote, Note,
     wrong,
@@ -25,40 +23,14 @@ use crate::record::ros2::cdr::Cdr;
 use crate::record::ros2::{Messages, ShownDevice, Sink, Stamp, schemas};
 use crate::record::words::{Entry, Reader, start};
 
-/// Encoding of all messages.
+/// Encoding of all messages, and of their schemas.
 const ENCODING: &str = "cdr";
+const SCHEMAS: &str = "ros2msg";
 
-/// Length of a chunk before its compression, bytes.
-const CHUNK: u64 = 512 << 10;
-
-/// A file that counts its bytes.
-struct Counted<W> {
-    to: W,
-    bytes: Arc<AtomicU64>,
-}
-
-impl<W: Write> Write for Counted<W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.to.write(bytes)?;
-        self.bytes.fetch_add(written as u64, Ordering::Relaxed);
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.to.flush()
-    }
-}
-
-impl<W: Seek> Seek for Counted<W> {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.to.seek(to)
-    }
-}
-
-/// Writes the file in compressed chunks: after a full disk or a crash it is readable up to the last complete chunk.
-pub(super) struct Writer<W: Write + Seek = File> {
-    /// `None` after an error: nothing follows half a record.
-    mcap: Option<mcap::Writer<BufWriter<Counted<W>>>>,
+/// Writes the file: after a full disk or a crash it is readable up to the last complete chunk.
+pub(super) struct Writer<W: Write = File> {
+    /// `None` after its end, or after an error: nothing follows half a record.
+    mcap: Option<McapFile<W>>,
     path: PathBuf,
     channels: [u16; 4],
     cdr: Cdr,
@@ -67,8 +39,8 @@ pub(super) struct Writer<W: Write + Seek = File> {
     sequence: u32,
     /// Cycles written to the file.
     written: u64,
-    /// Bytes on the disk; the last chunk follows.
-    bytes: Arc<AtomicU64>,
+    /// Bytes that were written; the last chunk follows.
+    bytes: u64,
     /// What the next part repeats; `None` if there is none.
     in_use: Option<InUse>,
     /// Whether an earlier part has what is noted now.
@@ -116,12 +88,12 @@ impl Writer {
     }
 }
 
-impl<W: Write + Seek> Sink for Writer<W> {
+impl<W: Write> Sink for Writer<W> {
     fn channel(&mut self, topic: &str, schema: &str, text: &str) -> Result<u16, Error> {
         let none = BTreeMap::new();
         self.try_with(|mcap| {
-            let schema = mcap.add_schema(schema, "ros2msg", text.as_bytes())?;
-            mcap.add_channel(schema, topic, ENCODING, &none)
+            let schema = mcap.schema(schema, SCHEMAS, text)?;
+            mcap.channel(schema, topic, ENCODING, &none)
         })
     }
 
@@ -133,11 +105,11 @@ impl<W: Write + Seek> Sink for Writer<W> {
             log_time: at.0,
             publish_time: at.0,
         };
-        self.try_with(|mcap| mcap.write_to_known_channel(&header, data))
+        self.try_with(|mcap| mcap.message(header, data))
     }
 }
 
-impl<W: Write + Seek> Writer<W> {
+impl<W: Write> Writer<W> {
     /// Begins the file.
     pub(super) fn on(to: W, path: &Path) -> Result<Self, Error> {
         Self::part_on(to, path, None)
@@ -145,25 +117,8 @@ impl<W: Write + Seek> Writer<W> {
 
     /// Begins the file of a part of a recording.
     pub(super) fn part_on(to: W, path: &Path, part: Option<&Part>) -> Result<Self, Error> {
-        let failed = |e: mcap::McapError| broken(path, 0, &e);
-        let bytes = Arc::default();
-        let counted = Counted {
-            to,
-            bytes: Arc::clone(&bytes),
-        };
-        let mut mcap = mcap::WriteOptions::new()
-            .compression(Some(mcap::Compression::Zstd))
-            // Cycles that wait for the compression are lost: the fastest level, and no threads that compete with it.
-            .compression_level(1)
-            .compression_threads(0)
-            // As long as the window of that level: beyond it, the search for repetitions takes longer.
-            .chunk_size(Some(CHUNK))
-            // A chunk is written as a whole, so that one that a crash cuts off is recognised.
-            .disable_seeking(true)
-            .profile("ros2")
-            .library("takt")
-            .create(BufWriter::new(counted))
-            .map_err(failed)?;
+        let failed = |error: io::Error| broken(path, 0, &error);
+        let mut mcap = McapFile::begin(to, "ros2").map_err(failed)?;
         let mut format = BTreeMap::from([("format".to_owned(), FORMAT.to_owned())]);
         if let Some(Part { recording, number }) = part {
             format.insert("recording".to_owned(), recording.clone());
@@ -171,7 +126,7 @@ impl<W: Write + Seek> Writer<W> {
         }
         let mut schema = |of: &schemas::Schema| {
             let text = of.text();
-            mcap.add_schema(of.name, "ros2msg", text.as_bytes())
+            mcap.schema(of.name, SCHEMAS, &text)
         };
         let words = schema(&schemas::WORDS).map_err(failed)?;
         let text = schema(&schemas::STRING).map_err(failed)?;
@@ -184,10 +139,11 @@ impl<W: Write + Seek> Writer<W> {
         ];
         for (channel, (schema, topic)) in channels.iter_mut().zip(kinds) {
             *channel = mcap
-                .add_channel(schema, topic, ENCODING, &format)
+                .channel(schema, topic, ENCODING, &format)
                 .map_err(failed)?;
         }
         Ok(Self {
+            bytes: mcap.bytes(),
             mcap: Some(mcap),
             path: path.to_owned(),
             channels,
@@ -196,7 +152,6 @@ impl<W: Write + Seek> Writer<W> {
             messages: Messages::default(),
             sequence: 0,
             written: 0,
-            bytes,
             in_use: None,
             is_repeating: false,
             epoch: epoch(),
@@ -224,15 +179,14 @@ impl<W: Write + Seek> Writer<W> {
     /// Executes an operation on the file; after an error the file is not changed.
     fn try_with<T>(
         &mut self,
-        act: impl FnOnce(&mut mcap::Writer<BufWriter<Counted<W>>>) -> Result<T, mcap::McapError>,
+        act: impl FnOnce(&mut McapFile<W>) -> io::Result<T>,
     ) -> Result<T, Error> {
         let ended = || wrong(&self.path, "the recording has ended before".to_owned());
         let mcap = self.mcap.as_mut().ok_or_else(ended)?;
-        act(mcap).map_err(|error| {
-            // Dropping them would write further data after half a record.
-            if let Some(mcap) = self.mcap.take() {
-                let _left = mcap.into_inner().into_parts();
-            }
+        let result = act(mcap);
+        self.bytes = mcap.bytes();
+        result.map_err(|error| {
+            self.mcap = None;
             broken(&self.path, self.written, &error)
         })
     }
@@ -249,36 +203,23 @@ impl<W: Write + Seek> Writer<W> {
 
     /// Ends the chunk and flushes the buffer to the file.
     pub(super) fn flush(&mut self) -> Result<(), Error> {
-        self.try_with(mcap::Writer::flush)
+        self.try_with(McapFile::flush)
     }
 
     /// Bytes that were written to the disk.
-    pub(super) fn bytes(&self) -> u64 {
-        self.bytes.load(Ordering::Relaxed)
+    pub(super) const fn bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// Attaches a text.
     pub(super) fn attach(&mut self, name: &str, text: &str) -> Result<(), Error> {
         let at = self.stamp(monotonic()).0;
-        self.try_with(|mcap| {
-            mcap.attach(&Attachment {
-                log_time: at,
-                create_time: at,
-                name: name.to_owned(),
-                media_type: "text/plain".to_owned(),
-                data: text.as_bytes().into(),
-            })
-        })
+        self.try_with(|mcap| mcap.attach(name, text, at))
     }
 
     /// Describes the file by keys and values.
     pub(super) fn describe(&mut self, values: BTreeMap<String, String>) -> Result<(), Error> {
-        self.try_with(|mcap| {
-            mcap.write_metadata(&Metadata {
-                name: "takt".to_owned(),
-                metadata: values,
-            })
-        })
+        self.try_with(|mcap| mcap.describe(values))
     }
 
     /// Changes the messages for viewers, which write to this file.
@@ -388,14 +329,19 @@ impl<W: Write + Seek> Writer<W> {
     }
 
     pub(super) fn finish(&mut self) -> Result<(), Error> {
-        self.try_with(|mcap| mcap.finish().map(drop))?;
-        let mut buffer = self.mcap.take().map(mcap::Writer::into_inner);
-        let flushed = buffer.as_mut().map_or(Ok(()), Write::flush);
-        if let Some(buffer) = buffer {
-            // Dropping it would write again.
-            let _left = buffer.into_parts();
+        let ended = || wrong(&self.path, "the recording has ended before".to_owned());
+        let finished = self.mcap.take().ok_or_else(ended)?.finish();
+        self.bytes = finished.map_err(|error| broken(&self.path, self.written, &error))?;
+        Ok(())
+    }
+}
+
+impl<W: Write> Drop for Writer<W> {
+    fn drop(&mut self) {
+        // Of a thread that panicked, or failed otherwise than by the file.
+        if self.mcap.is_some() {
+            let _ = self.finish();
         }
-        flushed.map_err(|error| broken(&self.path, self.written, &error.into()))
     }
 }
 
@@ -428,27 +374,19 @@ fn ended(words: &[u64], in_use: &mut InUse) {
 }
 
 /// The error of a failed write, with the cycle and a hint.
-fn broken(path: &Path, cycle: u64, error: &mcap::McapError) -> Error {
-    let io = if let mcap::McapError::Io(error) = error {
-        Some(error)
-    } else {
-        None
-    };
-    let is_full = |error: &io::Error| {
-        use io::ErrorKind as E;
-        matches!(
-            error.kind(),
-            E::StorageFull | E::QuotaExceeded | E::FileTooLarge
-        )
-    };
-    let cause = io.map_or_else(|| error.to_string(), ToString::to_string);
-    let hint = if io.is_some_and(is_full) {
+fn broken(path: &Path, cycle: u64, error: &io::Error) -> Error {
+    use io::ErrorKind as E;
+    let is_full = matches!(
+        error.kind(),
+        E::StorageFull | E::QuotaExceeded | E::FileTooLarge
+    );
+    let hint = if is_full {
         "\nhint: free space on that disk (`df -h`) and record again; the written part stays readable"
     } else {
         "\nhint: check the disk (`dmesg`); the written part stays readable"
     };
     wrong(
         path,
-        format!("the recording ended at cycle {cycle}: {cause}{hint}"),
+        format!("the recording ended at cycle {cycle}: {error}{hint}"),
     )
 }

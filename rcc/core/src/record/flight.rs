@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{Seek, Write};
+use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -161,7 +161,7 @@ struct ThreadTopic {
 }
 
 /// A flight file that is being written.
-pub(crate) struct FlightFile<W: Write + Seek = File> {
+pub(crate) struct FlightFile<W: Write = File> {
     writer: Writer<W>,
     feeds: Vec<Feed>,
     threads: Vec<ThreadTopic>,
@@ -187,7 +187,7 @@ impl FlightFile {
     }
 }
 
-impl<W: Write + Seek> FlightFile<W> {
+impl<W: Write> FlightFile<W> {
     /// Begins a file on what is not a file of this host.
     ///
     /// # Errors

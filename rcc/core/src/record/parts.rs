@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{Seek, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -41,7 +41,7 @@ pub(super) struct Part {
 type Open<W> = Box<dyn FnMut(&Part) -> Result<Writer<W>, Error> + Send>;
 
 /// The parts of a recording.
-pub(super) struct Parts<W: Write + Seek> {
+pub(super) struct Parts<W: Write> {
     bytes: u64,
     part: Part,
     open: Open<W>,
@@ -69,7 +69,7 @@ impl Parts<File> {
     }
 }
 
-impl<W: Write + Seek> Parts<W> {
+impl<W: Write> Parts<W> {
     pub(super) fn new(
         bytes: u64,
         recording: String,

@@ -1,6 +1,6 @@
 //! Recordings on disks that are full, and files that are cut off.
 
-use std::io::{self, SeekFrom};
+use std::io;
 use std::sync::Mutex;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -44,13 +44,6 @@ impl Write for Disk {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
-    }
-}
-
-impl Seek for Disk {
-    fn seek(&mut self, _: SeekFrom) -> io::Result<u64> {
-        // Nothing of a recording is written out of order.
-        Ok(self.bytes.lock().unwrap().len() as u64)
     }
 }
 
@@ -131,6 +124,16 @@ fn full_disk_leaves_complete_chunks_readable() {
             }
         }
     }
+}
+
+#[test]
+fn writer_that_is_dropped_ends_its_file() {
+    let disk = Disk::new(usize::MAX);
+    let mut writer = Writer::on(disk.clone(), Path::new(PATH)).unwrap();
+    writer.cycle(&[0; 40]).unwrap();
+    drop(writer);
+    let read = Recording::parse(&disk.bytes(), Path::new(PATH)).unwrap();
+    assert_eq!((read.cycles.iter().count(), read.is_cut), (1, false));
 }
 
 fn moment(cycle: u64) -> Moment {

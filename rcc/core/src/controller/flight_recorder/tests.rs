@@ -165,13 +165,6 @@ impl Write for Disk {
     }
 }
 
-impl Seek for Disk {
-    fn seek(&mut self, _: std::io::SeekFrom) -> std::io::Result<u64> {
-        // Nothing of a flight file is written out of order.
-        Ok(self.bytes.lock().unwrap().len() as u64)
-    }
-}
-
 #[test]
 fn full_disk_is_reported_once_until_file_fits() {
     let flights = recorder("full", 16);

@@ -60,7 +60,7 @@ fn rotated(cycles: u64, room: usize) -> (Vec<Disk>, Option<Error>) {
         }) {}
         tap.finish();
         // No cycle is lost, however slow the writing thread is.
-        while tap.full.free_slots() < BUFFERS {
+        while tap.full.free_slots() < BUFFERS / 2 {
             if recorder.poll_event(Instant::now()).is_some() {
                 break;
             }
