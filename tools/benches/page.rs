@@ -31,11 +31,11 @@ const CLIENTS: usize = 20;
 const PLOTS: usize = 50;
 /// Frames of plots a second.
 const RATE_HZ: u32 = 30;
-/// Pairs of phases, without clients and with them, and the length of a phase.
-const PAIRS: usize = 5;
-const PHASE: Duration = Duration::from_secs(6);
+/// Pairs of phases, without clients and with them, and the length of a phase: short, so that a busy host disturbs both alike.
+const PAIRS: usize = 20;
+const PHASE: Duration = Duration::from_secs(2);
 /// What follows a change of the clients is not measured.
-const SETTLED: Duration = Duration::from_secs(1);
+const SETTLED: Duration = Duration::from_millis(500);
 /// First pictures that are measured, and how long pictures are counted.
 const OPENINGS: usize = 5;
 const DRAWN: Duration = Duration::from_secs(6);
@@ -53,7 +53,7 @@ fn main() {
     let page = line.rsplit(' ').next().unwrap().to_owned();
     let http = page.trim_start_matches("http://").trim_end_matches('/');
     demo.wait_for("hint: open the address above");
-    std::thread::sleep(SETTLED * 5);
+    std::thread::sleep(SETTLED * 10);
     let (ratio, rows) = latency_ratio(http);
     let pictures = pictures(&page);
     if std::env::args().any(|arg| arg == "--json") {
@@ -204,8 +204,8 @@ impl Clients {
     }
 }
 
-/// By net thread, the ratio of the p99 of its latency with clients to that without, the median of the pairs; and the samples that
-/// the clients received a second.
+/// By net thread, the ratio of the p99 of its latency with clients to that without, each of all phases; and the samples that the
+/// clients received a second.
 fn latency_ratio(http: &str) -> (BTreeMap<String, f64>, f64) {
     let of_threads = probes(http, ".latency");
     let of_threads: Vec<_> = of_threads
@@ -219,23 +219,29 @@ fn latency_ratio(http: &str) -> (BTreeMap<String, f64>, f64) {
         .collect();
     let mut meter = scope(http, &of_threads, 10);
     let mut groups = Vec::new();
-    let mut ratios: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    let mut all_with: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    let mut all_without = all_with.clone();
     let mut samples = 0;
     for _ in 0..PAIRS {
         let mut phase = || {
             latencies(&mut meter, &mut groups, Instant::now() + SETTLED);
             latencies(&mut meter, &mut groups, Instant::now() + PHASE)
         };
-        let without = phase();
-        let clients = Clients::start(http, &all);
-        let with = phase();
-        samples += clients.end();
-        for (thread, with) in with {
-            let ratio = p99(&with) / p99(without.get(&thread).map_or(&[], Vec::as_slice));
-            ratios.entry(thread).or_default().push(ratio);
+        for (thread, latency) in phase() {
+            all_without.entry(thread).or_default().extend(latency);
         }
+        let clients = Clients::start(http, &all);
+        for (thread, latency) in phase() {
+            all_with.entry(thread).or_default().extend(latency);
+        }
+        samples += clients.end();
     }
-    let ratios = ratios.into_iter().map(|(thread, it)| (thread, median(it)));
+    let ratio = |(thread, with): (String, Vec<f64>)| {
+        let without = all_without.get(&thread).map_or(&[][..], Vec::as_slice);
+        let ratio = p99(&with) / p99(without);
+        (thread, ratio)
+    };
+    let ratios = all_with.into_iter().map(ratio);
     let seconds = (PHASE + SETTLED).as_secs_f64() * PAIRS as f64;
     (ratios.collect(), samples as f64 / seconds)
 }

@@ -1,6 +1,6 @@
 //! What a recording of the factory cell costs: pairs of runs of `takt demo --robots factory`, one with `--record`. Printed are the share of a
 //! processor that the writing thread takes, and the ratio of the 99th percentiles of the net threads' latency and
-//! execution. `cargo bench -p takt-tools --bench recording -- --json`; on a quiet host.
+//! execution, each the median of its runs. `cargo bench -p takt-tools --bench recording -- --json`; on a quiet host.
 #![expect(
     clippy::print_stdout,
     clippy::unwrap_used,
@@ -19,9 +19,9 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 /// Pairs of runs.
-const PAIRS: usize = 3;
+const PAIRS: usize = 9;
 /// Length of a run.
-const RUN: &str = "20s";
+const RUN: &str = "10s";
 
 /// A run: latency and execution p99, ns, allocations, and the share of a processor of each thread.
 struct Run {
@@ -45,7 +45,8 @@ fn main() {
     fs::remove_dir_all(&folder).unwrap();
     let ratio = |member: &str| {
         let p99 = |run: &Run| run.report[member]["p99"].as_f64().unwrap_or(f64::NAN);
-        median(pairs.iter().map(|(a, b)| p99(b) / p99(a)).collect())
+        let without = median(pairs.iter().map(|(without, _)| p99(without)).collect());
+        median(pairs.iter().map(|(_, with)| p99(with)).collect()) / without
     };
     let (latency, execution) = (ratio("latency_ns"), ratio("execution_ns"));
     let writer = median(pairs.iter().map(|(_, with)| with.writer).collect());
