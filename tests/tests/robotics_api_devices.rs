@@ -197,6 +197,15 @@ fn servo_gripper_grips_a_part_with_a_force() {
     });
 }
 
+/// Fails if a device was limited.
+fn is_not_limited(bench: &Bench, device: &str) {
+    let limited = bench.controller.limited(device);
+    assert!(!limited.is_empty());
+    for info in limited {
+        assert_eq!(info.limited.onsets, 0, "{device}: {info:?}");
+    }
+}
+
 #[test]
 fn base_moves_to_a_pose_and_rests() {
     steady(|| {
@@ -216,6 +225,7 @@ fn base_moves_to_a_pose_and_rests() {
         std::thread::sleep(Duration::from_millis(100));
         let after = platform.pose().unwrap().position();
         assert!((at[0] - after[0]).abs() < 1e-3, "{at:?} {after:?}");
+        is_not_limited(&bench, "platform");
         cell.close().unwrap();
         assert_eq!(bench.nets(), 0);
     });
@@ -239,6 +249,7 @@ fn base_drives_until_its_time_is_over() {
         assert_eq!(next.wait(), Ok(Outcome::Completed));
         let [x, ..] = platform.pose().unwrap().position();
         assert!((0.03..0.2).contains(&x), "{x}");
+        is_not_limited(&bench, "platform");
         let error = platform.drive([0.9, 0.0, 0.0], short).run().unwrap_err();
         assert!(error.to_string().contains("at most 0.8 m/s"), "{error}");
         assert!(matches!(

@@ -19,6 +19,12 @@ use crate::world::{Frame, World};
 /// heading and while they change, the speed stays within it.
 const PART: f64 = 0.5;
 
+/// Largest acceleration, as part of the limit: the driver, whose cycles are longer, sees the changes of some more cycles.
+const ACCELERATION_PART: f64 = 0.9;
+
+/// Speed for each metre or radian that is left, 1/s, where the base can brake so hard.
+const GAIN: f64 = 3.0;
+
 /// A base at most as fast is at rest, m/s and rad/s.
 const REST: f64 = 0.005;
 
@@ -64,15 +70,16 @@ impl Base {
     }
 
     /// Moves straight to a pose in the frame in which the base started; its height and tilt do not matter. At the speed 1
-    /// it moves with half of its largest speed in x and y. Completed when less than 0.01 m and 0.01 rad are left, and it
-    /// is at rest: at most 0.005 m/s and 0.005 rad/s.
+    /// it moves with half of its largest speed in x and y, and it changes its speed within its largest acceleration.
+    /// Completed when less than 0.01 m and 0.01 rad are left, and it is at rest: at most 0.005 m/s and 0.005 rad/s.
     pub fn go_to(&self, pose: impl Into<Pose>) -> Activity {
         self.activity(Task::To(pose.into()))
     }
 
     /// Moves at a velocity in its own frame, x and y in m/s and the turn about z in rad/s, times the speed and the override
-    /// of the cell, for `duration`, at most an hour; then it brakes to rest. A program that requests it again by
-    /// [`Activity::now`] before the time is over keeps the base in motion; without the program it comes to rest.
+    /// of the cell, for `duration`, at most an hour; then it brakes to rest. It changes its speed within its largest
+    /// acceleration. A program that requests it again by [`Activity::now`] before the time is over keeps the base in motion;
+    /// without the program it comes to rest.
     pub fn drive(&self, velocity: [f64; 3], duration: Duration) -> Activity {
         self.activity(Task::At(velocity, duration))
     }
@@ -130,6 +137,12 @@ fn limits(interface: &Interface) -> [f64; 2] {
     ["velocity_max", "rotation_max"].map(|limit| interface.number(limit))
 }
 
+/// Largest acceleration of motions, m/s², and rotational acceleration, rad/s².
+fn accelerations(interface: &Interface) -> [f64; 2] {
+    ["acceleration_max", "rotation_acceleration_max"]
+        .map(|limit| interface.number(limit) * ACCELERATION_PART)
+}
+
 /// The measured pose of a base.
 pub(crate) fn measured(net: &mut Net, name: &str) -> Port {
     monitor(net, name).out("outPos")
@@ -161,19 +174,29 @@ impl BaseMotion {
         match self.task {
             Task::To(pose) => {
                 let [velocity, rotation] = limits(&self.interface).map(|it| it * requests.speed);
+                let velocity = velocity * PART;
+                // It brakes by gain times speed at most.
+                let [acceleration, turning] = accelerations(&self.interface);
+                let gain = GAIN.min(acceleration / velocity);
                 let here = monitor(net, &self.name);
                 let to = net.frame(&pose);
                 let lead = [
                     ("inDest", (&to).into()),
                     ("inPos", (&here.out("outPos")).into()),
-                    ("velX", (velocity * PART).into()),
-                    ("velY", (velocity * PART).into()),
+                    ("velX", velocity.into()),
+                    ("velY", velocity.into()),
                     ("velYaw", rotation.into()),
+                    ("pX", gain.into()),
+                    ("pY", gain.into()),
+                    ("pYaw", GAIN.min(turning / rotation).into()),
                 ];
                 let lead = net.add("RobotBase::OmnidirectionalBaseController", lead);
-                let limits = [velocity * PART, rotation];
-                let now = here.out("outCmdVel");
-                let slowed = Self::approach(net, (&now, &lead.out("outVel")), limits);
+                let over = net.override_in();
+                let slowed = [
+                    ("inValue", (&lead.out("outVel")).into()),
+                    ("inFactor", (&over).into()),
+                ];
+                let slowed = net.add("World::TwistScale", slowed).out("outValue");
                 (slowed, lead.out("outCompleted"))
             }
             Task::At(velocity, duration) => {
@@ -197,21 +220,18 @@ impl BaseMotion {
         }
     }
 
-    /// The next velocity on the way to the wanted one times the override: it changes by these limits, m/s and rad/s, in a
-    /// second at most.
-    fn approach(net: &mut Net, (now, wanted): (&Port, &Port), limits: [f64; 2]) -> Port {
-        let over = net.override_in();
-        let slowed = [("inValue", wanted.into()), ("inFactor", (&over).into())];
-        let wanted = net.add("World::TwistScale", slowed).out("outValue");
+    /// The next velocity on the way to the wanted one, within the accelerations.
+    fn approach(&self, net: &mut Net, wanted: &Port) -> Port {
+        let now = monitor(net, &self.name).out("outCmdVel");
         // A base that reports none was commanded none.
-        let unknown = net.of("World::TwistIsNull", now);
-        let now = net.zero_if("World::Twist", &unknown, now);
-        let [wanted, now] = [&wanted, &now]
+        let unknown = net.of("World::TwistIsNull", &now);
+        let now = net.zero_if("World::Twist", &unknown, &now);
+        let [wanted, now] = [wanted, &now]
             .map(|twist| net.add("World::TwistToVelocities", [("inValue", twist.into())]));
         let period = net.add("Core::CycleTime", []).out("outValue");
         let ports = [("outTransVel", "inTransVel"), ("outRotVel", "inRotVel")];
         let mut next = Vec::new();
-        for ((part, name), limit) in ports.into_iter().zip(limits) {
+        for ((part, name), limit) in ports.into_iter().zip(accelerations(&self.interface)) {
             let (wanted, now) = (wanted.out(part), now.out(part));
             let change = net.of_two("World::VectorSubtract", &wanted, &now);
             let most = net.scaled(&period, limit);
@@ -291,6 +311,7 @@ impl Operation for BaseMotion {
             ("inFalse", (&lead).into()),
         ];
         let velocity = net.add("World::TwistConditional", velocity).out("outValue");
+        let velocity = self.approach(net, &velocity);
         let command = [
             ("inVel", (&velocity).into()),
             ("Robot", name.as_str().into()),
@@ -332,7 +353,12 @@ mod tests {
     use crate::order::text_of;
 
     fn motion(task: Task) -> BaseMotion {
-        let limits = [("velocity_max", 0.8), ("rotation_max", 0.6)];
+        let limits = [
+            ("velocity_max", 0.8),
+            ("rotation_max", 0.6),
+            ("acceleration_max", 0.4),
+            ("rotation_acceleration_max", 4.0),
+        ];
         BaseMotion {
             name: "platform".to_owned(),
             interface: Interface::with("robotbase", limits),
@@ -348,6 +374,8 @@ mod tests {
             text.contains("velX='0.2', velY='0.2', velYaw='0.3'"),
             "{text}"
         );
+        // By what it can brake, and at most 3/s.
+        assert!(text.contains("pX='1.8', pY='1.8', pYaw='3'"), "{text}");
         assert!(
             text.contains("inTrue=") && text.contains("First='0.005'"),
             "{text}"

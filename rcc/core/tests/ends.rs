@@ -72,6 +72,8 @@ const BASE: Part = Part::Base {
     wheels: 4,
     velocity_max: 1.0,
     rotation_max: 2.0,
+    acceleration_max: 1.6,
+    rotation_acceleration_max: 1.6,
 };
 const IO: Part = Part::Io {
     bool_in: 0,

@@ -41,6 +41,8 @@ const BASE: Part = Part::Base {
     wheels: 4,
     velocity_max: 1.0,
     rotation_max: 1.0,
+    acceleration_max: 1.6,
+    rotation_acceleration_max: 1.6,
 };
 
 /// Children that command the velocity written to them, null while `n` is true.

@@ -30,6 +30,8 @@ const BASE: Part = Part::Base {
     wheels: 0,
     velocity_max: 1.0,
     rotation_max: 1.0,
+    acceleration_max: 1.6,
+    rotation_acceleration_max: 1.6,
 };
 
 fn cell() -> Cell {

@@ -84,6 +84,12 @@ pub enum Part {
         velocity_max: f64,
         /// Largest rotational speed, rad/s.
         rotation_max: f64,
+        /// Largest acceleration, m/s².
+        #[serde(default = "unknown")]
+        acceleration_max: f64,
+        /// Largest rotational acceleration, rad/s².
+        #[serde(default = "unknown")]
+        rotation_acceleration_max: f64,
     },
     /// It has inputs and outputs.
     Io {
@@ -130,6 +136,11 @@ pub enum Part {
     Figures(Vec<Figure>),
 }
 
+/// A limit that an older recording does not have.
+const fn unknown() -> f64 {
+    f64::INFINITY
+}
+
 /// Allocates the signal and command words of these parts of a device with `joints` joints. The same parts in the same
 /// order give the same words.
 #[must_use]
@@ -141,7 +152,13 @@ pub fn lay(parts: &[Part], joints: usize, layout: &mut Layout) -> Interfaces {
                 wheels,
                 velocity_max,
                 rotation_max,
-            } => has.base = Some(Base::new(layout, wheels, velocity_max, rotation_max)),
+                acceleration_max,
+                rotation_acceleration_max,
+            } => {
+                let speeds = [velocity_max, rotation_max];
+                let accelerations = [acceleration_max, rotation_acceleration_max];
+                has.base = Some(Base::new(layout, wheels, speeds, accelerations));
+            }
             Part::Io {
                 bool_in,
                 bool_out,
@@ -195,6 +212,8 @@ pub fn everything() -> Interfaces {
             wheels: MANY,
             velocity_max: f64::INFINITY,
             rotation_max: f64::INFINITY,
+            acceleration_max: f64::INFINITY,
+            rotation_acceleration_max: f64::INFINITY,
         },
         Part::Io {
             bool_in: MANY,

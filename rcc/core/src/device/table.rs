@@ -142,6 +142,8 @@ impl Device {
             let mut limits = with(&[
                 ("velocity_max", base.velocity_max),
                 ("rotation_max", base.rotation_max),
+                ("acceleration_max", base.acceleration_max),
+                ("rotation_acceleration_max", base.rotation_acceleration_max),
             ])?;
             limits.insert("wheels".to_owned(), base.wheels.len().to_string());
             Some(limits)

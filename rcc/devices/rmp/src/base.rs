@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use takt_can::load::{Load, LoadMeter, LoadReader};
-use takt_can::rmp::{self, Model, Motion, State, YawSign};
+use takt_can::rmp::{self, ACCELERATION, Model, Motion, State, YawSign};
 use takt_net::device::Base;
 use takt_net::value::{Frame, Rotation, Twist, Vector};
 
@@ -54,6 +54,8 @@ pub fn describe(config: &RmpConfig) -> DeviceDescription {
                 wheels,
                 velocity_max: VELOCITY_MAX,
                 rotation_max: ROTATION_MAX,
+                acceleration_max: ACCELERATION[0],
+                rotation_acceleration_max: ACCELERATION[1],
             }],
             figures(config.links.len()),
         ),

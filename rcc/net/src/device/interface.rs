@@ -101,6 +101,10 @@ pub struct Base {
     pub velocity_max: f64,
     /// Largest rotational speed, rad/s.
     pub rotation_max: f64,
+    /// Largest acceleration, m/s².
+    pub acceleration_max: f64,
+    /// Largest rotational acceleration, rad/s².
+    pub rotation_acceleration_max: f64,
 }
 
 /// A wheel of a base.
@@ -113,8 +117,13 @@ pub struct Wheel {
 }
 
 impl Base {
-    /// A base with that number of wheels.
-    pub fn new(layout: &mut Layout, wheels: usize, velocity_max: f64, rotation_max: f64) -> Self {
+    /// A base with that number of wheels, its largest speeds (m/s and rad/s) and accelerations (m/s² and rad/s²).
+    pub fn new(
+        layout: &mut Layout,
+        wheels: usize,
+        [velocity_max, rotation_max]: [f64; 2],
+        [acceleration_max, rotation_acceleration_max]: [f64; 2],
+    ) -> Self {
         let wheel = |layout: &mut Layout| Wheel {
             position: layout.signal(),
             velocity: layout.signal(),
@@ -128,6 +137,8 @@ impl Base {
             command: layout.command(),
             velocity_max,
             rotation_max,
+            acceleration_max,
+            rotation_acceleration_max,
         }
     }
 }

@@ -839,14 +839,14 @@ class Base:
     def go_to(self, pose: _PoseLike, **options: Unpack[_Options]) -> Activity:
         """Moves straight to a pose in the frame in which the base started; its height and tilt do not matter.
 
-        At the speed 1 with half of its largest speed in x and y. Completed when less than 0.01 m and 0.01 rad are left, and it
-        is at rest.
+        At the speed 1 with half of its largest speed in x and y, within its largest acceleration. Completed when less than
+        0.01 m and 0.01 rad are left, and it is at rest.
         """
     def drive(self, velocity: _Numbers, duration: float, **options: Unpack[_Options]) -> Activity:
         """Moves at a velocity in its own frame (x and y, m/s; the turn about z, rad/s) for `duration`, s, above 0 to 3600.
 
-        Then it brakes to rest. A program that requests it again with `now` before the time is over keeps the base in
-        motion. Raises `Invalid` for a velocity beyond `limits`.
+        It changes its speed within its largest acceleration, and then brakes to rest. A program that requests it again with
+        `now` before the time is over keeps the base in motion. Raises `Invalid` for a velocity beyond `limits`.
         """
     def centre(self) -> MovingFrame:
         """Itself as a frame that moves, where the base is measured. Raises `Lost` without connection."""

@@ -19,6 +19,8 @@ pub(super) fn devices() -> anyhow::Result<DeviceTable> {
             wheels: 4,
             velocity_max: 1.0,
             rotation_max: 1.0,
+            acceleration_max: 1.6,
+            rotation_acceleration_max: 1.6,
         },
         Part::Io {
             bool_in: 1,

@@ -34,10 +34,13 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
         ],
     };
     let [velocity_max, rotation_max] = limits.velocity;
+    let [acceleration_max, rotation_acceleration_max] = limits.acceleration;
     let base = Part::Base {
         wheels: WHEELS,
         velocity_max,
         rotation_max,
+        acceleration_max,
+        rotation_acceleration_max,
     };
     let description = DeviceDescription {
         name: parameters.name.to_owned(),

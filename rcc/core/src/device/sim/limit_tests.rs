@@ -93,6 +93,8 @@ fn sim_base_follows_poses_within_limits() {
         wheels: 4,
         velocity_max: 0.8,
         rotation_max: 0.8,
+        acceleration_max: 1.6,
+        rotation_acceleration_max: 1.6,
     };
     for every in [1_u64, 10, 100] {
         let (_, mut device) = make("base", "kuka_youbot_base_sim", &BTreeMap::new()).unwrap();

@@ -107,6 +107,8 @@ pub(super) fn base_parts(base: &YouBotBase) -> [Part; 3] {
             wheels: 4,
             velocity_max: base.velocity_max,
             rotation_max: base.rotation_max,
+            acceleration_max: base.acceleration_max,
+            rotation_acceleration_max: base.rotation_acceleration_max,
         },
         Part::CartesianPosition,
         Part::Drives { count: 4 },
