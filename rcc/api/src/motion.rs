@@ -193,6 +193,14 @@ pub struct ArmDescription {
     pub interfaces: Vec<String>,
 }
 
+/// Whether two numbers differ by more than that.
+fn is_further(net: &mut Net, [from, to]: &[Port; 2], most: f64) -> Port {
+    let distance = net.of_two("Core::DoubleSubtract", to, from);
+    let distance = net.of("Core::DoubleAbs", &distance);
+    let greater = [("inFirst", (&distance).into()), ("Second", most.into())];
+    net.add("Core::DoubleGreater", greater).out("outValue")
+}
+
 impl ArmDescription {
     /// Checks that it has an interface; `wanted` says in errors what that is.
     pub(crate) fn needs(&self, interface: &str, wanted: &'static str) -> Result<(), ErrorKind> {
@@ -353,14 +361,28 @@ impl ArmDescription {
     ) -> Option<Port> {
         let mut further = Vec::new();
         for (axis, limits) in self.joints.iter().enumerate() {
-            let [from, to] = [from, to].map(|joints| self.joint_of(net, joints, axis));
-            let distance = net.of_two("Core::DoubleSubtract", &to, &from);
-            let distance = net.of("Core::DoubleAbs", &distance);
-            let limit = limits.velocity * part * time_s;
-            let greater = [("inFirst", (&distance).into()), ("Second", limit.into())];
-            further.push(net.add("Core::DoubleGreater", greater).out("outValue"));
+            let ends = [from, to].map(|joints| self.joint_of(net, joints, axis));
+            further.push(is_further(net, &ends, limits.velocity * part * time_s));
         }
         net.any(&further)
+    }
+
+    /// Whether a joint moves further in a cycle than at a part of its largest speed. The cycle before is that of the net: where
+    /// the thread skipped cycles, what the driver reports has gone on.
+    pub(crate) fn any_faster(&self, net: &mut Net, joints: &Port, part: f64) -> Option<Port> {
+        let period_s = self.period.as_secs_f64();
+        let mut faster = Vec::new();
+        for (axis, limits) in self.joints.iter().enumerate() {
+            let monitor = [("Robot", self.name.as_str().into()), ("Axis", axis.into())];
+            let monitor = net.add("RobotArm::JointMonitor", monitor);
+            let begin = monitor.out("outCommandedPosition");
+            let (later, before) = net.state("Core::Double", &begin);
+            let now = self.joint_of(net, joints, axis);
+            net.close(&later, &now);
+            let limit = limits.velocity * part * period_s;
+            faster.push(is_further(net, &[before, now], limit));
+        }
+        net.any(&faster)
     }
 
     /// Whether the arm is at rest in the first cycle, and elsewhere than at these joint positions, rad; `None` without

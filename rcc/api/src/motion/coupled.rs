@@ -179,10 +179,8 @@ impl CoupledMotion {
         let (joints, beyond) = frame::inverse(net, arm, &now);
         let (rest_joints, will_be_beyond) = frame::inverse(net, arm, &at_rest);
         let beyond = net.of_two("Core::BooleanOr", &beyond, &will_be_beyond);
-        let before = arm.joint_array(net, "outCommandedPosition");
-        let period_s = arm.period.as_secs_f64();
         let fast = [
-            arm.any_further(net, [&before, &joints], (period_s, SPEED_MAX)),
+            arm.any_faster(net, &joints, SPEED_MAX),
             arm.any_further(net, [&joints, &rest_joints], (braking_s, BRAKING_SPEED_MAX)),
         ];
         let fast: Vec<_> = fast.into_iter().flatten().collect();

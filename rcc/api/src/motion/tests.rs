@@ -147,6 +147,12 @@ fn coupled_arms_have_one_motion_and_one_stop() {
         1,
         "{text}"
     );
+    // The speed of a joint is that of the net's own positions.
+    assert_eq!(
+        text.matches("Core::DoublePre(inValue=p").count(),
+        14,
+        "{text}"
+    );
     for key in [
         "unreachable_left",
         "fast_right",
