@@ -1,8 +1,6 @@
 //! A host that stands for some cycles while two emulated arms lift one object: what the drivers report goes on, the motion does
 //! not.
 
-#![expect(clippy::unwrap_used, reason = "tests fail by panicking")]
-
 use std::process::Command;
 
 use takt_api::{Cell, Outcome, Pose, coupled, together};
